@@ -1,28 +1,25 @@
-"""Behavioural cloning (section 4.1), and methods that are cloning with another loss: IQ-Learn and POINT."""
+"""Behavioural cloning (section 4.1)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final, cast
+from typing import Any, ClassVar, Final
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Dataset, Demonstrations, shares
+from magical_mj.learners.data import Dataset, Demonstrations
 from magical_mj.learners.learner import Learner, seeded, threads_for
-from magical_mj.learners.networks import Actor, Torso, as_input
+from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
-from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
+from magical_mj.learners.settings import CloningSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
-from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
 """Batches over which batch norm's averages are taken."""
-LEAST: Final = 4
-"""The fewest samples that have a distance correlation."""
 
 
 class BehaviouralCloning(Learner):
@@ -133,139 +130,3 @@ def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
     return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
-
-
-class IQLearn(BehaviouralCloning):
-    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142), in its offline form: cloning with another loss.
-
-    One network holds a soft Q function. With it come a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature), where V
-    is the temperature times the log of the sum of exp(Q / temperature) over actions, and a reward, r(s, a) = Q(s, a) -
-    discount V(s'). With its regulariser chi^2, the paper maximises, over the demonstrations,
-
-        E[r - r^2 / (4 alpha)] - E[V(s) - discount V(s')].
-
-    Without the square this is behavioural cloning. The square adds that the rewards that explain the demonstrator must
-    be small, so that the values of successive states have to agree. Nothing is played. The actor's logits are Q /
-    temperature, so that it draws from pi.
-
-    As in behavioural cloning, steps with the no-op are left out, but not as successors; so is the last step of each
-    demonstration, which has none.
-    """
-
-    observes = "states"
-    drop_noop = False
-
-    def __init__(self, settings: TrainingSettings) -> None:
-        super().__init__(settings)
-        self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
-
-    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also the mean reward in the batch."""
-        counts = shares(self.settings.bc.batch_size, len(self._usable), self._draw)
-        rows = [
-            numbers[torch.randint(len(numbers), (count,), generator=self._draw)]
-            for numbers, count in zip(self._usable, counts, strict=True)
-        ]
-        observations, actions, tasks = self._data.rows(rows)
-        following, _, _ = self._data.rows([numbers + 1 for numbers in rows])
-        actions, tasks = actions.to(self.device), tasks.to(self.device)
-        logits, next_logits = (
-            self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
-        )
-        loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
-        return loss, logits, actions, {"reward": rewards.mean().item()}
-
-
-def usable(data: Dataset, task: int) -> Tensor:
-    """The numbers of a task's rows that have a successor, and no no-op."""
-    actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
-    last = torch.zeros(len(actions), dtype=torch.bool)
-    last[lengths.cumsum(0) - 1] = True
-    return (~last & (actions != NOOP)).nonzero()[:, 0]
-
-
-def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
-    """What is minimised, divided by the temperature, so that it compares with behavioural cloning's; and rewards (n,).
-
-    Args:
-        logits: Q / temperature, shape (n, 18).
-        next_logits: the same of the successors.
-        actions: the demonstrator's, shape (n,).
-        settings: of the method.
-    """
-    rewards = settings.temperature * (
-        logits.gather(1, actions[:, None])[:, 0] - settings.discount * next_logits.logsumexp(1)
-    )
-    # E[r] - E[V(s) - discount V(s')] = E[Q(s, a) - V(s)] = temperature E[log pi(a | s)]
-    cloning = nn.functional.cross_entropy(logits, actions)
-    return cloning + rewards.square().mean() / (4 * settings.alpha * settings.temperature), rewards.detach()
-
-
-class Point(BehaviouralCloning):
-    """Also penalises features from which it can be told where in the picture the things are that the policy looks at.
-
-    "Spatial generalization of visual imitation learning with position-invariant regularization" penalises features
-    that contain absolute positions of objects, so that relations between objects remain. Of its form we know the
-    abstract alone; this is ours. The position is where Grad-CAM (Selvaraju et al. 2017, arXiv:1610.02391) sees the
-    reason for the demonstrator's action: no gradient flows through it. The penalty is the squared distance
-    correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
-    """
-
-    observes = "pictures"
-
-    @classmethod
-    def check_settings(cls, settings: TrainingSettings) -> None:
-        """Also that batches are large enough."""
-        super().check_settings(settings)
-        if settings.bc.batch_size < LEAST:
-            raise SettingsError(
-                f"point compares samples: bc.batch_size={settings.bc.batch_size} must be at least {LEAST}"
-            )
-
-    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also the penalty, without its weight."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
-        inputs, actions, tasks = (
-            self._augmented(observations, self._noise),
-            actions.to(self.device),
-            tasks.to(self.device),
-        )
-        torso = cast("Torso", self._actor.torso)
-        maps = torso.convolutions(inputs[:, -torso.channels :])
-        features = torso.linear(maps.flatten(1))
-        logits = self._actor.head(features, tasks)
-        penalty = distance_correlation(features, looked_at(maps, logits.gather(1, actions[:, None]).sum()))
-        loss = nn.functional.cross_entropy(logits, actions) + self.settings.point.weight * penalty
-        return loss, logits, actions, {"penalty": penalty.item()}
-
-
-def looked_at(maps: Tensor, chosen: Tensor) -> Tensor:
-    """The centres of Grad-CAM's maps, (n, 2), from -1 to 1 to the right and down.
-
-    Args:
-        maps: the last convolution's output, shape (n, channels, height, width).
-        chosen: the sum over the samples of what is explained, a function of the maps.
-    """
-    (slopes,) = torch.autograd.grad(chosen, maps, retain_graph=True)
-    with torch.no_grad():
-        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # nothing at all: the middle
-        cam = cam / cam.sum((1, 2), keepdim=True)
-        down, right = (torch.linspace(-1, 1, size, device=maps.device) for size in cam.shape[1:])
-        return torch.stack([(cam.sum(1) * right).sum(1), (cam.sum(2) * down).sum(1)], 1)
-
-
-def distance_correlation(first: Tensor, second: Tensor) -> Tensor:
-    """Bias-corrected and squared, of pairs (n, size) and (n, size): about 0 if independent, at most 1."""
-    one, other = centred_distances(first), centred_distances(second)
-    return (one * other).sum() / (one.square().sum() * other.square().sum()).clamp(min=1e-12).sqrt()
-
-
-def centred_distances(samples: Tensor) -> Tensor:
-    """U-centred distances (n, n) of samples (n, size): the sum of each row is 0, and so is the diagonal."""
-    count = len(samples)
-    apart = torch.eye(count, device=samples.device) == 0
-    # Not torch.cdist, whose gradient is not a number where two samples are equal.
-    squares = (samples[:, None] - samples[None]).square().sum(2)
-    distances = squares.clamp(min=1e-12).sqrt() * apart
-    rows, total = distances.sum(1) / (count - 2), distances.sum() / ((count - 1) * (count - 2))
-    return (distances - rows[:, None] - rows[None] + total) * apart

@@ -1,4 +1,4 @@
-"""GAIL, WGAIL-GP and AIRL: the policy is rewarded for fooling the discriminator (section 4.1).
+"""GAIL and WGAIL-GP: the policy is rewarded for fooling the discriminator (section 4.1).
 
 The discriminator D is near 1 for the policy's samples and near 0 for the demonstrator's, as in the paper.
 """
@@ -6,15 +6,14 @@ The discriminator D is near 1 for the policy's samples and near 0 for the demons
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Batch, Dataset, Rollout, joined
+from magical_mj.learners.data import Rollout, joined
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Heads, StateTorso, Torso
 from magical_mj.learners.ppo import RewardLearner, Samples
@@ -128,81 +127,6 @@ class WGAILGP(Adversarial):
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-D, shape (n,)."""
         return -self._discriminator.eval()(observations, actions, tasks)
-
-
-class AIRL(GAIL):
-    """AIRL (Fu et al. 2018, arXiv:1710.11248), from states: GAIL whose discriminator holds a reward.
-
-    Its logits are log pi(a | s) - f(s, a, s'), so that it must know the policy, with
-    f(s, a, s') = g(s, a) + discount h(s') - h(s), with the discount of PPO. In the paper D is near 1 for the
-    demonstrator, and its reward is log D - log(1 - D); here D is near 1 for the policy, and log(1 - D) - log D is the
-    same: f - log pi. Its g may look at the state alone, so that the reward holds for other dynamics; here nothing is
-    learnt anew from the reward, and g looks at the action too, as the paper has it first.
-
-    Observations are histories with the state that follows, (n, HISTORY + 1, names): the first HISTORY are s, the last
-    HISTORY are s'. Nothing follows the last step of an episode or demonstration: its own state is repeated.
-    """
-
-    observes = "states"
-
-    def __init__(self, settings: TrainingSettings) -> None:
-        super().__init__(settings)
-        self._expert = Steps(settings, drop_noop=False)
-
-    def discriminator(self) -> nn.Module:
-        """A new f."""
-        return Shaped(self.settings.network, len(self.settings.tasks), self.settings.ppo.discount)
-
-    def collect(self) -> Rollout:
-        """The rollout, each step with the state that followed."""
-        rollout = super().collect()
-        following = self._ppo.successors()[..., -1:, :]
-        return rollout._replace(observations=np.concatenate([rollout.observations, following], axis=-2))
-
-    def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """The logits of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
-        with torch.no_grad():
-            chances = self._actor(observations[:, :-1], tasks).log_softmax(1)
-        return chances.gather(1, actions[:, None])[:, 0] - self._discriminator(observations, actions, tasks)
-
-    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """f(s, a, s') - log pi(a | s), shape (n,)."""
-        return -self.logits(observations, actions, tasks)
-
-
-class Shaped(nn.Module):
-    """f(s, a, s'): a reward g(s, a), and potentials h that shape it."""
-
-    def __init__(self, network: NetworkSettings, tasks: int, discount: float) -> None:
-        super().__init__()
-        self.discount = discount
-        self.reward = Discriminator(network, tasks, states=True)
-        self.torso = StateTorso(network)
-        self.head = Heads(tasks, self.torso.features, 1)
-
-    def forward(self, steps: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """Shape (n,), of steps (n, HISTORY + 1, names) with actions and tasks (n,)."""
-        before, after = steps[:, :-1], steps[:, 1:]
-        shaping = self.discount * self.potential(after, tasks) - self.potential(before, tasks)
-        return self.reward(before, actions, tasks) + shaping
-
-    def potential(self, histories: Tensor, tasks: Tensor) -> Tensor:
-        """h(s), shape (n,)."""
-        return self.head(self.torso(histories), tasks)[:, 0]
-
-
-class Steps(Dataset):
-    """Demonstrations whose rows hold the state that follows, too."""
-
-    def rows(self, numbers: Sequence[Tensor]) -> Batch:
-        """The rows with these numbers, observations (n, HISTORY + 1, names)."""
-        batch = super().rows(numbers)
-        following = []
-        for rows, lengths in zip(numbers, self.lengths, strict=True):
-            last = torch.tensor(lengths).cumsum(0) - 1
-            following.append(torch.where(torch.isin(rows, last), rows, rows + 1))
-        after = super().rows(following).observations[:, -1:]
-        return batch._replace(observations=np.concatenate([batch.observations, after], axis=1))
 
 
 def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:

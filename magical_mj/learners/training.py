@@ -16,11 +16,14 @@ from typing import Final
 
 import torch
 
+from magical_mj.learners.airl import AIRL
 from magical_mj.learners.apprenticeship import Apprenticeship
-from magical_mj.learners.bc import BehaviouralCloning, IQLearn, Point
+from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.config import announced_methods, load_method
-from magical_mj.learners.gail import AIRL, GAIL, WGAILGP
+from magical_mj.learners.gail import GAIL, WGAILGP
+from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method
+from magical_mj.learners.point import Point
 from magical_mj.learners.redraw import Redraw
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder

@@ -1,4 +1,4 @@
-"""Behavioural cloning: its data, its network, its loss; and IQ-Learn and POINT, whose losses are others."""
+"""Behavioural cloning: its data, its network, its loss; and IQ-Learn, whose loss is another."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import platform
 import resource
 from collections import Counter, defaultdict
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,22 +13,15 @@ import torch
 
 from magical_mj import demos
 from magical_mj.learners import load_settings
-from magical_mj.learners.bc import (
-    BehaviouralCloning,
-    IQLearn,
-    Point,
-    distance_correlation,
-    iq_loss,
-    looked_at,
-    usable,
-)
+from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Dataset, drawn
+from magical_mj.learners.iq_learn import IQLearn, iq_loss, usable
 from magical_mj.learners.learner import keep_freed_memory, seeded
 from magical_mj.learners.networks import Heads, Torso, as_input
 from magical_mj.learners.settings import InverseSettings, NetworkSettings
 from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import DemonstrationError, SettingsError
-from tests.helpers.learners import TINY, tiny
+from tests.helpers.learners import tiny
 
 
 def test_the_seed_draws_ten_of_twenty_five() -> None:
@@ -245,47 +237,3 @@ def test_large_alpha_is_behavioural_cloning() -> None:
 def test_it_needs_states() -> None:
     with pytest.raises(SettingsError, match="preset State"):
         IQLearn(load_settings("iq-learn", "MoveToRegion"))
-
-
-def test_dependence_is_told_from_independence() -> None:
-    generator = torch.Generator().manual_seed(0)
-    places, others = (torch.rand((200, 2), generator=generator) for _ in range(2))
-    turned = places @ torch.tensor([[0.0, 3.0], [-3.0, 0.0]]) + 5
-    assert distance_correlation(turned, places) == pytest.approx(1, abs=1e-4)
-    assert abs(distance_correlation(others, places)) < 0.05
-    assert distance_correlation((places - 0.5).square(), places) > 0.1  # without any linear correlation
-    assert abs(distance_correlation(torch.zeros(200, 3), places)) < 1e-6
-
-
-def test_constant_features_have_a_finite_gradient() -> None:
-    features = torch.ones((6, 3), requires_grad=True)
-    distance_correlation(features, torch.rand(6, 2)).backward()
-    assert features.grad is not None
-    assert features.grad.isfinite().all()
-
-
-def test_point_looks_where_the_reason_is() -> None:
-    """The chosen logit grows with channel 0, and falls with channel 1, which is therefore not looked at."""
-    maps = torch.zeros((2, 2, 5, 5))
-    maps[0, 0, 4, 2] = maps[1, 0, 2, 0] = 1.0
-    maps[:, 1, 0, 0] = 7.0
-    maps.requires_grad_()
-    places = looked_at(maps, (maps[:, 0] - maps[:, 1]).sum())
-    torch.testing.assert_close(places, torch.tensor([[0.0, 1.0], [-1.0, 0.0]]), atol=1e-5, rtol=0)
-
-
-def test_the_penalty_falls_where_it_weighs() -> None:
-    def last(weight: float) -> float:
-        changes: dict[str, Any] = {**TINY, "bc.batches": 30, "bc.batch_size": 16, "point.weight": weight}
-        learner = Point(load_settings("point", "MoveToRegion", quick=True, **changes))
-        penalties = [learner.update()["penalty"] for _ in range(learner.updates)]
-        return sum(penalties[-10:]) / 10
-
-    assert last(5.0) < last(0.0)
-
-
-def test_what_point_needs() -> None:
-    with pytest.raises(SettingsError, match="from pictures"):
-        Point(load_settings("point", "MoveToRegion", preset="State"))
-    with pytest.raises(SettingsError, match="at least 4"):
-        Point(load_settings("point", "MoveToRegion", **{"bc.batch_size": 3}))

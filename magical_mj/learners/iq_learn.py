@@ -1,0 +1,79 @@
+"""Inverse soft Q-learning from states, in its offline form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.data import Dataset, shares
+from magical_mj.learners.settings import InverseSettings, TrainingSettings
+from magical_mj.scene.actions import NOOP
+
+
+class IQLearn(BehaviouralCloning):
+    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142), in its offline form: cloning with another loss.
+
+    One network holds a soft Q function. With it come a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature), where V
+    is the temperature times the log of the sum of exp(Q / temperature) over actions, and a reward, r(s, a) = Q(s, a) -
+    discount V(s'). With its regulariser chi^2, the paper maximises, over the demonstrations,
+
+        E[r - r^2 / (4 alpha)] - E[V(s) - discount V(s')].
+
+    Without the square this is behavioural cloning. The square adds that the rewards that explain the demonstrator must
+    be small, so that the values of successive states have to agree. Nothing is played. The actor's logits are Q /
+    temperature, so that it draws from pi.
+
+    As in behavioural cloning, steps with the no-op are left out, but not as successors; so is the last step of each
+    demonstration, which has none.
+    """
+
+    observes = "states"
+    drop_noop = False
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
+
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """Also the mean reward in the batch."""
+        counts = shares(self.settings.bc.batch_size, len(self._usable), self._draw)
+        rows = [
+            numbers[torch.randint(len(numbers), (count,), generator=self._draw)]
+            for numbers, count in zip(self._usable, counts, strict=True)
+        ]
+        observations, actions, tasks = self._data.rows(rows)
+        following, _, _ = self._data.rows([numbers + 1 for numbers in rows])
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        logits, next_logits = (
+            self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
+        )
+        loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
+        return loss, logits, actions, {"reward": rewards.mean().item()}
+
+
+def usable(data: Dataset, task: int) -> Tensor:
+    """The numbers of a task's rows that have a successor, and no no-op."""
+    actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
+    last = torch.zeros(len(actions), dtype=torch.bool)
+    last[lengths.cumsum(0) - 1] = True
+    return (~last & (actions != NOOP)).nonzero()[:, 0]
+
+
+def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
+    """What is minimised, divided by the temperature, so that it compares with behavioural cloning's; and rewards (n,).
+
+    Args:
+        logits: Q / temperature, shape (n, 18).
+        next_logits: the same of the successors.
+        actions: the demonstrator's, shape (n,).
+        settings: of the method.
+    """
+    rewards = settings.temperature * (
+        logits.gather(1, actions[:, None])[:, 0] - settings.discount * next_logits.logsumexp(1)
+    )
+    # E[r] - E[V(s) - discount V(s')] = E[Q(s, a) - V(s)] = temperature E[log pi(a | s)]
+    cloning = nn.functional.cross_entropy(logits, actions)
+    return cloning + rewards.square().mean() / (4 * settings.alpha * settings.temperature), rewards.detach()
