@@ -144,7 +144,7 @@ def _cast(space: Any, value: Any) -> Any:
         try:
             return np.asarray(value, space.dtype)
         except (TypeError, ValueError, OverflowError):
-            return np.empty(0)  # nor is that in the space
+            return np.empty(0)  # which no space contains, so that the value is refused like others
     return value
 
 

@@ -154,7 +154,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env.observe(rows[world])
 
         self.each_world(reset_world)
-        return self._finished(), self._batched(infos)
+        return self._with_instructions(), self._batched(infos)
 
     def step(
         self, actions: Any
@@ -201,7 +201,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         batched: dict[str, Any] = {}
         for world in sorted(final):
             batched = self._add_info(batched, final[world], world)
-        return self._finished(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
+        return self._with_instructions(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What a method of each world returns, or the attributes of this name."""
@@ -251,8 +251,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         arrays = {name: part for name, part in self._observations.items() if isinstance(part, np.ndarray)}
         return [dict(zip(arrays, column, strict=True)) for column in zip(*arrays.values(), strict=True)]
 
-    def _finished(self) -> Any:
-        """The observations of all worlds, completed by the sentences in them, which are no arrays."""
+    def _with_instructions(self) -> Any:
+        """The observations of all worlds; instructions are no arrays, and are put in here."""
         if isinstance(self._observations, dict) and "instruction" in self._observations:
             self._observations["instruction"] = tuple(env.engine.instruction for env in self.envs)
         return self._observations

@@ -275,7 +275,7 @@ class TrainingSettings(Settings):
             self.check_reinforcement()
         elif self.method in PARTS and self.ppo.simulator != "mujoco":
             playing = ", ".join(method for method, parts in PARTS.items() if "ppo" in parts)
-            raise SettingsError(f"{self.method} learns without playing: a simulator is chosen for {playing}")
+            raise SettingsError(f"{self.method} plays in no simulator that can be chosen: only {playing} do")
 
     @property
     def states(self) -> bool:

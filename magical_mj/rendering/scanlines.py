@@ -23,7 +23,7 @@ GRID_BITS: Final = 8
 GRID: Final = 1 << GRID_BITS
 HALF: Final = GRID // 2
 MAX_CORNERS: Final = 64
-"""Of a polygon: there is no room for more, and nothing looks after that here."""
+"""The most corners that a polygon may have. Kernels do not check it: callers split larger ones."""
 FIRST, LAST, BODY, SOURCE, IS_SKIN = range(5)
 """The columns of a table of polygons: its corners' rows, its body, its geom or skin, and which of the two that is."""
 

@@ -55,7 +55,7 @@ class Body:
         try:
             corners = self.corners
         except (TypeError, ValueError):
-            corners = np.empty(0)  # nor are these points
+            corners = np.empty(0)  # which is refused below
         if self.outline and not (corners.shape[1:] == (2,) and len(corners) > 3 and is_convex(corners)):
             raise InvalidSceneError(
                 "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "

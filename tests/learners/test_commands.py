@@ -58,7 +58,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
             "precision is for bc, redraw, and of no use",
         ),
         (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc"),
-        (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc learns without playing"),
+        (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc plays in no simulator"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
         (["train", "redraw", "--tasks", "FindDupe", "--set", "network.frames=5"], "an integer of at most 4, not '5'"),
