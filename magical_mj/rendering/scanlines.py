@@ -246,17 +246,19 @@ def draw_picture(
     average(pairs, out)
 
 
-@compiled("void(u8[::1], u1[:, :])")
-def count_bare(pairs: Any, out: Any) -> None:
-    """How many of the four samples of each pixel nothing covers; `pairs` as for `average`. Shape (height, width)."""
+@compiled("void(u4[::1], u1[:, ::1])")
+def count_bare(samples: Any, out: Any) -> None:
+    """How many of the four samples of each pixel nothing covers. Shape (height, width)."""
     height, width = out.shape
+    one, bare = np.uint32(1), np.empty(2 * width, np.uint8)
     for row in range(height):
+        first = 4 * row * width
+        lower, upper = samples[first : first + 2 * width], samples[first + 2 * width : first + 4 * width]
+        for column in range(2 * width):
+            bare[column] = np.uint8(2 - min(lower[column], one) - min(upper[column], one))
+        line = out[height - 1 - row]
         for column in range(width):
-            count = 0
-            for line in range(2 * row, 2 * row + 2):
-                pair = pairs[line * width + column]
-                count += int((pair >> _32) == 0) + int((pair << _32) == 0)
-            out[height - 1 - row, column] = count
+            line[column] = bare[2 * column] + bare[2 * column + 1]
 
 
 @compiled(f"void({_WORLD}, u4[::1], u1[:, :])")

@@ -84,7 +84,7 @@ class SoftwareRenderer:
         pairs = samples[0].view(np.uint64)
         self._scanlines.draw_picture(*world, samples, *self._colours, pairs, picture)
         if bare is not None:
-            self._scanlines.count_bare(pairs, bare)
+            self._scanlines.count_bare(samples[0], bare)
         return picture
 
 

@@ -15,6 +15,7 @@ BLOCK: Final = 4
 BITS: Final = 24
 ONE: Final = float(1 << BITS)
 """A cell of the ground, in the steps in which places on it are counted."""
+WHITE: Final = 255
 _FRAME: Final = "UniTuple(f8, 4)"
 
 
@@ -35,23 +36,27 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
     right, up = math.cos(angle) * scale * side / size, math.sin(angle) * scale * side / size  # cells per pixel
     half = (size - 1) / 2
     stride_j, stride_i = int(right * ONE), int(-up * ONE)
+    levels, seen, one, two = ground.reshape(-1), np.empty(size, np.uint32), np.uint32(1), np.uint32(2)
     for row in range(size):
         lift = half - row
         j = int(((x + reach) * scale - half * right - lift * up) * ONE)
         i = int(((reach - y) * scale + half * up - lift * right) * ONE)
-        for column in range(size):
-            count = np.int32(bare[row, column])
-            if count:
-                line, place = min(max(i >> BITS, 0), last), min(max(j >> BITS, 0), last)
-                if count == 4:
-                    for k in range(3):
-                        picture[row, column, k] = ground[line, place, k]
-                else:
-                    for k in range(3):
-                        darker = (count * (255 - np.int32(ground[line, place, k])) + 2) >> 2
-                        picture[row, column, k] = np.uint8(max(np.int32(picture[row, column, k]) - darker, 0))
+        for column in range(size):  # a loop without branches, of which the processor takes several steps at once
+            seen[column] = 3 * (min(max(i >> BITS, 0), last) * (last + 1) + min(max(j >> BITS, 0), last))
             i += stride_i
             j += stride_j
+        for column in range(size):
+            count, cell = np.int32(bare[row, column]), seen[column]
+            if (
+                count == 0 or levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
+            ):  # which is as it was drawn
+                continue
+            for k in range(3):
+                level = np.int32(levels[cell + np.uint32(k)])
+                if count < 4:
+                    darker = (count * (255 - level) + 2) >> 2
+                    level = max(np.int32(picture[row, column, k]) - darker, 0)
+                picture[row, column, k] = np.uint8(level)
 
 
 @compiled(f"void(u1[:, :, ::1], i4[:, ::1], f8[::1], f8[::1], {_FRAME})")
