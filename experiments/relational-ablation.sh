@@ -16,10 +16,11 @@ run() {
   done
 }
 
-run all egocentric,mirror,rename,hindsight,displace
-run without-egocentric rename,hindsight,displace  # mirror is tried only with it
-run without-mirror egocentric,rename,hindsight,displace
-run without-rename egocentric,mirror,hindsight,displace
-run without-hindsight egocentric,mirror,rename,displace
-run without-displace egocentric,mirror,rename,hindsight
+run all egocentric,mirror,rename,hindsight,displace,replace
+run without-egocentric rename,hindsight,displace,replace  # mirror is tried only with it
+run without-mirror egocentric,rename,hindsight,displace,replace
+run without-rename egocentric,mirror,hindsight,displace,replace
+run without-hindsight egocentric,mirror,rename,displace,replace
+run without-displace egocentric,mirror,rename,hindsight,replace
+run without-replace egocentric,mirror,rename,hindsight,displace
 magical-mj report runs/ablation/*-scores --out runs/ablation/report

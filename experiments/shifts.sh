@@ -26,8 +26,8 @@ for task in MoveToCorner MoveToRegion MatchRegions MakeLine FindDupe FixColour C
 done
 for task in MoveToRegion FindDupe; do
   for seed in 0 1 2 3 4; do run BC $seed $task 20 all LoRes4E bc --quick; done
-  for seed in 1 2 3; do run redraw $seed $task 20 all LoRes4E redraw --quick; done
-  run redraw-augmented 1 $task 20 all LoRes4E redraw --quick --augment all
+  for seed in 1 2 3; do run redraw $seed $task 20 all LoRes4E redraw --quick --augment none; done
+  run redraw-augmented 1 $task 20 all LoRes4E redraw --quick
   run BC-no-trans-rot 0 $task 20 all LoRes4E bc --quick --augment no-trans-rot
   run BC-allo 0 $task 20 all LoRes4A bc --quick
 done

@@ -95,7 +95,6 @@ SHORT_AL: Final[Mapping[str, Any]] = {
 """The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
 
 REDRAWN: Final[Mapping[str, Any]] = {
-    "augment": "none",
     "network.frames": 1,
     "bc.batch_size": 64,
     "bc.optimizer": "adam",
@@ -129,7 +128,7 @@ def load_settings(
     if short and method == "al":
         short = {**short, **SHORT_AL}
     if method == "redraw":
-        short = {**short, **REDRAWN, **({"bc.batches": 3_000} if quick else {})}
+        short = {**short, **REDRAWN}
     return changed(settings, {**short, **changes})
 
 

@@ -2,9 +2,10 @@
 
 Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:1912.12294). The first is that of
 `relational`: it learns from states, and the demo scene decides which assumptions it keeps. The second sees only
-pictures. It learns what the first does in states that the kept assumptions make of the demonstrations: each is drawn
-anew, so that a displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of
-a demonstration as it was.
+pictures. It learns with what probabilities the first acts (soft targets: Hinton, Vinyals and Dean 2015,
+arXiv:1503.02531) in states that the kept assumptions make of the demonstrations: each is drawn anew, so that a
+displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of a demonstration
+as it was.
 
 Besides what `relational` needs this takes the renderer, in training. The second policy looks at pictures alone.
 """
@@ -19,14 +20,14 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from magical_mj.assets.world import Structure, World
 from magical_mj.engine.simulation import Simulation
 from magical_mj.envs.presets import PRESETS
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Batch
-from magical_mj.learners.networks import COLOURS, SHAPE, SHAPES, blocks_of, regions_of
+from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPE, SHAPES, blocks_of, regions_of
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.rendering.canvas import Picture
@@ -45,7 +46,7 @@ MISSING: Final = 50.0
 
 
 class Redraw(BehaviouralCloning):
-    """Minimises -E log pi(a | picture of s); a is what the policy of `relational` does in s, or what was done there."""
+    """Minimises -E log pi(a | picture of s); a is drawn by the policy of `relational`, or is what was done in s."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.check(settings)
@@ -77,6 +78,11 @@ class Redraw(BehaviouralCloning):
         self._count += 1
         return super().update()
 
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """As of cloning, with the likeliest actions (n,)."""
+        loss, logits, probabilities, others = super().loss()
+        return loss, logits, probabilities.argmax(1), others
+
     def recalibrate(self) -> None:
         """As of cloning, once there is a second policy."""
         if self._count:
@@ -104,7 +110,7 @@ class Redraw(BehaviouralCloning):
 
 
 class Pool:
-    """Pictures of samples under the teacher's assumptions, and what it does there.
+    """Pictures of samples under the teacher's assumptions, and the probabilities of its actions there.
 
     Attributes:
         begun: the state of the teacher's generator from which the present pictures were drawn.
@@ -113,7 +119,7 @@ class Pool:
     def __init__(self, teacher: Relational, view: str, renderer: str | None) -> None:
         self._teacher, self._redrawer = teacher, Redrawer(view, renderer)
         self._pictures = np.empty((POOL, *SHAPE[:2], 3), np.uint8)
-        self._actions = torch.zeros(POOL, dtype=torch.int64)
+        self._probabilities = torch.zeros(POOL, ONE_HOT)
         self.begun = teacher.draw.get_state()
 
     def renew(self) -> None:
@@ -123,14 +129,14 @@ class Pool:
         states, _ = self._teacher.samples(POOL - len(shown))
         with torch.inference_mode():
             logits = self._teacher.actor(states[:, None], torch.zeros(len(states), dtype=torch.int64))
-        actions = torch.multinomial(logits.softmax(1).cpu(), 1, generator=self._teacher.draw)[:, 0]
-        self._actions = torch.cat([demonstrated.cpu(), actions])
+        certain = nn.functional.one_hot(demonstrated.cpu(), ONE_HOT).float()
+        self._probabilities = torch.cat([certain, logits.softmax(1).cpu()])
         self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures)
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
-        """Random ones of the present pictures; with one frame each."""
+        """Random ones of the present pictures, with one frame each; the actions are probabilities (n, 18)."""
         rows = torch.randint(POOL, (size,), generator=generator)
-        return Batch(self._pictures[rows.numpy()], self._actions[rows], torch.zeros(size, dtype=torch.int64))
+        return Batch(self._pictures[rows.numpy()], self._probabilities[rows], torch.zeros(size, dtype=torch.int64))
 
 
 class Redrawer:

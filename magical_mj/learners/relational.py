@@ -1,11 +1,14 @@
 """`relational`: behavioural cloning that assumes more about a task, as far as the demo scene bears it out.
 
-A network sees blocks and regions from the robot (`relational_network`). Assumptions (`assumptions`) are tried one
-after the other: the training goes on with one more of them, and after each `relational.trial` updates the policy plays
-in the demo scene. The assumption is kept as soon as the mean score there is no more than `relational.loss` below the
-best so far. It takes time to catch up with a harder lesson; if it has not after `relational.patience` times, the
-weights from before the trial are restored. `mirror` is tried only where `egocentric` was kept: whoever sees where in
-the arena things are tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
+A network sees blocks and regions from the robot (`relational_network`). New networks are trained on the demonstrations
+alone, and others under all assumptions but the last (`relational_samples`); each policy plays in the demo scene after
+`relational.trial` updates. The assumptions are kept if the mean score there is no more than `relational.loss` below the
+best so far, and then the last is tried, too. If they are not, all are tried one after the other, each beside those that
+were kept. The policy is that of the last trial that was kept.
+
+Every trial begins with new networks: those that have learnt the demo scene keep to what told them the way there, even
+when they are shown more. `mirror` is tried only where `egocentric` was kept: whoever sees where in the arena things are
+tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
 
 The rules are the same for all tasks, and `assumptions.json` in the run's folder says what came of them. No other scene
 is ever seen.
@@ -34,11 +37,11 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 REPORT: Final = "assumptions.json"
-"""In a run's folder: of each trial the scores in the demo scene, and whether the assumption was kept."""
+"""In a run's folder: of each trial what was assumed, the score in the demo scene, and whether it was kept."""
 BATCHES: Final = 16
 """In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
-FIRST: Final = 2
-"""Of the demonstrations alone, how many times `relational.trial` updates come before any assumption."""
+SHOWN: Final = 0.35
+"""The share of samples with everything in its place, but where `replace` is assumed."""
 AVERAGED: Final = 0.2
 """The share of the latest weights, after each update, in the moving average that plays: it plays more evenly."""
 NOISE: Final = (0.01, 0.01, 0.02)
@@ -61,14 +64,11 @@ class Relational(Learner):
         self.draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
-        self._actor.load_state_dict(self._learning.state_dict())
-        self.updates = (FIRST + len(self._assumptions) * chosen.patience) * chosen.trial  # fewer, if trials end early
-        self._count, self._trial = 0, 0
-        self._kept: list[str] = []
-        self._scores: list[float] = []
+        self._count = 0
+        self._waiting = list(self._assumptions)
         self._report: list[dict[str, Any]] = []
-        self._before = self._weights()
-        self._restart()
+        self._begin([])
+        self._best = self._weights()
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
@@ -87,14 +87,18 @@ class Relational(Learner):
         """Whether all trials have ended."""
         return self._count == self.updates
 
+    @property
+    def _kept(self) -> list[str]:
+        """What the last trial assumed that was kept."""
+        return next((trial["assumed"] for trial in reversed(self._report) if trial["kept"]), [])
+
     def samples(self, size: int, *, changed: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,) of demonstrations, changed under the assumptions that were kept."""
         return self._draw_samples(self._kept if changed else [], size)
 
     def update(self) -> Mapping[str, float]:
-        """Trains each network on `BATCHES` batches of its own; judges an assumption when its trial ends."""
-        chosen = self.settings.relational
-        assumed = [*self._kept, *self._assumptions[: self._trial][-1:]]
+        """Trains each network on `BATCHES` batches of its own; judges what is assumed when its trial ends."""
+        chosen, assumed = self.settings.relational, self._assumed
         losses, right = [], []
         for network, optimizer in zip(self._learning.members, self._optimizers, strict=True):
             states, actions = self._draw_samples(assumed, BATCHES * chosen.batch_size)
@@ -114,7 +118,7 @@ class Relational(Learner):
             for flag, latest in zip(self._actor.buffers(), self._learning.buffers(), strict=True):
                 flag.copy_(latest)
         self._count += 1
-        if self._count % chosen.trial == 0 and self._count >= FIRST * chosen.trial:
+        if self._count % chosen.trial == 0:
             self._judge()
         return {"loss": torch.stack(losses).mean().item(), "accuracy": torch.stack(right).mean().item()}
 
@@ -128,26 +132,25 @@ class Relational(Learner):
         files.write(folder / REPORT, json.dumps(self._report, indent=1) + "\n", overwrite=True)
 
     def get_state(self) -> dict[str, Any]:
-        """Weights, also of before a trial, optimizers, what was judged, and the generator."""
+        """Weights, also those of the last trial that was kept, optimizers, what was judged, and the generator."""
         return {
             "count": self._count,
             "updates": self.updates,
-            "trial": self._trial,
-            "kept": self._kept,
-            "scores": self._scores,
+            "assumed": self._assumed,
+            "waiting": self._waiting,
             "report": self._report,
             "actor": self._actor.state_dict(),
             "learning": self._learning.state_dict(),
-            "before": self._before,
+            "best": self._best,
             "optimizers": [optimizer.state_dict() for optimizer in self._optimizers],
             "draw": self.draw.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Goes back to a state that `get_state` returned."""
-        self._count, self.updates, self._trial = state["count"], state["updates"], state["trial"]
-        self._kept, self._scores, self._report = list(state["kept"]), list(state["scores"]), list(state["report"])
-        self._before = state["before"]
+        self._count, self.updates, self._best = state["count"], state["updates"], state["best"]
+        self._assumed, self._waiting = list(state["assumed"]), list(state["waiting"])
+        self._report = list(state["report"])
         self._actor.load_state_dict(state["actor"])
         self._learning.load_state_dict(state["learning"])
         for optimizer, saved in zip(self._optimizers, state["optimizers"], strict=True):
@@ -156,15 +159,17 @@ class Relational(Learner):
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
-        ways = size // 2 if "hindsight" in assumed else 0
+        shown = 0 if "replace" in assumed else round(SHOWN * size)
+        ways = (size - shown) // 2 if "hindsight" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self.draw))
             for source, count in ((self._shown, size - ways), (self._ways, ways))
         ]
-        samples = joined(parts).of(torch.randperm(size, generator=self.draw))
-        states, actions = samples.states, samples.actions
+        samples = joined(parts)
         if "displace" in assumed:
-            displace(samples, self.draw, pairs="egocentric" in assumed)
+            displace(samples.of(slice(shown, None)), self.draw, pairs="egocentric" in assumed)
+        samples = samples.of(torch.randperm(size, generator=self.draw))
+        states, actions = samples.states, samples.actions
         if "mirror" in assumed:
             actions = mirror(states, actions, self.draw)
         if "rename" in assumed:
@@ -173,42 +178,47 @@ class Relational(Learner):
         return states.to(self.device), actions.to(self.device)
 
     def _judge(self) -> None:
-        """Plays in the demo scene, and ends the trial if that is decided."""
+        """Plays in the demo scene, which decides whether what is assumed is kept; begins the next trial."""
         chosen = self.settings.relational
-        self._scores += self.demo_scores(chosen.rollouts).values()  # of the one task
-        best = max((trial["scores"][-1] for trial in self._report if trial["kept"]), default=0.0)
-        caught_up = self._scores[-1] >= best - chosen.loss
-        rest = chosen.patience - len(self._scores) if self._trial else 0
-        if caught_up or not rest:
-            self._end_trial(caught_up)
-            self.updates -= rest * chosen.trial
-
-    def _end_trial(self, keep: bool) -> None:
-        """Keeps what was on trial, or restores the weights from before it; goes on to the next trial."""
-        tried = self._assumptions[: self._trial][-1:]
+        (score,) = self.demo_scores(chosen.rollouts).values()  # of the one task
+        best = max((trial["score"] for trial in self._report if trial["kept"]), default=0.0)
+        keep = score >= best - chosen.loss
+        self._report.append({"assumed": self._assumed, "score": score, "kept": keep})
         if keep:
-            self._kept += tried
+            self._best = self._weights()
+        if (following := self._next()) is None:
+            self._actor.load_state_dict(self._best)
+            self.updates = self._count
         else:
-            self._learning.load_state_dict(self._before)
-            self._actor.load_state_dict(self._before)
-        self._report.append({"assumption": tried[0] if tried else None, "scores": self._scores, "kept": keep})
-        self._scores = []
-        self._before = self._weights()
-        self._restart()
-        self._trial += 1
-        for name in self._assumptions[self._trial - 1 :]:
-            if name not in PREMISES or PREMISES[name] in self._kept:
-                break
-            self._report.append({"assumption": name, "scores": [], "kept": False})
-            self.updates -= self.settings.relational.patience * self.settings.relational.trial
-            self._trial += 1
+            self._begin(following)
+
+    def _next(self) -> list[str] | None:
+        """What the next trial assumes: all but the last, or one more than was kept; None if nothing is left to try."""
+        every = list(self._assumptions)
+        tried = [trial["assumed"] for trial in self._report]
+        if len(tried) == 1 and len(every) > 1:
+            return every[:-1]
+        if self._kept == every[:-1]:
+            self._waiting = every[-1:]
+        while self._waiting:
+            name = self._waiting.pop(0)
+            following = [*self._kept, name]
+            if PREMISES.get(name, name) in following and following not in tried:
+                return following
+        return None
+
+    def _begin(self, assumed: list[str]) -> None:
+        """Begins a trial, with new networks and optimizers."""
+        chosen, self._assumed = self.settings.relational, assumed
+        with seeded(self.settings.seed):
+            self._learning.load_state_dict(Ensemble(chosen).state_dict())
+        self._actor.load_state_dict(self._learning.state_dict())
+        self._optimizers = [
+            torch.optim.Adam(network.parameters(), chosen.learning_rate, fused=True)
+            for network in self._learning.networks
+        ]
+        # Fewer, if assumptions are kept together.
+        self.updates = self._count + (max(1, 2 - len(self._report)) + len(self._waiting)) * chosen.trial
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: values.clone() for name, values in self._actor.state_dict().items()}
-
-    def _restart(self) -> None:
-        """New optimizers, as each trial begins with."""
-        rate = self.settings.relational.learning_rate
-        self._optimizers = [
-            torch.optim.Adam(network.parameters(), rate, fused=True) for network in self._learning.networks
-        ]

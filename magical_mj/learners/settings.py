@@ -26,7 +26,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
-ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "displace")
+ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "displace", "replace")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""
@@ -180,15 +180,10 @@ class RelationalSettings(Settings):
 
     part: ClassVar[str] = "relational"
 
-    assumptions: Annotated[Names, Meta(description="those that are tried, in this order")] = ASSUMPTIONS
+    assumptions: Annotated[Names, Meta(description="those that are tried, together or in this order")] = ASSUMPTIONS
     hidden: Count = 64
-    networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 1
-    trial: Annotated[
-        Count, Meta(description="updates, of 16 batches each, after which the demo scene judges; twice that at first")
-    ] = 80
-    patience: Annotated[
-        Amount, Meta(le=1_000, description="how often it judges an assumption at most, until it is rejected")
-    ] = 6
+    networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 2
+    trial: Annotated[Count, Meta(description="updates, of 16 batches each, after which the demo scene judges")] = 200
     batch_size: Count = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
     rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge")] = 80
@@ -198,7 +193,7 @@ class RelationalSettings(Settings):
     ] = 0.15
     ways: Annotated[Count, Meta(description="samples by hindsight")] = 30_000
     plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each block it moves")] = 8
-    sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 3.0
+    sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 2.0
 
     def __post_init__(self) -> None:
         """Checks the names."""

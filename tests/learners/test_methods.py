@@ -24,7 +24,7 @@ TRAININGS: list[tuple[str, dict[str, Any]]] = [
     ("airl", TWO),
     ("wgail-gp", TWO),
     ("al", TWO),
-    ("relational", {"preset": "State", "relational.assumptions": "egocentric,mirror"}),
+    ("relational", {"preset": "State", "relational.assumptions": "egocentric,mirror", "relational.trial": 2}),
     ("redraw", {"relational.assumptions": "egocentric"}),
 ]
 

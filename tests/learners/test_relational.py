@@ -145,29 +145,57 @@ def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
     assert (ways.states[:, :2] - ends).norm(dim=1).max() > 0.5
 
 
-def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: ANN001
-    """With a loss of 1 every assumption is kept at once; with one of 0, none that lowers the score each time."""
-    for loss in (1.0, 0.0):
-        changes = {"relational.loss": loss, "relational.patience": 2}
-        settings = load_settings("relational", "MoveToRegion", **SMALL, **changes)
-        folder = tmp_path / str(loss)
-        train(settings, folder)
-        start, *trials = json.loads((folder / REPORT).read_text())
-        assert [trial["assumption"] for trial in trials] == list(settings.relational.assumptions)
-        best, kept = start["scores"][0], set()
-        for trial in trials:
-            tried = trial["assumption"] != "mirror" or "egocentric" in kept
-            enough = [score >= best - loss for score in trial["scores"]]
-            assert enough in ([[True], [False, True], [False, False]] if tried else [[]])
-            assert trial["kept"] == any(enough)
-            if trial["kept"]:
-                best = max(best, trial["scores"][-1])
-                kept.add(trial["assumption"])
-        updates = 2 + sum(len(trial["scores"]) for trial in trials)
-        assert RunFolder(folder, settings, resume=True).last_checkpoint().update == updates
-    frame = evaluate(folder, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
+class Judged(Relational):
+    """What its policies score in the demo scene is given."""
+
+    given: tuple[float, ...]
+
+    def demo_scores(self, episodes: int) -> dict[str, float]:
+        del episodes
+        return {"MoveToRegion": self.given[len(self._report)]}
+
+
+LETTERS = dict(zip("emrhdp", RelationalSettings().assumptions, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("scores", "assumed", "best"),
+    [
+        ((0.9, 0.8, 0.7), ["", "emrhd", "emrhdp"], 1),
+        ((0.9, 0.8, 0.8), ["", "emrhd", "emrhdp"], 2),
+        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.8, 0.9), ["", "emrhd", "e", "r", "rh", "rhd", "rhp"], 6),
+        ((0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9), ["", "emrhd", "e", "em", "emr", "emh", "emhd", "emhdp"], 7),
+    ],
+)
+def test_the_rule_keeps_what_the_demo_scene_bears(
+    scores: tuple[float, ...], assumed: list[str], best: int, tmp_path: Path
+) -> None:
+    """All but the last together, or one after the other; the policy is that of the last trial that was kept."""
+    learner = Judged(load_settings("relational", "MoveToRegion", **SMALL))
+    learner.given, weights = scores, []
+    while not learner.finished:
+        learner.update()
+        weights.append(learner.get_state()["best"]["networks.0.share.weight"])
+    learner.write_report(tmp_path)
+    report = json.loads((tmp_path / REPORT).read_text())
+    assert [trial["assumed"] for trial in report] == [[LETTERS[letter] for letter in names] for names in assumed]
+    assert [trial["score"] for trial in report] == list(scores)
+    assert learner.updates == len(scores)
+    last = max(number for number, trial in enumerate(report) if trial["kept"])
+    assert last == best
+    torch.testing.assert_close(learner.get_state()["actor"]["networks.0.share.weight"], weights[best])
+
+
+def test_a_training_keeps_all_that_may_cost_everything(tmp_path: Path) -> None:
+    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": 1.0})
+    train(settings, tmp_path)
+    trials = json.loads((tmp_path / REPORT).read_text())
+    every = list(settings.relational.assumptions)
+    assert [trial["assumed"] for trial in trials] == [[], every[:-1], every]
+    assert RunFolder(tmp_path, settings, resume=True).last_checkpoint().update == 3
+    frame = evaluate(tmp_path, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
     assert len(frame) == 2
-    assert load_policy(folder).preset == "State"
+    assert load_policy(tmp_path).preset == "State"
 
 
 def test_it_learns_the_demonstrations() -> None:
