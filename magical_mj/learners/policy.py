@@ -28,6 +28,8 @@ from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
 """In a run's folder."""
+PLAYED: Final = ("hidden", "networks", "sharpness")
+"""The settings of `relational` that its policy needs; files of earlier versions have others, too."""
 OPSET: Final = 18
 EXAMPLES: Final = 2
 """The batch by which the network is traced; one of 1 would be taken for a constant."""
@@ -79,7 +81,7 @@ class TrainedPolicy(Model):
 def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSettings) -> None:
     """Writes the policy into a run's folder, with everything that is needed to use it."""
     if isinstance(actor, Ensemble):
-        kind = {"relational": asdict(settings.relational)}
+        kind = {"relational": {name: getattr(settings.relational, name) for name in PLAYED}}
     else:
         kind = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
     of = {"tasks": list(settings.tasks), "preset": settings.preset}
@@ -101,7 +103,8 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
             raise TypeError(f"tasks are names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
         if "relational" in contents:
-            actor = Ensemble(changed(RelationalSettings(), contents["relational"]))
+            chosen = {name: contents["relational"][name] for name in PLAYED}
+            actor = Ensemble(changed(RelationalSettings(), chosen))
         else:
             network = changed(NetworkSettings(), contents["network"])
             actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])

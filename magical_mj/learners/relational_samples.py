@@ -78,7 +78,7 @@ class Samples(NamedTuple):
     """A `Freedom` for each, shape (n,)."""
 
     def of(self, rows: Tensor | slice) -> Samples:
-        """Some of them."""
+        """Some of them; of a slice, the same memory."""
         return Samples(*(values[rows] for values in self))
 
 

@@ -47,9 +47,8 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
             j += stride_j
         for column in range(size):
             count, cell = np.int32(bare[row, column]), seen[column]
-            if (
-                count == 0 or levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
-            ):  # which is as it was drawn
+            plain = levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
+            if count == 0 or plain:  # it is as it was drawn
                 continue
             for k in range(3):
                 level = np.int32(levels[cell + np.uint32(k)])

@@ -14,9 +14,11 @@ import torch
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.learners import load_policy, train
+from magical_mj.learners import checkpoint, load_policy, train
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import POLICY, export_policy
+from magical_mj.learners.relational_network import Ensemble
+from magical_mj.learners.settings import RelationalSettings
 from magical_mj.policies.interface import Episode, histories
 from magical_mj.policies.models import load_onnx
 from magical_mj.utils.errors import SettingsError, UnknownNameError
@@ -148,6 +150,15 @@ def test_relational(states: np.ndarray, tmp_path: Path) -> None:
     settings = tiny("relational", preset="State", **{f"relational.{name}": value for name, value in small.items()})
     train(settings, tmp_path / "run")
     compare(tmp_path / "run", export_policy(tmp_path / "run", tmp_path / "policy.onnx"), states)
+
+
+def test_policies_of_versions_with_other_settings_of_training_load(tmp_path: Path) -> None:
+    settings = RelationalSettings(hidden=8, networks=3, sharpness=1.5)
+    kept = {"hidden": 8, "networks": 3, "sharpness": 1.5, "patience": 6}
+    weights = Ensemble(settings).state_dict()
+    contents = {"weights": weights, "relational": kept, "tasks": ["FindDupe"], "preset": "State"}
+    checkpoint.write(tmp_path / POLICY, contents)
+    assert load_policy(tmp_path).actor.settings == settings
 
 
 def test_what_cannot_be_exported(both: Path, tmp_path: Path, shell: Shell) -> None:

@@ -152,7 +152,7 @@ class Judged(Relational):
 
     def demo_scores(self, episodes: int) -> dict[str, float]:
         del episodes
-        return {"MoveToRegion": self.given[len(self._report)]}
+        return {self.settings.tasks[0]: self.given[len(self._report)]}
 
 
 LETTERS = dict(zip("emrhdp", RelationalSettings().assumptions, strict=True))
@@ -184,6 +184,26 @@ def test_the_rule_keeps_what_the_demo_scene_bears(
     last = max(number for number, trial in enumerate(report) if trial["kept"])
     assert last == best
     torch.testing.assert_close(learner.get_state()["actor"]["networks.0.share.weight"], weights[best])
+
+
+@pytest.mark.parametrize(("last", "least", "most"), [(0.8, 0.15, 0.3), (0.1, 0.45, 0.57)])
+def test_samples_with_everything_in_its_place_are_left_out_where_replace_was_kept(
+    last: float, least: float, most: float
+) -> None:
+    learner = Judged(
+        load_settings("relational", "FixColour", **SMALL, **{"relational.assumptions": "displace,replace"})
+    )
+    learner.given = (0.9, 0.9, last)
+    while not learner.finished:
+        learner.update()
+
+    def places(changed: bool) -> torch.Tensor:
+        blocks = blocks_of(learner.samples(2000, changed=changed)[0])
+        return blocks[..., :3].flatten(1)
+
+    shown, samples = places(False).unique(dim=0), places(True)
+    in_place = (samples[:, None] == shown).all(2).any(1).float().mean()
+    assert least <= in_place <= most
 
 
 def test_a_training_keeps_all_that_may_cost_everything(tmp_path: Path) -> None:
