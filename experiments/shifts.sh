@@ -26,12 +26,11 @@ for task in MoveToCorner MoveToRegion MatchRegions MakeLine FindDupe FixColour C
 done
 for task in MoveToRegion FindDupe; do
   for seed in 0 1 2 3 4; do run BC $seed $task 20 all LoRes4E bc --quick; done
-  for seed in 1 2 3; do run redraw $seed $task 20 all LoRes4E redraw --quick --augment none; done
-  run redraw-augmented 1 $task 20 all LoRes4E redraw --quick
+  for seed in 0 1 2 3 4; do run redraw $seed $task 20 all LoRes4E redraw --quick; done
   run BC-no-trans-rot 0 $task 20 all LoRes4E bc --quick --augment no-trans-rot
   run BC-allo 0 $task 20 all LoRes4A bc --quick
 done
 magical-mj report runs/shifts/{BC-states,relational}-{MoveToCorner,MoveToRegion,FixColour}-?-scores --out runs/shifts/three
 magical-mj report runs/shifts/BC-states-*-0-scores --out runs/shifts/states
-magical-mj report runs/shifts/{BC,redraw,redraw-augmented}-{MoveToRegion,FindDupe}-?-scores --out runs/shifts/runs
+magical-mj report runs/shifts/{BC,redraw}-{MoveToRegion,FindDupe}-?-scores --out runs/shifts/runs
 magical-mj report runs/shifts/BC{,-no-trans-rot,-allo}-{MoveToRegion,FindDupe}-0-scores --mixed-presets --out runs/shifts/pictures
