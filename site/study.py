@@ -20,7 +20,6 @@ from websockets.exceptions import InvalidHandshake, WebSocketException
 from websockets.typing import Origin
 
 from magical_mj import demos
-from magical_mj.demos.demonstration import SUFFIX
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.web.collection import LOG
@@ -144,7 +143,7 @@ class Simulation:
 
     def saved(self) -> int:
         """How many demonstrations are on the disk."""
-        return len(list(self.folder.glob(f"*/*{SUFFIX}")))
+        return len(demos.files_in(self.folder)) if self.folder.exists() else 0
 
 
 def main(folder: Path) -> None:
@@ -155,7 +154,7 @@ def main(folder: Path) -> None:
         people = asyncio.run(study.run())
     finally:
         study.stop()
-    kept = [demos.read(path) for path in sorted(study.folder.glob(f"*/*{SUFFIX}"))]
+    kept = [demos.read(path) for path in demos.files_in(study.folder)]
     counts = Counter(demo.name for demo in kept)
     if counts != QUOTAS:
         log = (study.folder / LOG).read_text(encoding="utf-8")

@@ -263,7 +263,7 @@ class Collection:
         """A zip file with all demonstrations and the log."""
         buffer = io.BytesIO()
         with self._lock, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path in sorted([*self._folder.glob(f"*/*{SUFFIX}"), *self._folder.glob(LOG)]):
+            for path in [*demos.files_in(self._folder), *self._folder.glob(LOG)]:
                 archive.write(path, path.relative_to(self._folder))
         return buffer.getvalue()
 

@@ -372,8 +372,11 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
             assert ask(operator, {"status": True})["environments"][0]["accepted"] == 1
         with urlopen(f"{runs}operator.html", timeout=60) as reply:
             assert b"Run a study" in reply.read()
+        (kept,) = demos.files_in(folder)
+        kept.with_name(f".{kept.stem}.0123abcd-4567cdef.part.npz").write_bytes(b"left by a kill")
         with urlopen(f"{runs}demonstrations.zip", timeout=60) as reply:
-            assert len(zipfile.ZipFile(io.BytesIO(reply.read())).namelist()) == 2
+            names = zipfile.ZipFile(io.BytesIO(reply.read())).namelist()
+            assert names == [str(kept.relative_to(folder)), "study.jsonl"]
         for page in ("operator.html", "demonstrations.zip"):
             with pytest.raises(HTTPError, match="404"):
                 urlopen(f"{address}{page}", timeout=60)
@@ -383,7 +386,7 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
             assert ask(other, {"keep": mine})["score"] == env.score(), "the same episode, which counts once"
         process.send_signal(signal.SIGKILL)
     process.wait()
-    (path,) = folder.rglob("*.npz")
+    (path,) = demos.files_in(folder)
     assert path.parent.name == arrived["participant"]
     demo = demos.read(path)
     assert (demo.scene_seed, demo.demonstrator, demo.score) == (0, "human", env.score())
