@@ -4,8 +4,8 @@ Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:19
 `relational`: it learns from states, and the demo scene decides which assumptions it keeps. The second sees only
 pictures. It learns with what probabilities the first acts (soft targets: Hinton, Vinyals and Dean 2015,
 arXiv:1503.02531) in states that the kept assumptions make of the demonstrations: each is drawn anew, so that a
-displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of a demonstration
-as it was.
+displaced block is seen elsewhere, and what has another colour is seen in it. Two pictures in three are of a
+demonstration as it was, with what was done there.
 
 Besides what `relational` needs this takes the renderer, in training. The second policy looks at pictures alone.
 """
@@ -37,8 +37,8 @@ from magical_mj.utils.errors import SettingsError
 
 POOL: Final = 2048
 """Pictures from which batches are drawn, until others take their place."""
-SHOWN: Final = 3
-"""One in so many of them is of a demonstration as it was, with what was done there."""
+SHOWN: Final = 2 / 3
+"""The share of them that are of a demonstration as it was."""
 BATCHES: Final = 128
 """From each pool: with 64 samples in each, a picture is seen four times."""
 MISSING: Final = 50.0
@@ -125,7 +125,7 @@ class Pool:
     def renew(self) -> None:
         """Draws other samples."""
         self.begun = self._teacher.draw.get_state()
-        shown, demonstrated = self._teacher.samples(POOL // SHOWN, changed=False)
+        shown, demonstrated = self._teacher.samples(round(SHOWN * POOL), changed=False)
         states, _ = self._teacher.samples(POOL - len(shown))
         with torch.inference_mode():
             logits = self._teacher.actor(states[:, None], torch.zeros(len(states), dtype=torch.int64))
