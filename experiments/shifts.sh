@@ -19,7 +19,7 @@ for task in MoveToCorner MoveToRegion MatchRegions MakeLine FindDupe FixColour C
   [ $task = MoveToCorner ] || shifts=pose,$shifts  # it has no Layout
   run BC-states 0 $task 50 $shifts State bc
   case $task in MoveToCorner | MoveToRegion | FixColour)
-    [ $task != MoveToRegion ] || for seed in 0 1 2 3; do run GAIL $seed $task 50 $shifts State gail; done
+    [ $task != MoveToRegion ] || for seed in 0 1 2 3 4; do run GAIL $seed $task 50 $shifts State gail; done
     for seed in 1 2 3 4; do run BC-states $seed $task 50 $shifts State bc; done
     for seed in 0 1 2 3 4; do run relational $seed $task 50 $shifts State relational; done ;;
   FindDupe | MatchRegions | MakeLine) run relational 0 $task 50 $shifts State relational ;;
