@@ -143,7 +143,7 @@ class Simulation:
 
     def saved(self) -> int:
         """How many demonstrations are on the disk."""
-        return len(demos.files_in(self.folder)) if self.folder.exists() else 0
+        return len(demos.files_in(self.folder))
 
 
 def main(folder: Path) -> None:
