@@ -11,17 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import closing
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import blocks_of
-from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, joined
+from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, in_hand
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
 from magical_mj.utils.errors import PhysicsError
@@ -75,22 +73,8 @@ class _Moment(NamedTuple):
     held: int | None
 
 
-def demonstrated(demonstrations: Sequence[Demonstration], count: int, plays: int, seed: int) -> tuple[Samples, Samples]:
-    """The samples of demonstrations without no-ops, and at least `count` by hindsight from so many plays of each kind.
-
-    Without a way that can be laid anywhere, the second are the first.
-    """
-    rng = np.random.default_rng(seed)
-    with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
-        replays = [Replay(engine, demonstration) for demonstration in demonstrations]
-        shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
-        parts = _hindsight(engine, replays, count, plays, rng)
-    return shown, joined(parts or [shown])
-
-
-def _hindsight(
-    engine: Engine, replays: list[Replay], count: int, plays: int, rng: np.random.Generator
-) -> list[Samples]:
+def ways(engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator) -> list[Samples]:
+    """At least `count` samples, from so many plays of each kind; fewer if hardly any way can be laid anywhere."""
     moments = [_moments(replay) for replay in replays]
     library: dict[tuple[int, int | None], list[_Play]] = {}
     for number, replay in enumerate(replays):
@@ -201,8 +185,7 @@ def _touches(start: NDArray[np.float32], state: NDArray[np.float32], held: int |
     before, now = (blocks_of(torch.from_numpy(values[None]))[0, :, 1:3].numpy() for values in (start, state))
     moved = np.linalg.norm(now - before, axis=1)
     if held is not None:
-        grips = [(places[held] - pose[:2]) @ _turn(pose[2]) for places, pose in ((before, start), (now, state))]
-        if np.linalg.norm(grips[1] - grips[0]) > SLIPPED:
+        if np.linalg.norm(in_hand(state, held) - in_hand(start, held)) > SLIPPED:
             return True
         moved[held] = 0.0
     return bool(moved.max() > TOUCHED)

@@ -128,7 +128,7 @@ class Pool:
         shown, demonstrated = self._teacher.samples(round(SHOWN * POOL), changed=False)
         states, _ = self._teacher.samples(POOL - len(shown))
         with torch.inference_mode():
-            logits = self._teacher.actor(states[:, None], torch.zeros(len(states), dtype=torch.int64))
+            logits = self._teacher.actor.logits(states)
         certain = nn.functional.one_hot(demonstrated.cpu(), ONE_HOT).float()
         self._probabilities = torch.cat([certain, logits.softmax(1).cpu()])
         self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures)

@@ -14,25 +14,31 @@ The rules are the same for all tasks, and `assumptions.json` in the run's folder
 is ever seen.
 
 This needs more than the paper's methods have: the states of demonstrations, the simulation of the demo scene (for
-rollouts and hindsight), and its score.
+rollouts, hindsight and grips), and its score.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 import torch
 from torch import nn
 
+from magical_mj.demos import Demonstration
+from magical_mj.engine import Engine
 from magical_mj.learners.data import drawn, shipped
-from magical_mj.learners.hindsight import demonstrated
+from magical_mj.learners.grips import gripped
+from magical_mj.learners.hindsight import ways
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
-from magical_mj.learners.relational_samples import displace, joined, mirror, rename
-from magical_mj.learners.settings import PREMISES, STATE, TrainingSettings
+from magical_mj.learners.relational_samples import Replay, Samples, displace, joined, mirror, rename
+from magical_mj.learners.settings import PREMISES, STATE, RelationalSettings, TrainingSettings
+from magical_mj.scene.actions import NOOP
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
@@ -42,10 +48,34 @@ BATCHES: Final = 16
 """In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
 SHOWN: Final = 0.35
 """The share of samples with everything in its place, but where `replace` is assumed."""
+GRIPPED: Final = 0.25
+"""The share of all others that are of `grips`, where that is assumed. Half of the rest are by `hindsight`."""
 AVERAGED: Final = 0.2
 """The share of the latest weights, after each update, in the moving average that plays: it plays more evenly."""
 NOISE: Final = (0.01, 0.01, 0.02)
 """Deviation of what is added to the robot's pose in samples: units, units, rad."""
+
+
+class Sources(NamedTuple):
+    """From what samples are drawn: demonstrations without no-ops, ways by hindsight, and grips.
+
+    Where no way can be laid anywhere, or no block is taken, these are demonstrations, too.
+    """
+
+    shown: Samples
+    ways: Samples
+    grips: Samples
+
+
+def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSettings, seed: int) -> Sources:
+    """What demonstrations show, and what trying in their scene adds, as far as that may be assumed."""
+    rng = np.random.default_rng(seed)
+    with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
+        replays = [Replay(engine, demonstration) for demonstration in demonstrations]
+        shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
+        found = ways(engine, replays, chosen.ways, chosen.plays, rng) if "hindsight" in chosen.assumptions else []
+        taken = gripped(engine, replays, chosen.grips, rng) if "grips" in chosen.assumptions else []
+    return Sources(shown, joined(found or [shown]), joined(taken or [shown]))
 
 
 class Relational(Learner):
@@ -59,8 +89,7 @@ class Relational(Learner):
         self._assumptions = tuple(chosen.assumptions)
         shown = shipped(task)
         demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
-        ways = chosen.ways if "hindsight" in self._assumptions else 0
-        self._shown, self._ways = demonstrated(demonstrations, ways, chosen.plays, settings.seed)
+        self._sources = demonstrated(demonstrations, chosen, settings.seed)
         self.draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
@@ -160,10 +189,11 @@ class Relational(Learner):
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
         shown = 0 if "replace" in assumed else round(SHOWN * size)
-        ways = (size - shown) // 2 if "hindsight" in assumed else 0
+        grips = round(GRIPPED * (size - shown)) if "grips" in assumed else 0
+        ways = (size - shown - grips) // 2 if "hindsight" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self.draw))
-            for source, count in ((self._shown, size - ways), (self._ways, ways))
+            for source, count in zip(self._sources, (size - ways - grips, ways, grips), strict=True)
         ]
         samples = joined(parts)
         if "displace" in assumed:

@@ -1,6 +1,6 @@
 """The network of `relational`: what the robot sees of each block and region, and how these stand to each other.
 
-It looks at the last state alone, in the robot's frame, and the order of blocks and regions changes nothing: each is a
+It looks at one state, in the robot's frame, and the order of blocks and regions changes nothing: each is a
 node of a graph, and each node hears from all others (as in the graph networks of Battaglia et al. 2018,
 arXiv:1806.01261). Several such networks with other first weights are one policy: their probabilities are averaged.
 """
@@ -21,6 +21,10 @@ ARENA: Final = 4 + 4
 NODE: Final = 5 + 2 + 4 + 4 + 6 + 1 + 2 + ARENA
 _FINGERS: Final = slice(NODE - ARENA - 2, NODE - ARENA)
 EDGE: Final = 6
+MOTION: Final = (0.01, 0.03)
+"""Units or rad in a step by which a robot that does not stand still moves at least, and rad by which a finger does."""
+STANDING: Final = 0.25
+"""How sharp probabilities are while nothing moves, in parts of `RelationalSettings.sharpness`."""
 
 
 class RelationalNetwork(nn.Module):
@@ -91,9 +95,18 @@ class Ensemble(nn.Module):
         return [network for network in self.networks if isinstance(network, RelationalNetwork)]
 
     def forward(self, histories: Tensor, tasks: Tensor) -> Tensor:
-        """Logits, shape (n, 18), for histories (n, HISTORY, names), of which the last states count; of one task."""
+        """Logits, shape (n, 18), for histories (n, HISTORY, names), of which the last two states count; of one task.
+
+        Where nothing came of the last action, they are less sharp, so that a robot that is stuck tries something else.
+        """
         del tasks
-        chances = torch.stack([network(histories[:, -1]).softmax(1) for network in self.networks]).mean(0)
+        change = (histories[:, -1] - histories[:, -2]).abs()
+        stands = (change[:, :3] < MOTION[0]).all(1) & (change[:, FINGERS] < MOTION[1]).all(1)
+        return self.logits(histories[:, -1]) * torch.where(stands, STANDING, 1.0)[:, None]
+
+    def logits(self, states: Tensor) -> Tensor:
+        """The same for states (n, names) of a robot that moves."""
+        chances = torch.stack([network(states).softmax(1) for network in self.networks]).mean(0)
         return self.settings.sharpness * chances.clamp(min=1e-9).log()
 
 

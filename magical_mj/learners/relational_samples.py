@@ -6,6 +6,8 @@
 - rename: colours and shapes are names: what matters is which things share them. False for a task that names a colour.
 - hindsight: what the demonstrations pursue is to take a block, and to leave it: any way there that is not much too long
   is as good as theirs. Such ways are played in the simulation of the demo scene (`magical_mj.learners.hindsight`).
+- grips: and so is any way to get that block between the fingers, from wherever the robot is next to it, and wherever it
+  has pushed it. Such ways are found by trying in the same simulation (`magical_mj.learners.grips`).
 - displace: what a demonstration never involves does not matter: not where it is, nor whether it is there. On the way to
   a block, everything else may be elsewhere, and so may blocks that come later; where `egocentric` was kept, the robot
   may be anywhere with that block, and turned with a block that it brings to a region. False where the mere place of a
@@ -91,6 +93,13 @@ def front(poses: NDArray[Any]) -> NDArray[Any]:
     """Where the robot's front is, for poses (..., 3)."""
     heading = np.stack([-np.sin(poses[..., 2]), np.cos(poses[..., 2])], -1)
     return poses[..., :2] + FRONT * heading.astype(poses.dtype)
+
+
+def in_hand(state: NDArray[np.float32], block: int) -> NDArray[np.float64]:
+    """Where a block is in the robot's frame, in a state (names,): units to the right and ahead."""
+    x, y = blocks_of(torch.from_numpy(state[None]))[0, block, 1:3].numpy() - state[:2]
+    sin, cos = math.sin(state[2]), math.cos(state[2])
+    return np.array([cos * x + sin * y, cos * y - sin * x])
 
 
 class Motion(NamedTuple):

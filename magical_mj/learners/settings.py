@@ -26,7 +26,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
-ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "displace", "replace")
+ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace", "replace")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""
@@ -192,6 +192,7 @@ class RelationalSettings(Settings):
         Meta(description="of score in the demo scene that an assumption may cost (1: all are kept)"),
     ] = 0.15
     ways: Annotated[Count, Meta(description="samples by hindsight")] = 30_000
+    grips: Annotated[Count, Meta(description="samples of taking a block from close by")] = 5_000
     plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each block it moves")] = 8
     sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 2.0
 

@@ -42,6 +42,7 @@ RELATIONAL = {
     "relational.rollouts": 2,
     "relational.ways": 100,
     "relational.plays": 1,
+    "relational.grips": 50,
 }
 PLAYING = {
     "ppo.environments": 4,

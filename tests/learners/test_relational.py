@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,12 @@ from magical_mj.engine import Engine
 from magical_mj.evaluation import evaluate
 from magical_mj.learners import load_policy, load_settings, redraw, train
 from magical_mj.learners.data import shipped
-from magical_mj.learners.hindsight import demonstrated
+from magical_mj.learners.grips import gripped
 from magical_mj.learners.networks import blocks_of, regions_of
-from magical_mj.learners.redraw import Redraw, Redrawer
-from magical_mj.learners.relational import REPORT, Relational
-from magical_mj.learners.relational_network import Ensemble, graph
-from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples, displace, mirror, rename
+from magical_mj.learners.redraw import Redraw, Redrawer, scenes_of
+from magical_mj.learners.relational import REPORT, Relational, demonstrated
+from magical_mj.learners.relational_network import STANDING, Ensemble, graph
+from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples, displace, in_hand, mirror, rename
 from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import RelationalSettings
 from magical_mj.scene import GoalRegion, Scene
@@ -29,6 +30,8 @@ from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.learners import RELATIONAL, TINY
 
+NOTHING_TRIED = RelationalSettings(assumptions=())
+CLOSED, PULL = 9, 11
 EGOCENTRIC, ARENA = torch.zeros(()), torch.ones(())
 SMALL = {"preset": "State", "device": "cpu", "evaluations": 0, "demonstrations": 2, **RELATIONAL}
 
@@ -60,11 +63,11 @@ def test_without_the_arena_only_the_view_of_the_robot_counts() -> None:
 
 
 def test_the_order_of_blocks_changes_nothing() -> None:
-    states, tasks = states_of("ClusterShape")[0], torch.zeros(30, dtype=torch.int64)
+    states = states_of("ClusterShape")[0]
     ensemble = Ensemble(RelationalSettings(networks=2))
     other = states.clone()
     blocks_of(other).copy_(blocks_of(states).flip(1))
-    torch.testing.assert_close(ensemble(states[:, None], tasks), ensemble(other[:, None], tasks))
+    torch.testing.assert_close(ensemble.logits(states), ensemble.logits(other))
 
 
 def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
@@ -105,7 +108,7 @@ def displaced(samples: Samples, *, pairs: bool) -> Samples:
 
 def test_only_what_does_not_matter_now_is_displaced() -> None:
     """Never the block that the robot is heading for; others are, and regions with what is in them."""
-    samples, _ = demonstrated([shipped("FixColour")[0]], 0, 0, 0)
+    samples = demonstrated([shipped("FixColour")[0]], NOTHING_TRIED, 0).shown
     other = displaced(samples, pairs=False)
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
     shift = blocks_of(other.states)[..., 1:3] - blocks_of(samples.states)[..., 1:3]
@@ -120,7 +123,7 @@ def test_only_what_does_not_matter_now_is_displaced() -> None:
 
 def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -> None:
     """Elsewhere on its way to the block, and with the block in it about a region's middle."""
-    samples, _ = demonstrated(shipped("MatchRegions")[:4], 0, 0, 0)
+    samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0).shown
     samples = samples._replace(movable=torch.zeros_like(samples.movable))
     other = displaced(samples, pairs=True)
     moved = (other.states[:, :2] != samples.states[:, :2]).any(1)
@@ -138,11 +141,52 @@ def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -
 
 @pytest.mark.parametrize("task", ["MoveToRegion", "FixColour"])
 def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
-    shown, ways = demonstrated([shipped(task)[0]], 200, 2, 0)
+    chosen = RelationalSettings(assumptions=("hindsight",), ways=200, plays=2)
+    shown, ways, _ = demonstrated([shipped(task)[0]], chosen, 0)
     assert len(ways.way) >= 200
     ends = ways.way[:, WAY // 2 - 1]
     assert torch.cdist(ends, shown.states[:, :2]).amin(1).max() < 0.03  # steps without action are not shown
     assert (ways.states[:, :2] - ends).norm(dim=1).max() > 0.5
+
+
+def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
+    """Mostly, from a standing start, too; that block may have been pushed, and all others are where they were."""
+    demonstration = shipped("MatchRegions")[0]
+    with closing(Engine.of_scene(demonstration.scene)) as engine:
+        replay = Replay(engine, demonstration)
+        ways = gripped(engine, [replay], 200, np.random.default_rng(0))
+    assert sum(len(way.actions) for way in ways) >= 200
+    held, pushed = [], []
+    for way in ways:
+        (block,) = way.pair[0].nonzero()[:, 0].tolist()
+        first = way.states[0]
+        places = blocks_of(first[None])[0, :, 1:3].numpy()
+        moved = np.linalg.norm(blocks_of(way.states)[..., 1:3].numpy() - replay.places[0], axis=2).max(0)
+        pushed.append(moved[block] > 0.1)
+        others = np.linalg.norm(places - replay.places, axis=2).min(0)  # each is where it was at some time
+        assert np.delete(others, block).max() < 0.03
+        (scene,) = scenes_of(first[None])
+        number = [np.allclose((other.x, other.y), places[block]) for other in scene.blocks].index(True)
+        with closing(Engine.of_scene(scene)) as engine:
+            for action in [*way.actions.tolist(), *[CLOSED] * 2]:
+                engine.step(action)
+            before = in_hand(engine.state_vector(), number)
+            for action in [PULL] * 3:
+                engine.step(action)
+            held.append(np.linalg.norm(in_hand(engine.state_vector(), number) - before) < 0.05)
+    assert np.mean(held) > 0.6
+    assert any(pushed)
+
+
+def test_a_robot_that_is_stuck_acts_less_sharply() -> None:
+    actor = Ensemble(RelationalSettings(hidden=8))
+    state = torch.from_numpy(Engine.of_scene(shipped("FixColour")[0].scene).state_vector())
+    histories = state.expand(3, 4, -1).clone()
+    histories[1, -2, 0] += 0.02  # drives
+    histories[2, -2, 6] += 0.05  # closes the hand
+    logits = actor(histories, torch.zeros(3, dtype=torch.int64)).detach()
+    expected = actor.logits(state[None]).detach() * torch.tensor([[STANDING], [1.0], [1.0]])
+    torch.testing.assert_close(logits, expected)
 
 
 class Judged(Relational):
@@ -155,16 +199,20 @@ class Judged(Relational):
         return {self.settings.tasks[0]: self.given[len(self._report)]}
 
 
-LETTERS = dict(zip("emrhdp", RelationalSettings().assumptions, strict=True))
+LETTERS = dict(zip("emrhgdp", RelationalSettings().assumptions, strict=True))
 
 
 @pytest.mark.parametrize(
     ("scores", "assumed", "best"),
     [
-        ((0.9, 0.8, 0.7), ["", "emrhd", "emrhdp"], 1),
-        ((0.9, 0.8, 0.8), ["", "emrhd", "emrhdp"], 2),
-        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.8, 0.9), ["", "emrhd", "e", "r", "rh", "rhd", "rhp"], 6),
-        ((0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9), ["", "emrhd", "e", "em", "emr", "emh", "emhd", "emhdp"], 7),
+        ((0.9, 0.8, 0.7), ["", "emrhgd", "emrhgdp"], 1),
+        ((0.9, 0.8, 0.8), ["", "emrhgd", "emrhgdp"], 2),
+        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.7, 0.8, 0.9), ["", "emrhgd", "e", "r", "rh", "rhg", "rhd", "rhp"], 7),
+        (
+            (0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9, 0.9),
+            ["", "emrhgd", "e", "em", "emr", "emh", "emhg", "emhgd", "emhgdp"],
+            8,
+        ),
     ],
 )
 def test_the_rule_keeps_what_the_demo_scene_bears(
