@@ -85,7 +85,7 @@ GAIL: Final = (
     *("discriminator.steps=2", "discriminator.batch_size=8"),
 )
 AL: Final = (*GAIL[:-2], "features.batches=64", "features.batch_size=4", "features.samples=24")
-SMALL: Final = ("hidden=8", "trial=1", "batch_size=8", "rollouts=2", "ways=100", "plays=1")
+SMALL: Final = ("hidden=8", "trial=1", "batch_size=8", "rollouts=2", "ways=100", "plays=1", "grips=50")
 RELATIONAL: Final = tuple(f"relational.{setting}" for setting in SMALL)
 
 Found = Mapping[str, bytes]
