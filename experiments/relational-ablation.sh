@@ -16,12 +16,11 @@ run() {
   done
 }
 
-run all egocentric,mirror,rename,hindsight,grips,displace,replace
-run without-egocentric rename,hindsight,grips,displace,replace  # mirror is tried only with it
-run without-mirror egocentric,rename,hindsight,grips,displace,replace
-run without-rename egocentric,mirror,hindsight,grips,displace,replace
-run without-hindsight egocentric,mirror,rename,grips,displace,replace
-run without-grips egocentric,mirror,rename,hindsight,displace,replace
-run without-displace egocentric,mirror,rename,hindsight,grips,replace
-run without-replace egocentric,mirror,rename,hindsight,grips,displace
+run all egocentric,mirror,rename,hindsight,grips,displace
+run without-egocentric rename,hindsight,grips,displace  # mirror is tried only with it
+run without-mirror egocentric,rename,hindsight,grips,displace
+run without-rename egocentric,mirror,hindsight,grips,displace
+run without-hindsight egocentric,mirror,rename,grips,displace
+run without-grips egocentric,mirror,rename,hindsight,displace
+run without-displace egocentric,mirror,rename,hindsight,grips
 magical-mj report runs/ablation/*-scores --out runs/ablation/report

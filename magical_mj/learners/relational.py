@@ -1,10 +1,10 @@
 """`relational`: behavioural cloning that assumes more about a task, as far as the demo scene bears it out.
 
 A network sees blocks and regions from the robot (`relational_network`). New networks are trained on the demonstrations
-alone, and others under all assumptions but the last (`relational_samples`); each policy plays in the demo scene after
+alone, and others under all assumptions (`relational_samples`); each policy plays in the demo scene after
 `relational.trial` updates. The assumptions are kept if the mean score there is no more than `relational.loss` below the
-best so far, and then the last is tried, too. If they are not, all are tried one after the other, each beside those that
-were kept. The policy is that of the last trial that was kept.
+best so far. If they are not, they are tried one after the other, each beside those that were kept. The policy is that
+of the last trial that was kept.
 
 Every trial begins with new networks: those that have learnt the demo scene keep to what told them the way there, even
 when they are shown more. `mirror` is tried only where `egocentric` was kept: whoever sees where in the arena things are
@@ -47,7 +47,7 @@ REPORT: Final = "assumptions.json"
 BATCHES: Final = 16
 """In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
 SHOWN: Final = 0.35
-"""The share of samples with everything in its place, but where `replace` is assumed."""
+"""The share of samples with everything in its place."""
 GRIPPED: Final = 0.25
 """The share of all others that are of `grips`, where that is assumed. Half of the rest are by `hindsight`."""
 AVERAGED: Final = 0.2
@@ -188,7 +188,7 @@ class Relational(Learner):
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
-        shown = 0 if "replace" in assumed else round(SHOWN * size)
+        shown = round(SHOWN * size)
         grips = round(GRIPPED * (size - shown)) if "grips" in assumed else 0
         ways = (size - shown - grips) // 2 if "hindsight" in assumed else 0
         parts = [
@@ -223,13 +223,13 @@ class Relational(Learner):
             self._begin(following)
 
     def _next(self) -> list[str] | None:
-        """What the next trial assumes: all but the last, or one more than was kept; None if nothing is left to try."""
+        """What the next trial assumes: all, or one more than was kept; None if nothing is left to try."""
         every = list(self._assumptions)
         tried = [trial["assumed"] for trial in self._report]
-        if len(tried) == 1 and len(every) > 1:
-            return every[:-1]
-        if self._kept == every[:-1]:
-            self._waiting = every[-1:]
+        if every not in tried:
+            return every
+        if self._kept == every:
+            return None
         while self._waiting:
             name = self._waiting.pop(0)
             following = [*self._kept, name]

@@ -12,8 +12,6 @@
   a block, everything else may be elsewhere, and so may blocks that come later; where `egocentric` was kept, the robot
   may be anywhere with that block, and turned with a block that it brings to a region. False where the mere place of a
   thing counts.
-- replace: samples so changed show all that is to be learnt, so that none is left with everything in its place. Then
-  what is to be done can only be told by what holds wherever things are.
 
 Each is false somewhere. `magical_mj.learners.relational` keeps those with which the demo scene does not suffer.
 """

@@ -26,7 +26,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
-ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace", "replace")
+ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""

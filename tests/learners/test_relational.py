@@ -199,26 +199,22 @@ class Judged(Relational):
         return {self.settings.tasks[0]: self.given[len(self._report)]}
 
 
-LETTERS = dict(zip("emrhgdp", RelationalSettings().assumptions, strict=True))
+LETTERS = dict(zip("emrhgd", RelationalSettings().assumptions, strict=True))
 
 
 @pytest.mark.parametrize(
     ("scores", "assumed", "best"),
     [
-        ((0.9, 0.8, 0.7), ["", "emrhgd", "emrhgdp"], 1),
-        ((0.9, 0.8, 0.8), ["", "emrhgd", "emrhgdp"], 2),
-        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.7, 0.8, 0.9), ["", "emrhgd", "e", "r", "rh", "rhg", "rhd", "rhp"], 7),
-        (
-            (0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9, 0.9),
-            ["", "emrhgd", "e", "em", "emr", "emh", "emhg", "emhgd", "emhgdp"],
-            8,
-        ),
+        ((0.9, 0.7, 0.1, 0.2, 0.3, 0.4, 0.5), ["", "emrhgd", "e", "r", "h", "g", "d"], 0),
+        ((0.9, 0.8), ["", "emrhgd"], 1),
+        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.7, 0.9), ["", "emrhgd", "e", "r", "rh", "rhg", "rhd"], 6),
+        ((0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9), ["", "emrhgd", "e", "em", "emr", "emh", "emhg", "emhgd"], 7),
     ],
 )
 def test_the_rule_keeps_what_the_demo_scene_bears(
     scores: tuple[float, ...], assumed: list[str], best: int, tmp_path: Path
 ) -> None:
-    """All but the last together, or one after the other; the policy is that of the last trial that was kept."""
+    """All together, or one after the other; the policy is that of the last trial that was kept."""
     learner = Judged(load_settings("relational", "MoveToRegion", **SMALL))
     learner.given, weights = scores, []
     while not learner.finished:
@@ -234,14 +230,9 @@ def test_the_rule_keeps_what_the_demo_scene_bears(
     torch.testing.assert_close(learner.get_state()["actor"]["networks.0.share.weight"], weights[best])
 
 
-@pytest.mark.parametrize(("last", "least", "most"), [(0.8, 0.15, 0.3), (0.1, 0.45, 0.57)])
-def test_samples_with_everything_in_its_place_are_left_out_where_replace_was_kept(
-    last: float, least: float, most: float
-) -> None:
-    learner = Judged(
-        load_settings("relational", "FixColour", **SMALL, **{"relational.assumptions": "displace,replace"})
-    )
-    learner.given = (0.9, 0.9, last)
+def test_some_samples_keep_everything_in_its_place() -> None:
+    learner = Judged(load_settings("relational", "FixColour", **SMALL, **{"relational.assumptions": "displace"}))
+    learner.given = (0.9, 0.9)
     while not learner.finished:
         learner.update()
 
@@ -251,7 +242,7 @@ def test_samples_with_everything_in_its_place_are_left_out_where_replace_was_kep
 
     shown, samples = places(False).unique(dim=0), places(True)
     in_place = (samples[:, None] == shown).all(2).any(1).float().mean()
-    assert least <= in_place <= most
+    assert 0.45 <= in_place <= 0.57
 
 
 def test_a_training_keeps_all_that_may_cost_everything(tmp_path: Path) -> None:
@@ -259,8 +250,8 @@ def test_a_training_keeps_all_that_may_cost_everything(tmp_path: Path) -> None:
     train(settings, tmp_path)
     trials = json.loads((tmp_path / REPORT).read_text())
     every = list(settings.relational.assumptions)
-    assert [trial["assumed"] for trial in trials] == [[], every[:-1], every]
-    assert RunFolder(tmp_path, settings, resume=True).last_checkpoint().update == 3
+    assert [trial["assumed"] for trial in trials] == [[], every]
+    assert RunFolder(tmp_path, settings, resume=True).last_checkpoint().update == 2
     frame = evaluate(tmp_path, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
     assert len(frame) == 2
     assert load_policy(tmp_path).preset == "State"
