@@ -36,10 +36,13 @@ LONGEST: Final = 5
 REACH: Final = 0.75
 """Units from the robot's middle to the block, from which it tries to take it."""
 TRIES: Final = 8
+"""Ways that are tried from one place."""
 SHORTEST: Final = 7
 """Steps with which a way to a grip begins to tell something new."""
 CLOSING: Final = 4
+"""Steps in which the hand closes."""
 PULLING: Final = 3
+"""Steps backward with the hand closed, in which the block must follow."""
 SLIPPED: Final = 0.05
 """Units that a held block may move in the hand while it is pulled."""
 ALIKE: Final = 0.03
@@ -77,7 +80,8 @@ class _Try:
         for _ in range(rng.integers(PIECES[0], PIECES[1] + 1)):
             turn, drive = Turn(int(rng.integers(1, 3))), Drive(int(rng.integers(1, 3)))
             kind = rng.integers(3)
-            self.act(Gripper.OPEN, turn if kind else Turn.NONE, Drive.NONE if kind == 1 else drive, self._times(rng))
+            times = int(rng.integers(1, LONGEST + 1))
+            self.act(Gripper.OPEN, turn if kind else Turn.NONE, Drive.NONE if kind == 1 else drive, times)
 
     def take(self, block: int, rng: np.random.Generator) -> None:
         """Backs off or not, turns to a block, drives to it, and closes the hand."""
@@ -90,14 +94,6 @@ class _Try:
         drives = max(0, round((distance - 0.3) / SPEED[0] + rng.uniform(-1, 2)))
         self.act(Gripper.OPEN, Turn.NONE, Drive.FORWARD, drives)
         self.act(Gripper.CLOSE, Turn.NONE, Drive.NONE, CLOSING)
-
-    def pull(self) -> None:
-        """Drives backward with the hand closed."""
-        self.act(Gripper.CLOSE, Turn.NONE, Drive.BACK, PULLING)
-
-    @staticmethod
-    def _times(rng: np.random.Generator) -> int:
-        return int(rng.integers(1, LONGEST + 1))
 
 
 def gripped(engine: Engine, replays: Sequence[Replay], count: int, rng: np.random.Generator) -> list[Samples]:
@@ -146,7 +142,7 @@ def _shortest(engine: Engine, start: _Start, grips: NDArray[Any], rng: np.random
         way = _Try(engine, saved)
         way.take(start.block, rng)
         after = _Try(engine, engine.get_state())
-        after.pull()
+        after.act(Gripper.CLOSE, Turn.NONE, Drive.BACK, PULLING)
         hands = [in_hand(tried.states[-1], start.block) for tried in (way, after)]
         holds = np.linalg.norm(hands[1] - hands[0]) < SLIPPED
         if holds and np.linalg.norm(grips - hands[1], axis=1).min() < ALIKE and not _disturbs(start, after):

@@ -73,7 +73,9 @@ class _Moment(NamedTuple):
     held: int | None
 
 
-def ways(engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator) -> list[Samples]:
+def by_hindsight(
+    engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator
+) -> list[Samples]:
     """At least `count` samples, from so many plays of each kind; fewer if hardly any way can be laid anywhere."""
     moments = [_moments(replay) for replay in replays]
     library: dict[tuple[int, int | None], list[_Play]] = {}

@@ -33,7 +33,7 @@ from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.grips import gripped
-from magical_mj.learners.hindsight import ways
+from magical_mj.learners.hindsight import by_hindsight
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
 from magical_mj.learners.relational_samples import Replay, Samples, displace, joined, mirror, rename
@@ -73,7 +73,9 @@ def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSett
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         replays = [Replay(engine, demonstration) for demonstration in demonstrations]
         shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
-        found = ways(engine, replays, chosen.ways, chosen.plays, rng) if "hindsight" in chosen.assumptions else []
+        found = (
+            by_hindsight(engine, replays, chosen.ways, chosen.plays, rng) if "hindsight" in chosen.assumptions else []
+        )
         taken = gripped(engine, replays, chosen.grips, rng) if "grips" in chosen.assumptions else []
     return Sources(shown, joined(found or [shown]), joined(taken or [shown]))
 
