@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # What each assumption of relational brings, by leaving it out (docs/results.md): experiments/relational-ablation.sh
-# Two tasks, 100 episodes. About 35 minutes of one core; run again, it goes on.
+# Two tasks, 100 episodes. About 25 minutes of one core; run again, it goes on.
 set -euo pipefail
 
 # NAME ASSUMPTIONS
