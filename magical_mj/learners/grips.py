@@ -39,6 +39,12 @@ TRIES: Final = 8
 """Ways that are tried from one place."""
 SHORTEST: Final = 7
 """Steps with which a way to a grip begins to tell something new."""
+NEXT_TO: Final = 0.3
+"""Units from the robot's middle to the block, where it stops driving and closes the hand."""
+TURNS: Final = (-0.7, 0.7)
+"""Steps by which it turns too little or too far, at random."""
+DRIVES: Final = (-1.0, 2.0)
+"""Steps by which it stops too early or too late."""
 CLOSING: Final = 4
 """Steps in which the hand closes."""
 PULLING: Final = 3
@@ -88,10 +94,10 @@ class _Try:
         self.act(Gripper.OPEN, Turn.NONE, Drive.BACK, int(rng.integers(LONGEST)))
         x, y = in_hand(self.states[-1], block)
         angle = math.atan2(-x, y)
-        turns = max(0, round(abs(angle) / SPEED[1] + rng.uniform(-0.7, 0.7)))
+        turns = max(0, round(abs(angle) / SPEED[1] + rng.uniform(*TURNS)))
         self.act(Gripper.OPEN, Turn.LEFT if angle > 0 else Turn.RIGHT, Drive.NONE, turns)
         distance = float(np.linalg.norm(in_hand(self.states[-1], block)))
-        drives = max(0, round((distance - 0.3) / SPEED[0] + rng.uniform(-1, 2)))
+        drives = max(0, round((distance - NEXT_TO) / SPEED[0] + rng.uniform(*DRIVES)))
         self.act(Gripper.OPEN, Turn.NONE, Drive.FORWARD, drives)
         self.act(Gripper.CLOSE, Turn.NONE, Drive.NONE, CLOSING)
 
