@@ -31,7 +31,7 @@ FIRST_TEST_SEED = 10_042
 
 def make(body: str, reward: str) -> gymnasium.Env[np.ndarray, np.ndarray]:
     """The environment of training and evaluation, with stacked states."""
-    id_ = f"magical_mj/xmagical/SweepToTop-{body.capitalize()}-State-Allo-TestLayout-v0"
+    id_ = f"magical_mj/SweepToTop-{body.capitalize()}-State-Allo-TestLayout-v0"
     return FlattenObservation(FrameStackObservation(gymnasium.make(id_, reward=reward), STACK))
 
 

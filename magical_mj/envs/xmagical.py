@@ -31,7 +31,7 @@ MAX_SEEDS: Final = 2**32
 
 
 class XMagicalEnv(MagicalEnv):
-    """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/xmagical/SweepToTop-...")`.
+    """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/SweepToTop-...")`.
 
     ## Actions
     `Box(-1, 1, (2,))`, with a gripper `(3,)`: speed (units/s, full from 0.8), turn (rad ahead of the heading, full from

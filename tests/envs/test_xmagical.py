@@ -33,8 +33,8 @@ from magical_mj.utils.errors import (
     UntrustedNameError,
 )
 
-IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/xmagical/"))
-LONG = "magical_mj/xmagical/SweepToTop-Longstick-State-Allo-TestLayout-v0"
+IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/SweepToTop-"))
+LONG = "magical_mj/SweepToTop-Longstick-State-Allo-TestLayout-v0"
 PROBES: dict[str, Any] = json.loads(beside.PROBES.read_text())
 BODY_NAMES = tuple(BODIES)
 
