@@ -9,6 +9,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3 p
 	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
+METHODS := --editable methods/relational --editable methods/goals
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
@@ -155,10 +156,10 @@ $(VENV)/.installed-all: pyproject.toml constraints.txt magical_mj/_version.py $(
 	@$(INSTALL) --editable '.[all]'
 	@touch $@
 
-$(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
+$(VENV)/.installed-%: pyproject.toml constraints.txt $(wildcard methods/*/pyproject.toml) magical_mj/_version.py $(BIN)/python | system
 	@echo "installing magical-mj for $* into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1' # the first with --group
-	@$(INSTALL) --editable . --group $*
+	@$(INSTALL) --editable . $(if $(filter dev,$*),$(METHODS)) --group $*
 	@touch $@ $(if $(filter dev,$*),$(VENV)/.installed-all)
 
 $(BIN)/python: | system

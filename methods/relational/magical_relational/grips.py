@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
 from magical_mj.engine.simulation import State
-from magical_mj.learners.hindsight import SPEED
 from magical_mj.learners.networks import blocks_of
-from magical_mj.learners.relational_samples import MOVED, WAY, Replay, Samples, front, in_hand
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import PhysicsError
+from magical_relational.hindsight import SPEED
+from magical_relational.samples import MOVED, WAY, Replay, Samples, front, in_hand
 
 NEAR: Final = range(4, 17)
 """Steps before a grip at which the robot leaves a demonstration."""

@@ -11,25 +11,38 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from magical_relational import redraw
+from magical_relational.grips import gripped
+from magical_relational.method import REPORT, Relational, demonstrated
+from magical_relational.network import STANDING, Ensemble, graph
+from magical_relational.policy import POLICY, load_policy
+from magical_relational.redraw import Redraw, Redrawer, scenes_of
+from magical_relational.samples import WAY, Freedom, Replay, Samples, displace, in_hand, mirror, rename
+from magical_relational.settings import RelationalSettings
 
 from magical_mj import TASKS, demos
 from magical_mj.engine import Engine
 from magical_mj.evaluation import evaluate
-from magical_mj.learners import load_policy, load_settings, redraw, train
+from magical_mj.learners import checkpoint, load_settings, train
 from magical_mj.learners.data import shipped
-from magical_mj.learners.grips import gripped
 from magical_mj.learners.networks import blocks_of, regions_of
-from magical_mj.learners.redraw import Redraw, Redrawer, scenes_of
-from magical_mj.learners.relational import REPORT, Relational, demonstrated
-from magical_mj.learners.relational_network import STANDING, Ensemble, graph
-from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples, displace, in_hand, mirror, rename
+from magical_mj.learners.policy import export_policy
 from magical_mj.learners.run_folder import RunFolder
-from magical_mj.learners.settings import RelationalSettings
+from magical_mj.policies.interface import histories
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from tests.helpers.learners import RELATIONAL, TINY
+from tests.helpers.learners import TINY, check_resumes, check_seeds, compare_exported
 
+RELATIONAL = {
+    "relational.hidden": 8,
+    "relational.trial": 1,
+    "relational.batch_size": 8,
+    "relational.rollouts": 2,
+    "relational.ways": 100,
+    "relational.plays": 1,
+    "relational.grips": 50,
+}
 NOTHING_TRIED = RelationalSettings(assumptions=())
 CLOSED, PULL = 9, 11
 EGOCENTRIC, ARENA = torch.zeros(()), torch.ones(())
@@ -319,3 +332,45 @@ def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path, monkeypatch: pyt
 def test_it_learns_one_task_from_one_view(wrong: dict[str, str]) -> None:
     with pytest.raises(SettingsError, match="one task from one view"):
         Redraw(load_settings("redraw", **{"tasks": "FixColour", **PICTURES, **wrong}))
+
+
+TRAININGS = [
+    ("relational", {"preset": "State", "relational.assumptions": "egocentric,mirror", "relational.trial": 2}),
+    ("redraw", {"relational.assumptions": "egocentric"}),
+]
+
+
+@pytest.fixture
+def small_pools(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redraw, "POOL", 16)
+    monkeypatch.setattr(redraw, "BATCHES", 2)
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_a_resumed_training_ends_like_an_uninterrupted_one(
+    method: str, changes: dict[str, Any], tmp_path: Path
+) -> None:
+    check_resumes(method, {**RELATIONAL, **changes}, tmp_path)
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) -> None:
+    check_seeds(method, {**RELATIONAL, **changes})
+
+
+@pytest.mark.slow
+def test_the_onnx_file_computes_what_the_networks_compute(tmp_path: Path) -> None:
+    train(load_settings("relational", "MoveToRegion", **SMALL), tmp_path / "run")
+    file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
+    states = histories(states_of("MoveToRegion", 20)[0].numpy())
+    compare_exported(load_policy(tmp_path / "run").actor, file, states)
+
+
+def test_policies_of_versions_with_other_settings_of_training_load(tmp_path: Path) -> None:
+    settings = RelationalSettings(hidden=8, networks=3, sharpness=1.5)
+    kept = {"hidden": 8, "networks": 3, "sharpness": 1.5, "patience": 6}
+    contents = {"weights": Ensemble(settings).state_dict(), "relational": kept, "tasks": ["FindDupe"]}
+    checkpoint.write(tmp_path / POLICY, contents)
+    assert load_policy(tmp_path).actor.settings == settings

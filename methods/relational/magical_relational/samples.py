@@ -5,15 +5,15 @@
 - mirror: the task is the same in a mirror.
 - rename: colours and shapes are names: what matters is which things share them. False for a task that names a colour.
 - hindsight: what the demonstrations pursue is to take a block, and to leave it: any way there that is not much too long
-  is as good as theirs. Such ways are played in the simulation of the demo scene (`magical_mj.learners.hindsight`).
+  is as good as theirs. Such ways are played in the simulation of the demo scene (`magical_relational.hindsight`).
 - grips: and so is any way to get that block between the fingers, from wherever the robot is next to it, and wherever it
-  has pushed it. Such ways are found by trying in the same simulation (`magical_mj.learners.grips`).
+  has pushed it. Such ways are found by trying in the same simulation (`magical_relational.grips`).
 - displace: what a demonstration never involves does not matter: not where it is, nor whether it is there. On the way to
   a block, everything else may be elsewhere, and so may blocks that come later; where `egocentric` was kept, the robot
   may be anywhere with that block, and turned with a block that it brings to a region. False where the mere place of a
   thing counts.
 
-Each is false somewhere. `magical_mj.learners.relational` keeps those with which the demo scene does not suffer.
+Each is false somewhere. `magical_relational.method` keeps those with which the demo scene does not suffer.
 """
 
 from __future__ import annotations

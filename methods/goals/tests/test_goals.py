@@ -30,7 +30,7 @@ from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, TrainingError
 
-PROJECT = Path(__file__).parents[2] / "examples" / "goals"
+PROJECT = Path(__file__).parents[1]
 COLOUR, BEGAN = "has the region's colour", "began in the region"
 SHAPE = "has the shape of a block that began there"
 GOAL_OF: dict[str, Relation] = {

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, check_size, maxima, regions_of
-from magical_mj.learners.settings import RelationalSettings
 from magical_mj.scene.state_vector import FINGERS
+from magical_relational.settings import RelationalSettings
 
 ARENA: Final = 4 + 4
 """Features of a node that tell where in the arena it and the robot are, and how the robot is turned there."""

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import blocks_of
-from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, in_hand
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
 from magical_mj.utils.errors import PhysicsError
+from magical_relational.samples import WAY, Replay, Samples, front, in_hand
 
 Floats = NDArray[np.floating[Any]]
 

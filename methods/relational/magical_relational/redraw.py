@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import torch
@@ -28,12 +28,13 @@ from magical_mj.envs.presets import PRESETS
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Batch
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPE, SHAPES, blocks_of, regions_of
-from magical_mj.learners.relational import Relational
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.rendering.canvas import Picture
 from magical_mj.scene import Block, GoalRegion, Robot, Scene, constants
 from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import SettingsError
+from magical_relational.method import Relational
+from magical_relational.settings import RelationalTrainingSettings
 
 POOL: Final = 2048
 """Pictures from which batches are drawn, until others take their place."""
@@ -48,7 +49,17 @@ MISSING: Final = 50.0
 class Redraw(BehaviouralCloning):
     """Minimises -E log pi(a | picture of s); a is drawn by the policy of `relational`, or is what was done in s."""
 
-    def __init__(self, settings: TrainingSettings) -> None:
+    parts: ClassVar[tuple[str, ...]] = ("network", "bc", "relational")
+    settings_type: ClassVar[type[TrainingSettings]] = RelationalTrainingSettings
+    defaults: ClassVar[Mapping[str, Any]] = {
+        "network.frames": 1,
+        "bc.batch_size": 64,
+        "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,
+        "bc.heads": "uniform",
+    }
+
+    def __init__(self, settings: RelationalTrainingSettings) -> None:
         self.check(settings)
         self._teacher = Relational(replace(settings, preset=STATE))
         super().__init__(settings)

@@ -1,7 +1,7 @@
 """`relational`: behavioural cloning that assumes more about a task, as far as the demo scene bears it out.
 
-A network sees blocks and regions from the robot (`relational_network`). New networks are trained on the demonstrations
-alone, and others under all assumptions (`relational_samples`); each policy plays in the demo scene after
+A network sees blocks and regions from the robot (`network`). New networks are trained on the demonstrations
+alone, and others under all assumptions (`samples`); each policy plays in the demo scene after
 `relational.trial` updates. The assumptions are kept if the mean score there is no more than `relational.loss` below the
 best so far. If they are not, they are tried one after the other, each beside those that were kept. The policy is that
 of the last trial that was kept.
@@ -23,7 +23,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -32,15 +32,18 @@ from torch import nn
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.data import drawn, shipped
-from magical_mj.learners.grips import gripped
-from magical_mj.learners.hindsight import by_hindsight
-from magical_mj.learners.learner import Learner, restore_optimizer, seeded
-from magical_mj.learners.relational_network import Ensemble, graph
-from magical_mj.learners.relational_samples import Replay, Samples, displace, joined, mirror, rename
-from magical_mj.learners.settings import PREMISES, STATE, RelationalSettings, TrainingSettings
+from magical_mj.learners.learner import Method, restore_optimizer, seeded
+from magical_mj.learners.policy import TrainedPolicy
+from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.scene.actions import NOOP
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
+from magical_relational.grips import gripped
+from magical_relational.hindsight import by_hindsight
+from magical_relational.network import Ensemble, graph
+from magical_relational.policy import save_policy
+from magical_relational.samples import Replay, Samples, displace, joined, mirror, rename
+from magical_relational.settings import PREMISES, RelationalSettings, RelationalTrainingSettings
 
 REPORT: Final = "assumptions.json"
 """In a run's folder: of each trial what was assumed, the score in the demo scene, and whether it was kept."""
@@ -80,10 +83,14 @@ def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSett
     return Sources(shown, joined(found or [shown]), joined(taken or [shown]))
 
 
-class Relational(Learner):
+class Relational(Method):
     """Minimises -E log pi(a | s) over samples that the kept assumptions make of demonstrations."""
 
-    def __init__(self, settings: TrainingSettings) -> None:
+    parts: ClassVar[tuple[str, ...]] = ("relational",)
+    settings_type: ClassVar[type[TrainingSettings]] = RelationalTrainingSettings
+    settings: RelationalTrainingSettings
+
+    def __init__(self, settings: RelationalTrainingSettings) -> None:
         self.check(settings)
         super().__init__(settings)
         chosen = settings.relational
@@ -153,10 +160,19 @@ class Relational(Learner):
             self._judge()
         return {"loss": torch.stack(losses).mean().item(), "accuracy": torch.stack(right).mean().item()}
 
+    def policy(self) -> TrainedPolicy:
+        """Draws from what the networks hold probable."""
+        return TrainedPolicy(self._actor, self.settings.tasks, self.settings.preset)
+
     def save_policy(self, folder: Path) -> None:
         """Writes the networks, and what was assumed."""
-        super().save_policy(folder)
+        save_policy(folder, self._actor, self.settings)
         self.write_report(folder)
+
+    def fault(self) -> str | None:
+        """Whether a weight is not finite."""
+        finite = all(values.isfinite().all() for values in self._actor.state_dict().values())
+        return None if finite else "a weight is not finite any more"
 
     def write_report(self, folder: Path) -> None:
         """Writes what was assumed."""
