@@ -24,10 +24,10 @@ fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processe
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" tests/scene tests/variants tests/tasks tests/engine $(ARGS)
 
 bench: $(VENV)/.installed-dev  ## measure speed
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/python -m tools.benchmarks $(ARGS)
 
 peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in an environment of its own
-	.venv-peers/bin/python benchmarks/peers.py --picture docs/speed.png $(ARGS)
+	.venv-peers/bin/python tools/benchmarks/peers.py --picture docs/speed.png $(ARGS)
 
 .venv-peers/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-peers
@@ -70,7 +70,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python -m tools.architecture_picture
 	$(BIN)/python tools/shifts.py picture
-	$(BIN)/python research/physics_picture.py
+	$(BIN)/python tools/research/physics_picture.py
 	$(BIN)/python tools/tables.py
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site

@@ -42,7 +42,7 @@ def test_wheel_holds_the_whole_package(wheel: zipfile.ZipFile) -> None:
     files = (path for path in (ROOT / "magical_mj").rglob("*") if path.is_file() and path.parent.name != "__pycache__")
     assert {path.relative_to(ROOT).as_posix() for path in files} <= held
     assert "magical_mj/py.typed" in held
-    assert not any(name.startswith(("tests/", "tools/", "research/", "docs/")) for name in held)
+    assert not any(name.startswith(("tests/", "tools/", "methods/", "docs/")) for name in held)
 
 
 def test_wheel_runs(wheel: zipfile.ZipFile, tmp_path: Path) -> None:

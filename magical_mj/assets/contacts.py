@@ -39,7 +39,7 @@ FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """Parameters that the original does not determine: stiffness, rounding, softness; see `research/fit_physics.py`."""
+    """Stiffness, rounding, softness: fitted by `tools/research/fit_physics.py`, as the original does not state them."""
 
     contact_impedance: float = 0.9973
     """Share of the relative velocity that a contact removes; below 1 it gives way a little."""

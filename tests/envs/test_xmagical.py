@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import xmagical as beside  # type: ignore[import-not-found] - research/xmagical.py
+import xmagical as beside  # type: ignore[import-not-found] - tools/research/xmagical.py
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj

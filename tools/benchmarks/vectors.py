@@ -1,4 +1,4 @@
-"""Steps per second of wall time of a vector, alone and beside busy processes: ``python -m benchmarks.vectors``.
+"""Steps per second of wall time of a vector, alone and beside busy processes: ``python -m tools.benchmarks.vectors``.
 
 How many of the cores it was given says whether others' work or its own waiting makes it slow.
 """

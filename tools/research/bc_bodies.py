@@ -1,6 +1,6 @@
 """Behavioural cloning from states, per body and across bodies: the tables in docs/bodies.md.
 
-    python -m research.bc_bodies [--tasks SweepToTop,MoveToRegion] [--updates 3000] [--episodes 50]
+    python -m tools.research.bc_bodies [--tasks SweepToTop,MoveToRegion] [--updates 3000] [--episodes 50]
 
 A network of 2 x 256 learns from the demonstrations of one body, and plays every body. In SweepToTop it learns speed
 and turn, from the 16 entries of the state that all bodies have, of 50 shipped demonstrations in TestLayout, and is

@@ -1,7 +1,7 @@
 """How near batched worlds stay to MuJoCo's own: from states in mid-episode, and over whole episodes played open loop.
 
-python research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
-python research/batched_fidelity.py replays [--tasks FindDupe,...] [--count 25] [--device cpu] [--human ARCHIVE]
+python tools/research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
+python tools/research/batched_fidelity.py replays [--tasks FindDupe,...] [--count 25] [--device cpu] [--human ARCHIVE]
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The suite xmagical beside measurements of the original simulation: free motion, rest, pushes, scores and draws.
 
-    python -m research.xmagical [tests/data/xmagical_probes.json]
+    python -m tools.research.xmagical [tests/data/xmagical_probes.json]
 
 prints the largest deviation of each kind, and its bound. The measurements are numbers that x-magical (c8d812e, pymunk
 5.6.0) returned; the file says what each column is. After the first contact both simulations are chaotic, so random
@@ -27,7 +27,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.constants import FINGER_OPEN
 from magical_mj.tasks.sweep_to_top import DEMO, dense_reward, original_scene, score, state_vector
 
-PROBES: Final = Path(__file__).parents[1] / "tests" / "data" / "xmagical_probes.json"
+PROBES: Final = Path(__file__).parents[2] / "tests" / "data" / "xmagical_probes.json"
 ACTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "forward_full": (1, 0, 0),
     "forward_0.5": (0.5, 0, 0),

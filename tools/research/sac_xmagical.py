@@ -1,7 +1,7 @@
 """SAC of Stable-Baselines3 on x-magical's SweepToTop from states: the curves in docs/bodies.md.
 
-    python -m research.sac_xmagical --body longstick --reward sparse --out FOLDER/longstick-sparse [--steps 75000]
-    python -m research.sac_xmagical --plot docs/bodies-sac.png --out FOLDER    draws the curves of its runs
+    python -m tools.research.sac_xmagical --body longstick --reward sparse --out FOLDER/longstick-sparse [--steps 75000]
+    python -m tools.research.sac_xmagical --plot docs/bodies-sac.png --out FOLDER    draws the curves of its runs
 
 The settings are XIRL's (Zakka et al. 2021): three stacked states, 5,000 random steps, a discount of 0.99, learning
 rates of 1e-4, a learnt temperature from 0.1, and an evaluation of 50 episodes by the mean action every 5,000 steps. On

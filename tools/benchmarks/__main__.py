@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
+"""`python -m tools.benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
 
 From the checkout's folder. Single environments are measured in processor time, vectors and batched worlds in wall time.
 """
@@ -27,8 +27,8 @@ from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores
 
 if TYPE_CHECKING:
-    from benchmarks.batched import BatchedMeasurement
-    from benchmarks.single import Cause, Measurement
+    from tools.benchmarks.batched import BatchedMeasurement
+    from tools.benchmarks.single import Cause, Measurement
 
 RESETS: Final = ("reset, same structure", "reset, new structure")
 HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", "32 worlds", *RESETS)
@@ -71,7 +71,7 @@ def bench(
     if batched:
         _print_batched(chosen, _counts(num_envs), device, profile)
         return
-    from benchmarks.single import composer_share, measure
+    from tools.benchmarks.single import composer_share, measure
 
     work = with_bar(Output(stderr=True), "measuring", chosen, len(chosen))
     measurements = [measure(task, variant, name, steps, renderer) for task, variant, name in work]
@@ -97,8 +97,8 @@ def _counts(text: str) -> list[int]:
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
     """Prints some lines for each environment and number of worlds as soon as it is measured."""
     check_extra("batched worlds", "gpu")
-    from benchmarks.batched import measure_batched, single_rate
     from magical_mj.batched.physics import check_device
+    from tools.benchmarks.batched import measure_batched, single_rate
 
     check_device(device)
     screen = console()
@@ -112,7 +112,7 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
 
 def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
     """What was measured; the launches by part, or with `profile` by kernel."""
-    from benchmarks.batched import by_part
+    from tools.benchmarks.batched import by_part
 
     times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
     yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.worlds} worlds: {speed.rate:,.0f} steps/s"
@@ -153,7 +153,7 @@ def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
 
 def summary(measurements: Sequence[Measurement], renderer: str) -> str:
     """The mean share, the machine, the memory of this process, and the speed of the dm_env door."""
-    from benchmarks.single import composer_share
+    from tools.benchmarks.single import composer_share
 
     here, peak, composer = machine(), memory(), composer_share()
     drawn = renderer if renderer == "software" else here["opengl"]
@@ -207,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark and return the exit code."""
     app = typer.Typer(add_completion=False)
     app.command(context_settings={"help_option_names": ["-h", "--help"]})(bench)
-    return run(arguments, app, "python -m benchmarks")
+    return run(arguments, app, "python -m tools.benchmarks")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Fits the physics to recordings of the original simulation: which `PhysicsSettings` make ours move like them?
 
-    python research/fit_physics.py FOLDER                    # how far off the present settings are
-    python research/fit_physics.py FOLDER --minutes 20       # search for better ones (needs nevergrad)
+    python tools/research/fit_physics.py FOLDER                    # how far off the present settings are
+    python tools/research/fit_physics.py FOLDER --minutes 20       # search for better ones (needs nevergrad)
 
 FOLDER holds `probes.npz` and `human_replays.npz`: short roll-outs, and human action sequences with the poses that
 the original went through. What is minimised is a sum of three terms, each about 1 for a good fit:

@@ -1,7 +1,7 @@
 """The original's world, rebuilt on the 2-D engine that it ran on: how much of a difference to it is chance?
 
     pip install pymunk==5.6.0
-    python research/original.py FOLDER
+    python tools/research/original.py FOLDER
 
 FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. Printed is how far the rebuilt world is from the
 probes, as it is and with hinges for the pins of its fingers; how far ours is from it in roll-outs that nobody

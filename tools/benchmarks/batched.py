@@ -20,13 +20,13 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from benchmarks.single import plans
 from magical_mj import batched
 from magical_mj.batched.environment import BatchedEnv
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.parallel import cores, map_unordered
+from tools.benchmarks.single import plans
 
 WARM_UP: Final = 3
 """Steps before the clock starts: kernels are compiled, the graph is captured."""

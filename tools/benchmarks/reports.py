@@ -1,4 +1,4 @@
-"""How long a report of many episodes takes, and how much memory: ``python benchmarks/reports.py [EPISODES]``."""
+"""How long a report of many episodes takes, and how much memory: ``python tools/benchmarks/reports.py [EPISODES]``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Compares sets of demonstrations: how they were made, and what a learner makes of them.
 
-    python research/demonstration_statistics.py [FOLDER ...] [--people human_replays.npz] [--learn] [--tasks A,B]
+    python tools/research/demonstration_statistics.py [FOLDER ...] [--people human_replays.npz] [--learn] [--tasks A,B]
 
 The shipped set comes first, then folders of demonstrations, then episodes of people in the original simulation: a file
 of arrays ``<Task>/<number>/{actions, poses, fingers, score}``, poses of shape (steps + 1, 1 + blocks, 3), robot first.

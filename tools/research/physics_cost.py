@@ -1,6 +1,6 @@
 """Prints what other settings of MuJoCo's solver would cost, and how far off they would be.
 
-    python research/physics_cost.py
+    python tools/research/physics_cost.py
 
 Costs are milliseconds per action with ten blocks: apart, at rest in a heap, and in a heap that the robot pushes. Each
 action is timed as often as `REPEATS` says, and the fastest counts, for other programs only ever make it slower.
