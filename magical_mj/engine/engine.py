@@ -128,8 +128,16 @@ class Setup:
             raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(names)}")
         if state is not None:
             check_state(state)
-            if self.horizon is not None and state.steps >= self.horizon:
-                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+            check_goes_on(state, self.horizon)
+
+
+def check_goes_on(state: State, limit: int | None) -> None:
+    """Raises a `StateError` if a state is that of an episode which has ended after `limit` steps."""
+    if limit is not None and state.steps >= limit:
+        raise StateError(
+            f"the episode of this state is over after {limit} steps, and the state comes after {state.steps}; "
+            "give an earlier state"
+        )
 
 
 class Engine:

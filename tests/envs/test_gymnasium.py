@@ -275,12 +275,25 @@ def test_the_score_behind_wrappers_of_ones_own() -> None:
     assert [info["eval_score"].tolist() for info in infos] == [[0.0, 0.0]] * 4 + [[0.25, 0.25]]
 
 
+class Impatient(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Ends episodes as it likes: after seven steps."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        *step, truncated, info = super().step(action)
+        return *step, truncated or self.get_wrapper_attr("engine").steps == 7, info  # type: ignore[return-value]
+
+
 def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
-    """By hand: the tenfold score at the task's horizon; at a limit of one's own, the score itself."""
-    for limit, paid in ((None, 2.5), (7, 0.25)):
+    """By hand: the tenfold score where the environment ends it; where another wrapper does, the score itself."""
+    for end, steps, paid in (
+        (lambda env: env, 320, 2.5),
+        (lambda env: wrappers.TimeLimit(env, 7), 7, 2.5),
+        (Impatient, 7, 0.25),
+    ):
         tenfold = wrappers.TransformReward(gymnasium.make(CLUSTER, reward="score"), lambda reward: 10 * float(reward))
-        env = ScoreAtTheEnd(tenfold if limit is None else wrappers.TimeLimit(tenfold, limit))
-        assert played(env)[-1][0] == paid
+        played_steps = played(ScoreAtTheEnd(end(tenfold)))
+        assert len(played_steps) == steps
+        assert (played_steps[-1][0], played_steps[-1][2]["eval_score"]) == (paid, 0.25)
 
 
 def test_other_packages_environments_have_no_score() -> None:
