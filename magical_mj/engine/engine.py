@@ -135,8 +135,7 @@ def check_goes_on(state: State, limit: int | None) -> None:
     """Raises a `StateError` if a state is that of an episode which has ended after `limit` steps."""
     if limit is not None and state.steps >= limit:
         raise StateError(
-            f"the episode of this state is over after {limit} steps, and the state comes after {state.steps}; "
-            "give an earlier state"
+            f"the episode of this state is over, after {state.steps} steps: give an earlier state, of less than {limit}"
         )
 
 
