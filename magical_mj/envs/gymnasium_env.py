@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
 from magical_mj.engine.engine import check_goes_on
+from magical_mj.engine.simulation import check_state
 from magical_mj.envs.presets import LONGEST_SENTENCE, Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, continuous_space
@@ -197,7 +198,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             self._check_observable(scene)
             self._engine.reset(scene=scene, draws=draws)
         elif scene is not None or state is not None:
-            if isinstance(state, State):
+            if state is not None:
+                check_state(state)
                 check_goes_on(state, self._limit)
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
