@@ -7,7 +7,6 @@ all models of a batch, and variants change it from episode to episode.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
-from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.actions import ACTIONS, as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
 from magical_mj.variants import check_seed
@@ -242,12 +241,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env.set_wrapper_attr(name, value)
 
     @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The generators of the worlds, which draw the seeds of their later episodes."""
         return self.get_attr("np_random")
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The seeds of these generators."""
         return self.get_attr("np_random_seed")
 
@@ -269,16 +268,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _checked(self, actions: Any) -> list[Any]:
         """The actions as the worlds take them, before any does."""
-        rows: NDArray[Any] = np.empty(0)
-        with contextlib.suppress(ValueError):  # of lists of different lengths
-            rows = np.asarray(actions)
+        rows = as_array(actions)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
             return [self.envs[0].to_action(row) for row in rows]
         fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
         if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
             raise InvalidActionError(
                 f"actions are {self.num_envs} values of {self.single_action_space}, one for each world, "
-                f"not {short_repr(actions)}"
+                f"not {short_repr(actions)}{tensor_hint(actions)}"
             )
         return rows.tolist()
 
@@ -344,9 +341,7 @@ def check_mask(mask: Any, worlds: int) -> NDArray[np.bool_]:
     """For which worlds the mask of bools is true; without a mask all of them."""
     if mask is None:
         return np.ones(worlds, np.bool_)
-    entries: NDArray[Any] = np.empty(0)
-    with contextlib.suppress(ValueError):  # of lists of different lengths
-        entries = np.asarray(mask)
+    entries = as_array(mask)
     if entries.dtype != np.bool_ or entries.shape != (worlds,):
         raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
     return entries
