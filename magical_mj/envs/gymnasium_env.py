@@ -38,6 +38,8 @@ ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
+CUTS: Final = 3
+"""After how many episodes that were reset at the same late step a warning says that they have reported no score."""
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STARTS: Final = ("scene", "state", "variation")
 """The options of `reset` that say how an episode starts."""
@@ -125,6 +127,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
+        self._cut = 0, 0  # the step at which the last episodes were reset before their end, and how many of them
         self._fresh_seed: int | None = None  # of the last reset, while no step has followed
 
     @property
@@ -193,6 +196,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 f"an episode starts from one of the options {', '.join(STARTS)}, not {' and '.join(given)}"
             )
         scene, state, variation = _scene_option(start), start.get("state"), start.get("variation")
+        steps = 0 if self.over else self._engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
@@ -209,6 +213,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 self._check_observable(self._engine.setup.sample(number))
             self._engine.reset(seed=number)
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
+        self._notice_cut(0 if state is not None else steps)
         self._begun = True
         self._fresh_seed = seed if scene is None and state is None else None
         self._stacks.start(self._draw, None if state is None else state.frames)
@@ -235,6 +240,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidSceneError: if its scene is not one of this task.
         """
         self._engine.set_state(state)
+        self._cut = 0, 0
         self._begun, self._fresh_seed = True, None
         self._stacks.start(self._draw, state.frames)
 
@@ -306,6 +312,17 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             sentence = self._engine.instruction  # with room for others: vectors give all worlds the first one's type
             info["instruction"] = np.array(sentence, f"U{max(len(sentence), LONGEST_SENTENCE)}")
         return info | {"score": np.float64(score)} if self._score_every_step else info
+
+    def _notice_cut(self, steps: int) -> None:
+        """Warns if one episode after the other is reset at this step, as in a `TimeLimit`, which cannot be seen."""
+        self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
+        if self._cut == (steps, CUTS) and steps > self._limit / 2:
+            warnings.warn(
+                f"the last {CUTS} episodes were reset after {steps} of {self._limit} steps. If a wrapper such as "
+                "TimeLimit ends them, eval_score is 0.0 there: put magical_mj.wrappers.ScoreAtTheEnd around it, or "
+                "give max_episode_steps to gymnasium.make",
+                stacklevel=3,
+            )
 
     def _next_seed(self, seed: int | None) -> int:
         """The seed of an episode: the given one, that of the last reset if no step has followed it, or a drawn one."""
