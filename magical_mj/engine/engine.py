@@ -112,7 +112,7 @@ class Setup:
 
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes, of which most tasks see the first and the last.
+        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last.
 
         Raises:
             InvalidSceneError: without a task.
