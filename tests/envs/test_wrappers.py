@@ -10,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.envs.registration import suite_id
 from magical_mj.envs.wrappers import ContinuousActions
 from magical_mj.scene.actions import to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
@@ -85,7 +86,7 @@ def test_tensors_that_are_no_arrays_are_refused() -> None:
         torch.zeros(3, dtype=torch.complex64),
         torch.zeros(3, device="meta"),
     ]
-    suite = gymnasium.make("magical_mj/xmagical/SweepToTop-Gripper-State-Allo-Demo-v0", disable_env_checker=True)
+    suite = gymnasium.make(suite_id("gripper"), disable_env_checker=True)
     envs = gymnasium.make_vec(ID, 1, action="continuous")
     unchecked = ContinuousActions(gymnasium.make(ID, disable_env_checker=True))
     for env, batch in ((suite, ()), (envs, (1,)), (unchecked, ())):
