@@ -231,7 +231,7 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
 
 def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
     """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, without its score."""
-    inside = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
+    inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
     limits = inside.get_attr("limit") if hasattr(inside, "get_attr") else [getattr(inside, "limit", 0)]
     if len(actions) < min(limits):
         raise EvaluationError(
