@@ -15,11 +15,15 @@ import pytest
 
 import magical_mj
 from magical_mj._version import __version__
+from magical_mj.assets import style
 from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.readable import DECIMALS, LINE
 from magical_mj.assets.robot import control_signal, controls
+from magical_mj.assets.world import world_mjcf
 from magical_mj.engine import Engine
-from magical_mj.engine.export import LINE
-from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
+from magical_mj.scene.bodies import BODIES
+from magical_mj.scene.constants import SHAPES
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import InvalidSceneError
 
@@ -162,14 +166,61 @@ def test_files_can_be_read(tmp_path: Path) -> None:
     assert all(line.count("<") <= 1 for line in lines)
     sections = [section.tag for section in root if section.tag is not Comment]
     expected = (
-        "custom compiler option size visual statistic default asset worldbody contact tendon actuator sensor keyframe"
+        "custom compiler option size visual statistic default asset "
+        "worldbody contact tendon actuator sensor keyframe asset"
     )
     assert sections == expected.split()
     remarks = " ".join(str(element.text) for element in root.iter(Comment))
-    for word in ("wheels", "rotors", "castor", "foot", "twice", "motors", "Goal region 0", "Block 0", "lamps"):
+    for word in ("wheels", "rotors", "castor", "foot", "motors", "Goal region 0", "Block 0", "lamps"):
         assert word in remarks
     for index, block in enumerate(env.initial_scene.blocks):
         assert root.find(f".//geom[@name='block{index}_{block.colour}_{block.shape}_sides']") is not None
+    world = root.find("worldbody")
+    assert world is not None
+    assert all(element.get("name") for tag in ("body", "geom", "light", "camera") for element in world.iter(tag))
+    shown = {geom.get("mesh") for geom in root.iter("geom")} - {None}
+    assert [mesh.get("name") for mesh in root.iter("mesh") if mesh.get("name") not in shown] == []
+    assert list(root)[-1].find("mesh") is not None, "vertices come last"
+    assert not any("rgba" in geom.attrib for geom in root.iter("geom")), "colours have names"
+    materials = {material.get("name") for material in root.iter("material")}
+    assert materials == {geom.get("material") for geom in root.iter("geom")} - {None}
+    soft = [
+        value for element in world.iter() for name, value in element.items() if name.startswith(("solref", "solimp"))
+    ]
+    assert soft == [], "softness is that of classes"
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_what_is_rounded_does_not_move_anything(body: str, tmp_path: Path) -> None:
+    """All that the physics reads is the environment's to the bit: names, looks and drawn geoms differ."""
+    blocks = tuple(Block(shape, "red", 0.4 * index - 0.6, 0.5, 0.3) for index, shape in enumerate(SHAPES))
+    scene = Scene(
+        Robot(0, -0.5, 0.3, body=body), (*blocks, Block("star", "blue", 0, 0.1, 1, 0.01)), pebbles=(Pebble(0.5, -0.5),)
+    )
+    model, _ = exported(scene, tmp_path)
+    right = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    looks = ("name", "mesh_", "mat_", "bvh_", "skin_", "text_", "numeric_", "sensor_", "key_", "path", "body_bvh")
+    drawn = np.isin(right.geom_group, (style.SOLID_GROUP, style.DRAWN_GROUP, style.TASK_GROUP))
+    drawn[right.geom("floor").id] = False
+    compared = 0
+    for name in dir(right):
+        numbers = getattr(right, name)
+        if name.startswith(("_", *looks)) or not isinstance(numbers, np.ndarray):
+            continue
+        others = getattr(model, name)
+        if name in ("geom_rgba", "geom_matid", "geom_dataid"):
+            continue
+        if name.startswith("geom_"):
+            numbers, others = numbers[~drawn], others[~drawn]
+        np.testing.assert_array_equal(others, numbers, err_msg=name)
+        compared += 1
+    assert compared > 200
+    vertices = [
+        mesh.get("vertex", "")
+        for mesh in parse(tmp_path / "model.xml").getroot().iter("mesh")
+        if not mesh.get("name", "").endswith("_outline")
+    ]
+    assert all(len(word.partition(".")[2]) <= DECIMALS for text in vertices for word in text.split())
 
 
 def test_numbers_are_short_and_exact(tmp_path: Path) -> None:
