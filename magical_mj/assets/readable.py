@@ -17,8 +17,8 @@ from magical_mj.scene.constants import SHAPES
 
 DECIMALS: Final = 6
 """Of visual coordinates, in world units."""
-ROUNDED: Final = """Coordinates of what is only drawn are rounded to 6 decimals, apart from outlines of blocks:
-    how large a block is decides when it sleeps. The physics has all its digits"""
+ROUNDED: Final = """Coordinates of what is only drawn are rounded to 6 decimals, apart from outlines of blocks,
+    since MuJoCo puts a block to sleep at a speed that depends on its size. Numbers of the physics have all digits"""
 DRAWN: Final = ("visual", "solid")
 """The classes of geoms that are only drawn."""
 FARTHEST: Final = tuple(f"{kind}_outline" for kind in (*SHAPES, "pebble"))
@@ -59,8 +59,8 @@ def drop_unused_meshes(root: Element) -> None:
 def round_coordinates(root: Element) -> None:
     """Rounds the coordinates of what is only drawn, and says so in a comment before the world.
 
-    The geom that reaches farthest from the centre of a body with a hinge is left as it is. MuJoCo takes it for the
-    body's size, on which depends how slowly the body may turn until it is put to sleep.
+    The geom that reaches farthest from the centre of a body with a hinge is left as it is: MuJoCo takes its reach as
+    the size of the body, and a body sleeps once it turns slower than a limit that depends on its size.
     """
     for mesh in root.iter("mesh"):
         if mesh.get("name") not in FARTHEST:

@@ -144,6 +144,13 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   await page.keyboard.up("ArrowUp");
   await page.keyboard.press("p");
   const driven = await state();
+  await page.locator("#tree button", { hasText: /^robot$/ }).click();
+  const [place, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
+    (table) => [.../** @type {HTMLTableElement} */ (table).rows].map((row) => row.cells)).map((rows, i) => i
+    ? rows.filter(([name]) => /^robot_[xy]$/.test(name.textContent ?? "")).map((cells) => Number(cells[2].textContent))
+    : (rows[0][1].textContent ?? "").split(" ").slice(0, 2).map(Number)));
+  assert.ok(Math.hypot(...driven.qvel.slice(-12, -10)) > 0.1, "it moves");
+  assert.deepEqual(place, joints, "the place is that of the present state");
   console.log(`${rate.toFixed(0)} frames/s with all helpers, by software`);
   assert.ok(driven.time > begun.time);
   assert.notDeepEqual(driven.qpos, begun.qpos);

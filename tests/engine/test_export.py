@@ -105,8 +105,8 @@ def run_page(*blocks: str, **names: Any) -> dict[str, Any]:
     return names
 
 
-def stale_scene(initial: Scene, data: mujoco.MjData) -> Scene:
-    """What the sensors say, which are those before the last step of MuJoCo."""
+def sensed_scene(initial: Scene, data: mujoco.MjData) -> Scene:
+    """The scene by the sensors, which after a step of MuJoCo are those before it."""
     robot, *blocks = (
         [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
         for name in ("robot", *(f"block{index}" for index in range(len(initial.blocks))))
@@ -123,13 +123,13 @@ def test_the_pages_episode_ends_in_its_last_physics_step(tmp_path: Path, monkeyp
     for action in [1] * 8 + [7] * 8 + [4] * 24:
         engine.step(action)
     assert printed == [engine.score()] == [1.0]
-    late = stale_scene(engine.initial_scene, page["data"])
+    late = sensed_scene(engine.initial_scene, page["data"])
     assert magical_mj.score("MoveToRegion", engine.initial_scene, late) == 0.0
 
 
 def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -> None:
     """Over 120 seeds, 15 of each task."""
-    page, moved = run_page(LOAD, SCENES), 0
+    page, late = run_page(LOAD, SCENES), 0
     for task, variant in dict(magical_mj.ENVIRONMENTS).items():  # the last one of each task: All
         engine = magical_mj.Engine(task, variant)
         for seed in range(15):
@@ -140,13 +140,17 @@ def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -
             for action in np.random.default_rng(seed).choice([1, 4, 7, 10], 4).repeat(4).tolist():
                 engine.step(action)
                 act(action)
+                if seed % 2:  # which changes nothing
+                    mujoco.mj_forward(model, data)
             initial, final = page["scenes"](model, data)
             assert initial == engine.initial_scene
             fingers = engine.scene.robot.fingers
             assert dataclasses.replace(final, robot=dataclasses.replace(final.robot, fingers=fingers)) == engine.scene
             assert magical_mj.score(task, initial, final) == engine.score()
-            moved += stale_scene(initial, data) != final
-    assert moved > 60, "sensors are late"
+            late += sensed_scene(initial, data) != final
+            mujoco.mj_forward(model, data)
+            assert sensed_scene(initial, data) == final
+    assert late > 50, "without mj_forward, sensors are those of another state"
 
 
 def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

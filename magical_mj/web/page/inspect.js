@@ -196,6 +196,7 @@ function step() {
     shown.driven = true;
     world.act(controls.next());
   } else for (let i = 0; i < world.substeps; i++) world.step();
+  world.update();
   plots.note();
 }
 
