@@ -36,8 +36,7 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
-    from magical_mj.evaluation.settings import EvaluationSettings
-    from magical_mj.policies.loading import Source
+    from magical_mj.evaluation.worker import Player
 
 Key = tuple[str, str, int]
 """Task, variant and number."""
@@ -129,6 +128,7 @@ def rollouts(
     They are files as of demonstrations, which `export` takes; their scenes are never those of the tests.
     """
     from magical_mj.evaluation.settings import EvaluationSettings
+    from magical_mj.evaluation.worker import Player
     from magical_mj.policies.loading import playable
 
     pairs = environments(tasks, variants)
@@ -139,18 +139,19 @@ def rollouts(
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    play = partial(roll_out, source, EvaluationSettings(split="dev", preset=preset))
+    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=preset)))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
     console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)
 
 
-def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: str, seed: int) -> Demonstration:
-    """The episode of a policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
-    from magical_mj.evaluation.worker import Unit, play_unit
+def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
+    """The episode of a player's only policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
+    from magical_mj.evaluation.worker import Unit
     from magical_mj.policies.interface import actions_of
 
-    (result,), _ = play_unit(Unit(source, task, variant, (seed,), settings))
+    (source,) = player.policies.values()
+    (result,) = player.play(Unit(source.name, source.run, task, variant, (seed,)))
     if result.failure is not None:
         raise DemonstrationError(f"{source.name} failed in {task}-{variant}, seed {seed}: {result.failure}")
     who = "random" if source.origin == "random" else "policy"

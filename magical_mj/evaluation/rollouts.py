@@ -8,8 +8,9 @@ explicitly before the next episodes.
 from __future__ import annotations
 
 import copy
+import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -147,10 +148,11 @@ def engine_of(env: Env) -> Engine:
     return engine
 
 
-def play(env: Env, policy: Act, episode: Episode) -> Outcome:
+def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
     """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
 
-    A policy that uses the simulation gets it in the episode.
+    So it is if the episode has not ended after so many `seconds`, which is checked after each action. A policy that
+    uses the simulation gets it in the episode.
 
     Raises:
         RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
@@ -159,13 +161,14 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
         Exception: whatever else the environment raises.
     """
     engine, over = engine_of(env), False
-    with _attempt() as outcome:
+    with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
             begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
         while not over:
             with policy_errors():
                 action = action_number(policy(observation))
+            check_time()
             result = env.step(action)
             outcome.actions.append(action)
             observation, over = _observation(result), is_over(result)
@@ -174,13 +177,15 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     return outcome
 
 
-def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
-    """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
+def play_side_by_side(
+    envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode], seconds: float = math.inf
+) -> list[Outcome]:
+    """Plays at most one episode per environment. If one fails as in `play`, all have failed."""
     count = len(episodes)
     batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
     episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
     scores, over = np.zeros(count), False
-    with _attempt() as whole:
+    with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
         with policy_errors():
             batch.reset_batch(episodes)
@@ -189,6 +194,7 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
                 actions = np.array([action_number(action) for action in batch.act_batch(observations)])
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
+            check_time()
             result = envs.step(actions)
             whole.actions.append(actions)
             observations, over = result[0], is_over(result)
@@ -198,16 +204,27 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
 
 
+def late(seconds: float) -> str:
+    """Why an episode that took longer than this has failed."""
+    return f"TimeLimitError: no end within {seconds:g} s"
+
+
 @contextmanager
-def _attempt() -> Iterator[Outcome]:
+def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
     """A context that ends without an error if the policy fails, or makes the simulation unstable.
 
-    In it numpy has its own settings: results depend on no ``np.seterr`` of the caller.
+    It gives the outcome, and a function that fails after so many seconds. In it numpy has its own settings: results
+    depend on no ``np.seterr`` of the caller.
     """
     outcome, start = Outcome(), time.perf_counter()
+
+    def check_time() -> None:
+        if time.perf_counter() - start > seconds:
+            raise PolicyError(late(seconds))
+
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         try:
-            yield outcome
+            yield outcome, check_time
         except PolicyError as error:
             outcome.failure, outcome.cause = str(error), error
         except PhysicsError as error:

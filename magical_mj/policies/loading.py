@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.envs.presets import PRESETS, Stacks, observation_space
-from magical_mj.policies.interface import AGENTS, Act, policy_name, reason, told_task, uses_simulation
+from magical_mj.policies.interface import AGENTS, Act, BatchPolicy, policy_name, reason, told_task, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
@@ -37,6 +37,7 @@ class Source:
         trust: whether files that hold code may be loaded.
         digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
             if there is no file, or any will do.
+        batches: whether it acts in batches of observations; known once it was loaded.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Source:
     origin: Any
     trust: bool = False
     digest: Mapping[str, str] = field(default_factory=dict)
+    batches: bool = False
 
     def load(self) -> Act:
         """The policy.
@@ -144,7 +146,8 @@ def playable(
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
-        checked.append(replace(source, digest=source._hash()))
+        batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
+        checked.append(replace(source, digest=source._hash(), batches=batches))
     return checked
 
 
