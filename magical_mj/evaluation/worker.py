@@ -77,7 +77,7 @@ class Unit:
 def plan(
     policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key], failed: Mapping[Key, int]
 ) -> list[Unit]:
-    """The remaining units, the longest first, so that all workers end at about the same time.
+    """The remaining units, those of long episodes first, so that all workers end at about the same time.
 
     `failed` are the episodes that are to be played again, and how often they have failed.
     """
@@ -91,7 +91,7 @@ def plan(
             new = tuple(seed for key, seed in left if key not in failed)
             units += [replace(every, seeds=new[first : first + size]) for first in range(0, len(new), size)]
             units += [replace(every, seeds=(seed,), retry=failed[key]) for key, seed in left if key in failed]
-    return sorted(units, key=lambda unit: -unit.steps(settings))
+    return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
 
 
 @dataclass(frozen=True)
