@@ -58,7 +58,7 @@ COMMANDS = [
     ["report", "{}/s"],
     ["compare", "{}/s", "{}/s"],
     ["submit", "{}/s", "--out", "{}/e.json.xz"],
-    ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1"],
+    ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1", "--out", "{}/board"],
     ["demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", "{}/demo"],
     ["train", "bc", "--tasks", "MoveToRegion", "--preset", "State", "--device", "cpu", *SETS, "--out", "{}/run"],
     ["export-policy", "{}/run", "--out", "{}/policy.onnx"],
