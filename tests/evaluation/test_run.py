@@ -310,6 +310,7 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
     distributed = pytest.importorskip("distributed")
     magical_mj.evaluate("random,Slow=noop", out=tmp_path / "here", **SETTINGS)  # does the same, but faster
     killed: list[int] = []
+    stored: list[int] = []
     here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder wherever that is
     with (
         here,
@@ -328,6 +329,7 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
             assert any(first[2] > second[1] for first, second in pairwise(pieces)) == together
 
         def kill_one(_: EpisodeResult) -> None:
+            stored.append(len(read(tmp_path / "there")))
             if not killed:
                 killed.append(next(iter(cluster.workers.values())).process.pid)
                 os.kill(killed[0], signal.SIGKILL)
@@ -342,6 +344,7 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
             **SETTINGS,
         )
     assert killed
+    assert stored == list(range(1, 49)), "each episode as it ends"
     assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
 
 
