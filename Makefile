@@ -31,7 +31,7 @@ peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in 
 
 .venv-peers/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-peers
-	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib metaworld minigrid pymunk
+	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib minigrid pymunk
 	@touch $@
 
 mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
