@@ -146,6 +146,7 @@ class EpisodeResult:
 
         The facts are `policy`, `rules`, `preset`, `scene` and the fields after it; `gl`, if a renderer was chosen.
         """
+        with_gl: dict[str, Any] = {"gl": drawn_by(), **facts}
         return cls(
             run=episode.run,
             task=episode.task,
@@ -158,7 +159,7 @@ class EpisodeResult:
             mujoco=MUJOCO_VERSION,
             actions=letters_of(outcome.actions),
             failure=outcome.failure,
-            **({"gl": drawn_by()} | facts),
+            **with_gl,
         )
 
     @property

@@ -190,7 +190,7 @@ _ON_CLUSTER: Final[dict[tuple[str, int], _Worker]] = {}
 """In a dask worker: the process of each call of `map_unordered` and thread."""
 
 
-def _do_on_cluster(name: str, function: bytes, piece: Piece) -> Any:
+def _do_on_cluster(name: str, function: bytes, piece: Any) -> Any:
     """What a thread of a dask worker does: it hands the piece to its process."""
     worker = _ON_CLUSTER.setdefault((name, threading.get_ident()), _Worker())
     return worker.do(function, piece)
@@ -270,7 +270,8 @@ class _Worker:
                 self._function = function
                 kind, result = _receive(process.stdout)
                 if kind == "timed":
-                    kind, result = self._receive_within(process, *result, late)
+                    seconds, instead = result
+                    kind, result = self._receive_within(process, seconds, instead, late)
             except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # it has died in the midst of something
                 self._kill()
                 if late:
@@ -285,11 +286,11 @@ class _Worker:
             f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps because memory ran out"
         )
 
-    def _receive_within(self, process: subprocess.Popen[bytes], seconds: float, result: Any, late: list[Any]) -> Any:
-        """What the process sends; if it takes longer, the process is killed, and `late` holds the result."""
+    def _receive_within(self, process: subprocess.Popen[bytes], seconds: float, instead: Any, late: list[Any]) -> Any:
+        """What the process sends; if it takes longer, the process is killed, and `late` gets what counts instead."""
 
         def kill() -> None:
-            late.append(result)
+            late.append(instead)
             self._kill()
 
         timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), kill)
