@@ -19,8 +19,10 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Discrete
 from gymnasium.vector.utils import iterate
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
+from magical_mj.envs.wrappers import ScoreAtTheEnd
 from magical_mj.evaluation.scores import EpisodeResult, Outcome
 from magical_mj.policies.interface import (
     Act,
@@ -36,8 +38,9 @@ from magical_mj.policies.interface import (
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import task_name
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
     EvaluationError,
     InvalidActionError,
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
 Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
 Env: TypeAlias = "Engine | gymnasium.Env[Any, Any]"
 
+USUAL_WRAPPERS: Final = (OrderEnforcing, PassiveEnvChecker, TimeLimit, ScoreAtTheEnd)
 NO_SCORE: Final = "only environments of this package have a score: make one whose id begins with magical_mj/"
 
 
@@ -99,7 +103,7 @@ def rollouts(
         SettingsError: if the policy must be copied, and cannot be.
     """
     episodes = list(episodes)
-    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, "rules": _check_fits(env, episodes)}
+    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
@@ -115,17 +119,23 @@ def rollouts(
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
 
 
-def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> Rules:
-    """The rules of an environment; raises an `EvaluationError` unless it is that of the episodes."""
+def _checked_facts(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> dict[str, Any]:
+    """What an environment is besides task and variant, as in results.
+
+    Raises:
+        EvaluationError: unless it is the environment of the episodes.
+    """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
         if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
             spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
         arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
+        shifts, body = parse_shifts(arguments.get("shifts")), arguments.get("body", GRIPPER)
     else:
         space, engine = env.action_space, engine_of(env)
         task, variant, rules = engine.task, engine.variant, engine.rules
+        shifts, body = engine.shifts, engine.setup.body
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
@@ -137,7 +147,16 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
             raise EvaluationError(
                 f"the environment is {task} {variant}, and an episode {episode.task} {episode.variant}"
             )
-    return rules
+    return {"rules": rules, "shift": shift_label(shifts), "body": body, "wrap": _wrapper(env)}
+
+
+def _wrapper(env: object) -> str:
+    """The outermost wrapper of an environment besides those of `gymnasium.make`; empty if there is none."""
+    while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
+        if not isinstance(env, USUAL_WRAPPERS):
+            return f"{type(env).__module__}:{type(env).__qualname__}"
+        env = env.env
+    return ""
 
 
 def engine_of(env: Env) -> Engine:

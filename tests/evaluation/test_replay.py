@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pytest
 
 import magical_mj
-from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation import Episode, rollouts
+from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.scores import SETTINGS, read, read_settings
 from magical_mj.leaderboard import submit, verify
+from magical_mj.policies.interface import RandomAgent
 from magical_mj.utils.errors import EvaluationError, UntrustedNameError
 from magical_mj.utils.imports import trust
 from tests.helpers.commands import Shell
@@ -50,6 +53,23 @@ def test_an_episode_in_a_wrapper_is_not_replayed(tmp_path: Path, shell: Shell, m
         report([tmp_path / "wrapped"], tmp_path / "page", rules="released")
     with pytest.raises(EvaluationError, match=r"cannot be an entry.*wrapper back:Back"):
         submit([tmp_path / "wrapped"], tmp_path / "entry.json.xz")
+
+
+class Still(gymnasium.Wrapper):  # type: ignore[type-arg]
+    """Does nothing."""
+
+
+def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
+    """As evaluations do: replayed with the shift and the body, they end alike; in a wrapper they may not."""
+    options: Any = {"shifts": "latency:2", "body": "shortstick"}
+    name, episodes = "magical_mj/MoveToRegion-Demo-State-v0", [Episode("MoveToRegion", "Demo", 0)]
+    for env in (gymnasium.make(name, **options), gymnasium.make_vec(name, 1, vectorization_mode="sync", **options)):
+        (row,) = rollouts(env, RandomAgent(), episodes)
+        assert (row.shift, row.body, row.wrap, obstacle(row)) == ("latency:2", "shortstick", "", None)
+        assert [problem for _, _, problem in replay([("", row)])] == [None]
+        env.close()
+    (row,) = rollouts(Still(gymnasium.make(name)), RandomAgent(), episodes)
+    assert (row.wrap, row.body) == (f"{__name__}:Still", "gripper")
 
 
 @pytest.mark.parametrize(
