@@ -270,10 +270,13 @@ def verify_all(
     verdicts = [verdict for verdict, _ in outcomes if verdict is not None]
     same_score = sum(verdict.score and verdict.replay for verdict in verdicts)
     exact, pictures = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
-    screen.print(
-        f"{same_score} of {len(outcomes)} replay to the same score, {exact} through the same states, {pictures} with "
-        "the same pictures"
-    )
+    if verdicts:
+        screen.print(
+            f"{same_score} of {len(verdicts)} replay to the same score, {exact} through the same states, {pictures} "
+            "with the same pictures"
+        )
+    if left := len(outcomes) - len(verdicts):
+        screen.print(f"{left} not replayed")
     for problem in sorted({problem for _, problem in outcomes if problem}):  # that a task must be named is said once
         complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(outcomes):

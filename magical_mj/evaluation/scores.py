@@ -172,13 +172,18 @@ class EpisodeResult:
     @property
     def method(self) -> str:
         """What played, as reports call it: the policy, and the body and the wrapper if they were others than usual."""
-        who = self.policy if self.body == GRIPPER else f"{self.policy} with {self.body}"
-        return f"{who} in {self.wrap}" if self.wrap else who
+        return method_name(self.policy, self.body, self.wrap)
 
     def line(self) -> str:
         """The line of the file; it leaves out fields that older versions did not write, where they are as usual."""
         values = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in _USUAL}
         return json.dumps(values, ensure_ascii=False) + "\n"
+
+
+def method_name(policy: str, body: str, wrap: str) -> str:
+    """What reports call a policy that played with this body and in this wrapper."""
+    who = policy if body == GRIPPER else f"{policy} with {body}"
+    return f"{who} in {wrap}" if wrap else who
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
