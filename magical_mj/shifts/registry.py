@@ -34,6 +34,9 @@ SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for
 PHYSICAL: Final = tuple(kind.name for kind in AXES if kind.scene is not Shift.scene or kind.action is not Shift.action)
 """Those that change the scene, its dynamics or the actions, and not only what is seen or read."""
 
+EFFECTS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
+"""The methods by which a shift changes an episode."""
+
 GROUP: Final = "magical_mj.shifts"
 """The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
 
@@ -76,8 +79,13 @@ def shift_class(name: str) -> type[Shift]:
             f"not {short_repr(own)}"
         )
     factors: Any = kind.factors
-    if not isinstance(factors, tuple) or not all(isinstance(factor, Factor) for factor in factors):
-        raise ShiftError(f"{name}.factors must be a tuple of magical_mj.shifts.Factor, not {short_repr(factors)}")
+    if not isinstance(factors, tuple) or not factors or not all(isinstance(factor, Factor) for factor in factors):
+        raise ShiftError(
+            f"{name}.factors must be a tuple of one or more magical_mj.shifts.Factor, not {short_repr(factors)}; "
+            "leave it out for the strength alone"
+        )
+    if all(getattr(kind, method) is getattr(Shift, method) for method in EFFECTS):
+        raise ShiftError(f"{name} changes nothing: give it at least one of the methods {', '.join(EFFECTS)}")
     return kind
 
 

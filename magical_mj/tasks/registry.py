@@ -42,6 +42,7 @@ from magical_mj.utils.imports import (
 )
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
+from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
 
 _REGION_TOLERANCE: Final = 1e-6
@@ -370,11 +371,16 @@ def check_spec(spec: Any, task: str) -> None:
         raise TaskError(f"{spec.name}.like must be one of {', '.join(SPECS)}, not {short_repr(spec.like)}")
     try:
         check_drawn(spec, "Demo", 0, spec.demo)
+        if touching := contact(spec.demo, regions=False):
+            raise TaskError(f"in the demo scene of {spec.name}, {touching}: move them apart")
         checked: Any = spec.check(spec.demo)
         if checked is not None:
             raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {short_repr(checked)}")
-        for rules in RULES:
-            spec.checked_score((spec.demo, spec.demo), rules)
+        if {spec.checked_score((spec.demo, spec.demo), rules) for rules in RULES} == {1.0}:
+            warnings.warn(
+                f"the demo scene of {spec.name} is solved at the start: a policy that does nothing scores 1.0 in it",
+                stacklevel=2,
+            )
         for variant in variants_of(spec):
             drawn = vary(spec, variant, 0)
             check_drawn(spec, variant, 0, drawn)
