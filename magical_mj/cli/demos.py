@@ -359,6 +359,7 @@ def export(
 ) -> None:
     """Export demonstrations for other tools."""
     from magical_mj.demos.export import default_target, make_data_set
+    from magical_mj.demos.export.minari import dataset_path
 
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
@@ -384,6 +385,8 @@ def export(
         options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
         make_data_set(to, groups[name], target, preset, **options)
         console().print(target, soft_wrap=True)
+        if to == "minari":
+            console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
 
 
 def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:

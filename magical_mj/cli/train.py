@@ -19,7 +19,7 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli import option
-from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue
+from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue, output_path
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
@@ -65,7 +65,9 @@ File = Annotated[
 ]
 Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
 Run = Annotated[Path, typer.Argument(help="The folder of a training.", show_default=False)]
-OnnxFile = Annotated[Path, typer.Option("--out", help="The file.")]
+OnnxFile = Annotated[
+    Path | None, typer.Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
+]
 OneTask = Annotated[str, typer.Option("--task", help="Which task, of a policy for several.", show_default=False)]
 Jobs = Annotated[
     int | None,
@@ -171,7 +173,7 @@ def _describe_demonstrations(screen: Console, settings: TrainingSettings) -> Non
 option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
 
 
-def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: option.Force = False) -> None:
+def export(run: Run, out: OnnxFile = None, task: OneTask = "", force: option.Force = False) -> None:
     """Write the policy of a training as an ONNX file, which `evaluate --policy` and any ONNX runtime can play.
 
     It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.
@@ -179,7 +181,8 @@ def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", fo
     check_extra("learners", "eval", "il")
     from magical_mj.learners.policy import export_policy
 
-    console().print(export_policy(run, check_writable(out, force), task, overwrite=force), soft_wrap=True)
+    path = check_writable(output_path(out, "policy.onnx"), force)
+    console().print(export_policy(run, path, task, overwrite=force), soft_wrap=True)
 
 
 def bars(screen: Console) -> Bars:

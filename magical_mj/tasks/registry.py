@@ -6,6 +6,7 @@ Tasks of other packages are announced by entry points, or given by reference as 
 from __future__ import annotations
 
 import hashlib
+import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -35,6 +36,7 @@ from magical_mj.utils.imports import (
     errors_of_task,
     is_reference,
     place,
+    reference_in_folder,
     resolve,
     resolve_installed,
     source_of,
@@ -74,6 +76,8 @@ Names = str | Iterable[str]
 
 GROUP: Final = "magical_mj.tasks"
 """The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+_SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
+"""How a module defines a task."""
 DRAWS: Final = 3
 """How often each variant's first scene is drawn again, to see whether it is always the same."""
 _CHECKED: Final[dict[str, TaskSpec]] = {}
@@ -95,7 +99,24 @@ def task_spec(task: str) -> TaskSpec:
         return KNOWN[task]
     if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
         return load_spec(task)
-    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"))
+    if (parts := _parts_of_id(task)) is not None:
+        raise UnknownNameError(
+            f"{short_repr(task)} names an environment and not a task: its task is {parts[0]!r} and its variant "
+            f"{parts[1]!r}; give them separately"
+        )
+    meant = reference_in_folder(task, _SPEC)
+    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"), meant)
+
+
+def _parts_of_id(text: object) -> Pair | None:
+    """Task and variant in the id of an environment, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None of others."""
+    if not isinstance(text, str):
+        return None
+    task, *parts = text.removeprefix("magical_mj/").split("-")
+    known = {other.lower(): other for other in (*KNOWN, *task_plugins())}
+    names = [part.removeprefix("Test").replace("Color", "Colour") for part in parts]
+    variants = [name for name in names if name in VARIANTS]
+    return (known[task.lower()], variants[0]) if task.lower() in known and variants else None
 
 
 def task_name(task: str) -> str:
