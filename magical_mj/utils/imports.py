@@ -32,6 +32,8 @@ from typing import Any, Final
 from magical_mj.utils.errors import MagicalError, TaskError, UntrustedNameError, closest
 
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+_LONGEST: Final = 100
+"""The number of letters in the longest module's name that is looked for in the working folder."""
 _PACKAGE: Final = f"{Path(__file__).parents[1]}{os.sep}"
 _STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 
@@ -132,7 +134,7 @@ def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")
-    if not name.isidentifier() or not file.is_file():
+    if not name.isidentifier() or len(name) > _LONGEST or not file.is_file():
         return ""
     found = definition.search(file.read_text(encoding="utf-8", errors="replace"))
     return f"{name}:{found[1]}" if found else ""
