@@ -125,7 +125,9 @@ def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
     out.print()
     out.print(table)
     if "error" not in results[SOFTWARE]:
-        out.print("The software renderer's first frame includes its compilation, unless an earlier run has compiled it.")
+        out.print(
+            "The software renderer's first frame includes its compilation, unless an earlier run has compiled it."
+        )
     for name, facts in results.items():
         if "error" in facts:  # which may be long
             out.print(f"{name}: {facts['error']}", soft_wrap=True)

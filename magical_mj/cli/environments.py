@@ -30,7 +30,9 @@ ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
 Listed = Annotated[
     str | None,
     typer.Argument(
-        metavar="[TASKS]", help="Tasks, separated by commas, also as package.module:SPEC.", show_default="all that there are"
+        metavar="[TASKS]",
+        help="Tasks, separated by commas, also as package.module:SPEC.",
+        show_default="all that there are",
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]

@@ -50,7 +50,9 @@ def test_list_ids(shell: Shell) -> None:
     assert ids[:60] == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
     assert len(ids) == len(set(ids)) == 60 + 96
     assert set(ids) <= set(gymnasium.registry)
-    assert shell("list", "FindDupe,SweepToTop", "--ids")[1].split() == [id_ for id_ in ids if "FindDupe" in id_] + ids[60:]
+    assert (
+        shell("list", "FindDupe,SweepToTop", "--ids")[1].split() == [id_ for id_ in ids if "FindDupe" in id_] + ids[60:]
+    )
 
 
 def test_list_shows_a_task_of_ones_own(shell: Shell) -> None:

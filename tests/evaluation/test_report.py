@@ -154,7 +154,11 @@ def test_planned_episodes_that_are_missing_are_noted(tmp_path: Path) -> None:
     path = tmp_path / SCORES
     rows = path.read_text().splitlines(keepends=True)
     shifted = [row for row in rows if "camera:1" in row]
-    for left, note in ((rows, ""), (shifted[:1], "camera:1 has 1 of 4 episodes."), ([], "camera:1 has 0 of 4 episodes.")):
+    for left, note in (
+        (rows, ""),
+        (shifted[:1], "camera:1 has 1 of 4 episodes."),
+        ([], "camera:1 has 0 of 4 episodes."),
+    ):
         path.write_text("".join([row for row in rows if row not in shifted] + [row for row in left if row in shifted]))
         page = report([tmp_path], tmp_path / "report").read_text()
         assert ("Unfinished: noop, run 0, MoveToRegion Demo " + note in page) == bool(note)

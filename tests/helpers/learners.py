@@ -92,11 +92,12 @@ def weights(learner: Any) -> torch.Tensor:
 
 
 def check_own_demonstrations(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
-    """It learns from all demonstrations in a folder, one here, and needs some."""
+    """It learns from all demonstrations in a folder, six here, and needs some."""
     changes = {**changes, "recordings": str(tmp_path), "demonstrations": None}
     with pytest.raises(DemonstrationError, match="there are no demonstrations of MoveToRegion in "):
         made(method, changes).update()
-    demos.write(demos.load("MoveToRegion")[0], tmp_path / "MoveToRegion-Demo-mine.npz")
+    for number, demonstration in enumerate(demos.load("MoveToRegion")[:6]):
+        demos.write(demonstration, tmp_path / f"MoveToRegion-Demo-{number}.npz")
     learner = made(method, changes)
     learner.update()
     learner.close()

@@ -25,7 +25,6 @@ TRAININGS: list[tuple[str, dict[str, Any]]] = [
 
 @pytest.mark.parametrize("method", sorted({method for method, _ in TRAININGS}))
 def test_every_method_learns_from_ones_own_demonstrations(method: str, tmp_path: Path) -> None:
-    """From all in the folder, one here; none of the others."""
     check_own_demonstrations(method, {} if method == "point" else {"preset": "State"}, tmp_path)
 
 
