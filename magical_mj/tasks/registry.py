@@ -109,7 +109,7 @@ def task_spec(task: str) -> TaskSpec:
 
 
 def _parts_of_id(text: object) -> Pair | None:
-    """Task and variant in the id of an environment, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None of others."""
+    """Task and variant in an environment's id, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None of others."""
     if not isinstance(text, str):
         return None
     task, *parts = text.removeprefix("magical_mj/").split("-")

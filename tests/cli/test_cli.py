@@ -10,9 +10,9 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import imageio_ffmpeg
 import mujoco
-import gymnasium
 import numpy as np
 import pytest
 from PIL import Image
@@ -24,7 +24,6 @@ from magical_mj.evaluation.scores import read
 from magical_mj.rendering.backend import OSMESA_LIBRARIES
 from magical_mj.utils import files
 from tests.helpers.commands import COMMANDS, Shell, opened, process
-
 
 TASK = """
 from dataclasses import replace

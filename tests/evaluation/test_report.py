@@ -119,8 +119,10 @@ def noop_report(folder: Path, **settings: Any) -> str:
         ({"first_seed": 50}, "first seed 50 of the split; 2 episodes in each"),
         (
             {"split": "dev", "first_seed": 7, "time_limit": 60, "like": "FindDupe"},
-            "the split dev; first seed 7 of the split; 2 episodes in each environment instead of 100; "
-            "policies receive the task name FindDupe; a time limit of 60.0 s",
+            (
+                "the split dev; first seed 7 of the split; 2 episodes in each environment instead of 100; "
+                "policies receive the task name FindDupe; a time limit of 60.0 s"
+            ),
         ),
         (
             {"wrap": "gymnasium.wrappers:RecordEpisodeStatistics"},

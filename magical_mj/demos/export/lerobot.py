@@ -46,8 +46,8 @@ PRESETS: Final[Mapping[str, str]] = MappingProxyType(
 def missing_lerobot() -> MagicalError:
     """The error where lerobot cannot be imported: it needs an environment of its own."""
     return MagicalError(
-        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: make a "
-        f'new environment for both, and in it {remedy("eval")} "lerobot[dataset]==0.6.1"; in a checkout, '
+        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: make "
+        f'a new environment for both, and in it {remedy("eval")} "lerobot[dataset]==0.6.1"; in a checkout, '
         "`make lerobot` does so in .venv-lerobot"
     )
 

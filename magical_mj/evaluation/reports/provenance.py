@@ -1,7 +1,7 @@
 """What evaluations planned to play, and how that differs from the official protocol.
 
-Both follow from ``run.json``. Where it is missing, every environment is expected to have all seeds from the lowest to the
-highest one in ``scores.jsonl``; an entry of the leaderboard is expected to have those of its protocol.
+Both follow from ``run.json``. Where it is missing, every environment is expected to have all seeds from the lowest to
+the highest one in ``scores.jsonl``; an entry of the leaderboard is expected to have those of its protocol.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator
     if settings:
         first = SPLITS.get(settings["split"], 0) + settings["first_seed"]
         seeds = range(first, first + settings["episodes"])
-        yield from ((group, seeds) for group in _groups(settings, set(zip(scores["task"], scores["shift"]))))
+        played = set(zip(scores["task"], scores["shift"], strict=True))
+        yield from ((group, seeds) for group in _groups(settings, played))
     elif len(scores):
         seen = range(int(scores["seed"].min()), int(scores["seed"].max()) + 1)
         for group in scores[GROUP].drop_duplicates().itertuples(index=False, name=None):

@@ -187,7 +187,8 @@ def _settings(data: Results) -> str:
     facts = [f"{name} {', '.join(scores[column].unique())}" for name, column in versions.items()]
     return (
         f"{counted(len(scores), 'episode')} of {methods} in {counted(environments, 'environment')}; "
-        f"split {escape.markdown_code(scores['split'].iloc[0])}, seeds {scores['seed'].min()} to {scores['seed'].max()}; "
+        f"split {escape.markdown_code(scores['split'].iloc[0])}, seeds {scores['seed'].min()} to "
+        f"{scores['seed'].max()}; "
         f"{f'shifts: {escape.markdown(shifts)}; ' if shifts else ''}"
         f"scores by the rules {escape.markdown_code(scores['rules'].iloc[0])}; "
         f"observations: {presets or 'none needed'}; "
