@@ -22,6 +22,7 @@ from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import (
     EpisodeResult,
+    check_runs,
     folders_of,
     method_name,
     read,
@@ -256,18 +257,13 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
 
     `method` is the only policy that is checked; None: all.
     """
-    runs: dict[tuple[str, str], set[int]] = defaultdict(set)
-    for folder in (folder for folder in folders if not is_entry(folder)):
-        settings = recorded_settings(folder)
-        for policy, run, digest in recorded_policies(settings):
-            if policy == (method or policy) and digest:
-                runs[method_name(policy, settings["body"], settings["wrap"]), digest].add(run)
-    for (name, digest), same in runs.items():
-        if len(same) > 1:
-            raise EvaluationError(
-                f"the runs {', '.join(map(str, sorted(same)))} of {name} played with equal policies (sha256 "
-                f"{digest[:12]}...), which count as one run: leave the others out"
-            )
+    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    check_runs(
+        (method_name(policy, settings["body"], settings["wrap"]), run, digest)
+        for settings in known
+        for policy, run, digest in recorded_policies(settings)
+        if policy == (method or policy)
+    )
 
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:

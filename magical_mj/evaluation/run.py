@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, frame
+from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, check_runs, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, plan, play_here, play_unit, single_env
 from magical_mj.policies.interface import reason
@@ -54,7 +54,7 @@ def evaluate(
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
-        EvaluationError: if the folder holds something else, a worker dies repeatedly, or the first episodes of a
+        EvaluationError: if the folder holds something else, two runs of a method have the same policy file, a worker dies repeatedly, or the first episodes of a
             policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
@@ -108,6 +108,7 @@ class Evaluation:
             batched=settings.batched,
             like=settings.like,
         )
+        check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self._sources)
         if settings.wrap:
             unit = Unit(self._sources[0], *settings.environments[0], (), settings)
             single_env(unit, observed=True).close()  # an error now, not in the workers

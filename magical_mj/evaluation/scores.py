@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -402,6 +403,20 @@ def recorded_settings(folder: Path) -> dict[str, Any]:
 def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
     """Name, run and SHA-256 (empty without a file) of an evaluation's policies."""
     return [(row["name"], row["run"], row.get("sha256", "")) for row in settings.get("policies", ())]
+
+
+def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
+    """Raises an `EvaluationError` if two runs of a method have equal policies; given are name, run and SHA-256 or ""."""
+    runs: dict[tuple[str, str], set[int]] = defaultdict(set)
+    for name, run, digest in policies:
+        if digest:
+            runs[name, digest].add(run)
+    for (name, digest), same in runs.items():
+        if len(same) > 1:
+            raise EvaluationError(
+                f"the runs {', '.join(map(str, sorted(same)))} of {name} have equal policies (sha256 "
+                f"{digest[:12]}...), which count as one run: leave the others out"
+            )
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:

@@ -33,6 +33,9 @@ def test_recordings_are_trained_on_evaluated_and_reported(shell: Shell) -> None:
     assert tomllib.loads(Path("runs/mine/config.toml").read_text())["recordings"] == str(folder)
     evaluate = ("evaluate", "--policy", "MINE=runs/mine", "--tasks", "MoveToRegion", "--variants", "Demo,Layout")
     assert shell(*evaluate, "--preset", "State", "--episodes", 2, "--jobs", 1, "--out", "scores")[0] == 0
+    twice = ("evaluate", "--policy", "MINE=runs/mine,MINE=runs/mine", *evaluate[3:], "--preset", "State", "--out", "no")
+    assert "the runs 0, 1 of MINE have equal policies" in shell.fails(1, *twice)
+    assert not Path("no").exists()
     assert shell("report", "scores")[0] == 0
     page = Path("scores/report/report.md").read_text()
     assert "| MINE |" in page

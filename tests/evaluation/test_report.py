@@ -186,7 +186,7 @@ def test_one_training_is_not_two_runs(tmp_path: Path) -> None:
     settings = EvaluationSettings(tasks="FindDupe", variants="Demo", episodes=1).recorded()
     same = [{"name": "BC", "run": run, "origin": "runs/a", "sha256": "c0ffee" * 8} for run in (0, 1)]
     (folder / SETTINGS).write_text(json.dumps({**settings, "policies": same}))
-    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of BC played with equal policies \(sha256 c0ffee"):
+    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of BC have equal policies \(sha256 c0ffee"):
         report([folder], tmp_path / "out")
     (folder / SETTINGS).write_text(json.dumps({**settings, "policies": [same[0], {**same[1], "sha256": "dec0de"}]}))
     report([folder], tmp_path / "out")
