@@ -54,8 +54,8 @@ def evaluate(
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
-        EvaluationError: if the folder holds something else, two runs of a method have the same policy file, a worker dies repeatedly, or the first episodes of a
-            policy all fail.
+        EvaluationError: if the folder holds something else, two runs of a method have equal policy files, a worker
+            dies repeatedly, or the first episodes of a policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
     """

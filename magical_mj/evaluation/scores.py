@@ -406,7 +406,7 @@ def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
 
 
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
-    """Raises an `EvaluationError` if two runs of a method have equal policies; given are name, run and SHA-256 or ""."""
+    """Raises an `EvaluationError` if two runs of a method have equal policies, given as (name, run, SHA-256 or "")."""
     runs: dict[tuple[str, str], set[int]] = defaultdict(set)
     for name, run, digest in policies:
         if digest:

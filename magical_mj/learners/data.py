@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -94,6 +95,14 @@ def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
     every = to_choose_from(settings, task)
     count = settings.demonstrations or (len(every) if settings.recordings else min(FEW, len(every)))
     return [every[number] for number in drawn(task, settings.seed, count, len(every))]
+
+
+def digest(settings: TrainingSettings) -> str:
+    """The SHA-256 of the user's demonstrations from which a run learns; empty without any."""
+    if not settings.recordings:
+        return ""
+    parts = (demo.digest for task in settings.tasks for demo in chosen(settings, task))
+    return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
 def _given(

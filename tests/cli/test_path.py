@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -30,12 +31,22 @@ def test_recordings_are_trained_on_evaluated_and_reported(shell: Shell) -> None:
     assert code == 0
     folder = Path("mine").absolute()
     assert f"MoveToRegion: 3 of 3 demonstrations of the demo scene in {folder}, mean score 1.00, lowest 1.00" in out
+    assert shell(*train, "--resume")[0] == 0
+    shutil.copy("mine/MoveToRegion-Demo-human-000.npz", "mine/MoveToRegion-Demo-more.npz")
+    assert "have changed since runs/mine was begun" in shell(*train, "--resume")[2]
+    Path("mine/MoveToRegion-Demo-more.npz").unlink()
     assert tomllib.loads(Path("runs/mine/config.toml").read_text())["recordings"] == str(folder)
     evaluate = ("evaluate", "--policy", "MINE=runs/mine", "--tasks", "MoveToRegion", "--variants", "Demo,Layout")
     assert shell(*evaluate, "--preset", "State", "--episodes", 2, "--jobs", 1, "--out", "scores")[0] == 0
     twice = ("evaluate", "--policy", "MINE=runs/mine,MINE=runs/mine", *evaluate[3:], "--preset", "State", "--out", "no")
     assert "the runs 0, 1 of MINE have equal policies" in shell.fails(1, *twice)
     assert not Path("no").exists()
+    assert (
+        shell(*evaluate[:2], "noop", *evaluate[3:], "--episodes", 2, "--split", "dev", "--jobs", 1, "--out", "dev")[0]
+        == 0
+    )
+    assert "on the split dev: not by the official protocol" in shell("compare", "dev", "dev")[1]
+    assert "official" not in shell("compare", "scores", "scores")[1]
     assert shell("report", "scores")[0] == 0
     page = Path("scores/report/report.md").read_text()
     assert "| MINE |" in page

@@ -333,7 +333,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         A row for each variant, and each shift of it, and one for all that is not shifted: the mean scores (`first`,
         `second`), their `difference` and its 95 % interval (`low`, `high`), in how many scenes the first was `better`
         or `worse`, of how many `scenes` in how many `environments`, and how many other scenes only one of them has
-        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`.
+        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`, and the `split`.
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
@@ -360,7 +360,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         unshifted = (table.xs("", level="shift") for table in (both, paired))
         rows.append(_comparison(ALL, *unshifted))
     table = pd.DataFrame(rows)
-    table.attrs["policies"] = (name, other)
+    table.attrs |= {"policies": (name, other), "split": str(played["split"].iloc[0])}
     return table
 
 
