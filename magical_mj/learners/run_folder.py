@@ -267,7 +267,7 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 
 
 def _provenance(settings: TrainingSettings) -> str:
-    """The time, command, versions and threads with which a run is started, and a hash of own demonstrations, as TOML."""
+    """The time, command, versions and threads with which a run is started, and a hash of recordings, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
