@@ -52,10 +52,10 @@ class Provenance:
     """How the episodes of a report came about.
 
     Attributes:
-        gaps: where planned episodes are missing.
-        deviations: how what was played differs from the official protocol, in a few words each. Shifts and variants
-            are not among them, since tables show them.
-        facts: what else was recorded, such as "protocol 1".
+        gaps: the runs and environments in which planned episodes are missing.
+        deviations: differences from the official protocol, in a few words each. Shifts and variants are not among
+            them, since tables show them.
+        facts: the recorded numbers of protocols, such as "protocol 1".
     """
 
     gaps: tuple[Gap, ...]
