@@ -150,9 +150,9 @@ def test_reports_by_the_protocol_have_no_mark(tmp_path: Path) -> None:
 
 def test_planned_episodes_that_are_missing_are_noted(tmp_path: Path) -> None:
     """For each policy, run, environment and shift, by what the evaluation planned."""
-    page = noop_report(tmp_path, episodes=4, shifts="camera:1,light:2", first_seed=3)
+    page = noop_report(tmp_path, episodes=4, shifts="camera:1-2,light:2", first_seed=3)
     assert "Unfinished" not in page
-    assert "split `test`, seeds 3 to 6; shifts: camera:1, light:2; " in page
+    assert "split `test`, seeds 3 to 6; shifts: camera:1-2, light:2; " in page
     path = tmp_path / SCORES
     rows = path.read_text().splitlines(keepends=True)
     shifted = [row for row in rows if "camera:1" in row]

@@ -29,8 +29,8 @@ GROUP: Final = ["policy", "run", "task", "variant", "shift"]
 """What identifies the episodes of a run in an environment under a shift."""
 RECORDED: Final = {"protocol": "protocol", "shift_protocol": "shift protocol", "demonstrations": "demonstrations"}
 """Setting in ``run.json`` -> what a report calls it."""
-NAMED: Final = 6
-"""The largest number of shifts that are named; the others are counted."""
+NAMED: Final = 20
+"""The largest number of shifts that a report names; it counts the others."""
 
 Group = tuple[str, int, str, str, str]
 Settings = Mapping[str, Any]
@@ -167,7 +167,19 @@ def _facts(known: Sequence[Settings]) -> Iterator[str]:
 
 
 def played_shifts(scores: pd.DataFrame) -> str:
-    """The shifts that were played, such as "camera:1, camera:2"; empty if none was."""
-    labels = [str(shift) for shift in scores["shift"].cat.categories if shift]
-    others = len(labels) - NAMED
-    return ", ".join([*labels[:NAMED], *([f"and {counted(others, 'other')}"] if others > 0 else [])])
+    """The shifts that were played, such as "camera:1-5, light:2"; empty if none was."""
+    strengths: dict[str, list[int]] = defaultdict(list)
+    names: list[str] = []
+    for label in filter(None, map(str, scores["shift"].cat.categories)):
+        axis, _, level = label.rpartition(":")
+        if "+" not in label and level.isdigit():
+            strengths[axis].append(int(level))
+        else:
+            names.append(label)
+    for axis, levels in strengths.items():
+        if len(levels) > 1 and levels == list(range(levels[0], levels[-1] + 1)):
+            names.append(f"{axis}:{levels[0]}-{levels[-1]}")
+        else:
+            names += [f"{axis}:{level}" for level in levels]
+    others = len(names) - NAMED
+    return ", ".join([*names[:NAMED], *([f"and {counted(others, 'other')}"] if others > 0 else [])])
