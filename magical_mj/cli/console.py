@@ -115,6 +115,17 @@ def check_suffix(path: Path | None, suffix: str) -> None:
         raise typer.BadParameter(f"{path} must end in {suffix}.")
 
 
+def output_path(out: Path | None, name: str) -> Path:
+    """The file that an option "--out" means: a file itself, or `name` in a folder, by default in the current one.
+
+    Raises `BadParameter` if it has another suffix than `name`, and is not a folder.
+    """
+    if out is None or out.is_dir() or not out.suffix:
+        return (out or Path()) / name
+    check_suffix(out, Path(name).suffix)
+    return out
+
+
 def check_writable(path: Path, force: bool) -> Path:
     """Returns `path` if a file can be written there, and none is replaced without `force`; before the work is done."""
     if path.is_dir():

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
 import typer
@@ -268,31 +268,49 @@ def verify_all(
     outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome is not None]
     if not outcomes:
         raise DemonstrationError(f"none of the {len(chosen)} demonstrations is of these tasks and variants")
-    verdicts = [verdict for verdict, _ in outcomes if verdict is not None]
+    replayed = [outcome for outcome in outcomes if outcome.replayed]
+    verdicts = [outcome.verdict for outcome in replayed if outcome.verdict is not None]
     same_score = sum(verdict.score and verdict.replay for verdict in verdicts)
     exact, pictures = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
-    screen.print(
-        f"{same_score} of {len(outcomes)} replay to the same score, {exact} through the same states, {pictures} with "
-        "the same pictures"
-    )
-    for problem in sorted({problem for _, problem in outcomes if problem}):  # that a task must be named is said once
+    if replayed:
+        screen.print(
+            f"{same_score} of {len(replayed)} replay to the same score, {exact} through the same states, {pictures} "
+            "with the same pictures"
+        )
+    if left := len(outcomes) - len(replayed):
+        screen.print(f"{left} not replayed")
+    problems = {outcome.problem for outcome in outcomes if outcome.problem}  # that a task must be named is said once
+    for problem in sorted(problems):
         complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(outcomes):
         raise typer.Exit(1)
 
 
-def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> tuple[Verdict | None, str | None] | None:
+class Checked(NamedTuple):
+    """The outcome for one demonstration.
+
+    It was not `replayed` if that needs a task's code that the command does not name.
+    """
+
+    verdict: Verdict | None
+    problem: str | None
+    replayed: bool = True
+
+
+def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> Checked | None:
     """The work of one process: checks one demonstration, and says what is wrong; None if it was not asked for."""
     name = str(source) if isinstance(source, Path) else f"{source.name} {source.scene_seed}"
     try:
         if isinstance(demo := read_asked(source, wanted), str):
             return None
         verdict = magical_mj.demos.verify(demo)
-        return verdict, verdict.problem and f"{name} {verdict.problem}"
-    except (DemonstrationError, UntrustedNameError) as error:
-        return None, str(error)
+        return Checked(verdict, verdict.problem and f"{name} {verdict.problem}")
+    except UntrustedNameError as error:
+        return Checked(None, str(error), replayed=False)
+    except DemonstrationError as error:
+        return Checked(None, str(error))
     except MagicalError as error:
-        return None, f"{name}: {error}"
+        return Checked(None, f"{name}: {error}")
 
 
 @app.command()
@@ -342,6 +360,7 @@ def export(
 ) -> None:
     """Export demonstrations for other tools."""
     from magical_mj.demos.export import default_target, make_data_set
+    from magical_mj.demos.export.minari import dataset_path
 
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
@@ -367,6 +386,8 @@ def export(
         options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
         make_data_set(to, groups[name], target, preset, **options)
         console().print(target, soft_wrap=True)
+        if to == "minari":
+            console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
 
 
 def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:

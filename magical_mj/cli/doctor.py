@@ -124,6 +124,10 @@ def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
             table.add_row(name, Text("works", style="green"), facts["renderer"], *times)
     out.print()
     out.print(table)
+    if "error" not in results[SOFTWARE]:
+        out.print(
+            "The software renderer's first frame includes its compilation, unless an earlier run has compiled it."
+        )
     for name, facts in results.items():
         if "error" in facts:  # which may be long
             out.print(f"{name}: {facts['error']}", soft_wrap=True)

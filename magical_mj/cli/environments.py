@@ -13,9 +13,11 @@ from rich.table import Table
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.cli import option
-from magical_mj.cli.console import check_fits, check_suffix, check_writable, complain, console, file_name
+from magical_mj.cli.console import check_fits, check_writable, complain, console, file_name, output_path
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
+from magical_mj.envs.registration import suite_ids
 from magical_mj.scene.bodies import GRIPPER
+from magical_mj.tasks import KNOWN, SUITES
 from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError
@@ -25,28 +27,41 @@ MARGIN: Final = 28  # pixels above and left of the cells, for the labels
 TEXT_SIZE: Final = 15  # pixels
 ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
 
+Listed = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[TASKS]",
+        help="Tasks, separated by commas, also as package.module:SPEC.",
+        show_default="all that there are",
+    ),
+]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
 Grid = Annotated[bool, typer.Option("--grid", help="All environments on one sheet, instead of TASK and VARIANT.")]
-Picture = Annotated[Path | None, typer.Option("--out", help="The PNG file.", show_default="TASK-VARIANT-SEED.png")]
+Picture = Annotated[
+    Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
+]
 Size = Annotated[
     int | None,
     typer.Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid"),
 ]
-Folder = Annotated[Path, typer.Option("--out", help="The folder to write the model into.", show_default=False)]
+Model = Annotated[
+    Path | None, typer.Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
+]
 
 
-def list_environments(ids: Ids = False) -> None:
+def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
     """List the environments, with their horizons and the axes that vary; those of other packages come last."""
     out = console()
-    pairs = environments(TASKS)
-    for name in task_plugins():
+    pairs = environments(tasks or tuple(KNOWN))
+    for name in () if tasks else task_plugins():
         try:
             pairs += environments([name])
         except MagicalError as error:  # the others are there nevertheless
             complain(str(error))
     if ids:
         for task, variant in pairs:
-            out.print(env_id(task, variant))
+            for id_ in suite_ids(variant) if task in SUITES["xmagical"] else [env_id(task, variant)]:
+                out.print(id_)
         return
     table = Table("task", "variant", "steps", "what varies", box=None, pad_edge=False, header_style="bold")
     for task, variant in pairs:
@@ -70,19 +85,19 @@ def view(
     force: option.Force = False,
 ) -> None:
     """Draw the initial scene of an environment from above and from the robot's view, or those of all environments."""
-    check_suffix(out, ".png")
     views = views_of(camera)
     if grid:
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
         check_fits(context, False, "for one environment: the grid shows all from above", "camera", "shifts", "body")
-        path = check_writable(out or Path(f"environments-{seed}.png"), force)
+        path = check_writable(output_path(out, f"environments-{seed}.png"), force)
         picture = contact_sheet(seed, size or 128, renderer)
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
+        path = output_path(out, file_name(task, variant, seed, ".png"))
         with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body, renderer=renderer)) as env:
-            path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
+            check_writable(path, force)
             picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
         picture.save(unfinished)
@@ -91,16 +106,17 @@ def view(
 
 def export(
     task: option.Task,
-    out: Folder,
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
+    out: Model = None,
     shifts: option.Shifts = "",
     body: option.Body = GRIPPER,
     force: option.Force = False,
 ) -> None:
     """Write a scene as a self-contained MJCF model. It has the shifts of scene and dynamics, not those of pictures."""
+    path = output_path(out, file_name(task, variant, seed, ".xml"))
     with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body)) as env:
-        path = check_writable(out / file_name(task, variant, seed, ".xml"), force)
+        check_writable(path, force)
         console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 
 

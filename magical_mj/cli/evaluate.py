@@ -77,6 +77,8 @@ Each = Annotated[int, typer.Option("--episodes", min=1, help="Of each agent in e
 
 def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
+    if out.suffix in (".json", ".jsonl", ".csv"):
+        raise typer.BadParameter(f"{out} is the name of a file; --out is a folder, for {SCORES} and run.json.")
     evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options))
     screen = console()
     if evaluation.scores:
@@ -128,7 +130,8 @@ def rollout(
                     if movie is not None:
                         replay(movie, scores[-1], settings.renderer)
                     played += 1
-                screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
+                mean = fmean(score.score for score in scores)
+                screen.print(f"{source.name}: mean score of {counted(episodes, 'episode')} {mean:.3f}", soft_wrap=True)
                 failed |= all(score.failure is not None for score in scores)
     except KeyboardInterrupt:
         left = "" if video is None else f"; {video} was not written"

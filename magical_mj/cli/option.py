@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from magical_mj import TASKS, VARIANTS
+from magical_mj import VARIANTS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.rendering.backend import RendererName
+from magical_mj.tasks import KNOWN
 from magical_mj.utils.settings import Names, described
 
 
@@ -29,13 +30,13 @@ def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
     return complete
 
 
-TASK_HELP = f"One of {', '.join(TASKS)}, a task that a package announces, or package.module:SPEC."
+TASK_HELP = f"One of {', '.join(KNOWN)}, a task that a package announces, or package.module:SPEC."
 VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
 
-COMPLETIONS = {"tasks": some_of(TASKS), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
+COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
 
-Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
-OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
+Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(KNOWN))]
+OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(KNOWN))]
 Variant = Annotated[str, typer.Argument(help=VARIANT_HELP, autocompletion=one_of(VARIANTS))]
 Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.", autocompletion=COMPLETIONS["tasks"])]
 Variants = Annotated[

@@ -132,6 +132,8 @@ def make_comparison(a: Side, b: Side) -> None:
         counts = (str(row[name]) for name in ("better", "worse", "scenes"))
         table.add_row(row["variant"], *means, f"{row['difference']:+.3f}", interval, *counts)
     screen.print(table)
+    if (split := comparison.attrs["split"]) != "test":
+        screen.print(f"on the split {split}: not by the official protocol")
     unpaired = comparison["unpaired"].iloc[-1]
     if unpaired:
         screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
@@ -18,12 +19,12 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli import option
-from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue
+from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue, output_path
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.interface import AGENTS
-from magical_mj.utils.errors import MagicalError, SettingsError, check_name
+from magical_mj.utils.errors import MagicalError, SettingsError, check_name, counted
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.settings import described
 
@@ -50,13 +51,23 @@ Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and 
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
 ]
+Own = Annotated[
+    Path | None,
+    typer.Option(
+        "--demonstrations",
+        help="The folder with demonstrations of your own, of which all in the demo scene are used.",
+        show_default="10 of those that come with each task",
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
 File = Annotated[
     Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
 ]
 Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
 Run = Annotated[Path, typer.Argument(help="The folder of a training.", show_default=False)]
-OnnxFile = Annotated[Path, typer.Option("--out", help="The file.")]
+OnnxFile = Annotated[
+    Path | None, typer.Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
+]
 OneTask = Annotated[str, typer.Option("--task", help="Which task, of a policy for several.", show_default=False)]
 Jobs = Annotated[
     int | None,
@@ -105,6 +116,7 @@ def train(
     method: Method,
     tasks: Tasks,
     out: Out,
+    demonstrations: Own = None,
     multi_task: MultiTask = False,
     simulator: Simulator = PPOSettings.simulator,
     renderer: option.Renderer = None,
@@ -120,6 +132,7 @@ def train(
 
     check_name("method", method, METHODS)
     options["ppo.simulator"] = simulator
+    options["recordings"] = "" if demonstrations is None else str(demonstrations)
     options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have their own
     others = {}
     for text in change or []:
@@ -135,6 +148,7 @@ def train(
         )
     keep_freed_memory()
     screen = console()
+    _describe_demonstrations(screen, settings)
     with how_to_continue(screen, "the same command with --resume continues"), bars(screen) as progress:
         learners.train(settings, out, resume=resume, watch=TrainingView(progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
@@ -142,10 +156,24 @@ def train(
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
 
 
+def _describe_demonstrations(screen: Console, settings: TrainingSettings) -> None:
+    """Prints from how many demonstrations of each task is learnt, and their scores."""
+    from magical_mj.learners.data import chosen, to_choose_from
+
+    for task in settings.tasks:
+        scores, count = [demo.score for demo in chosen(settings, task)], len(to_choose_from(settings, task))
+        where = f" of the demo scene in {settings.recordings}" if settings.recordings else ""
+        screen.print(
+            f"{task}: {len(scores)} of {counted(count, 'demonstration')}{where}, mean score {fmean(scores):.2f}, "
+            f"lowest {min(scores):.2f}",
+            soft_wrap=True,
+        )
+
+
 option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
 
 
-def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: option.Force = False) -> None:
+def export(run: Run, out: OnnxFile = None, task: OneTask = "", force: option.Force = False) -> None:
     """Write the policy of a training as an ONNX file, which `evaluate --policy` and any ONNX runtime can play.
 
     It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.
@@ -153,7 +181,8 @@ def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", fo
     check_extra("learners", "eval", "il")
     from magical_mj.learners.policy import export_policy
 
-    console().print(export_policy(run, check_writable(out, force), task, overwrite=force), soft_wrap=True)
+    path = check_writable(output_path(out, "policy.onnx"), force)
+    console().print(export_policy(run, path, task, overwrite=force), soft_wrap=True)
 
 
 def bars(screen: Console) -> Bars:

@@ -77,6 +77,12 @@ def suite_id(body: str, variant: str = "Demo", observation: str = "State", view:
     return f"magical_mj/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
 
 
+def suite_ids(variant: str) -> list[str]:
+    """The ids of SweepToTop in the suite xmagical with this variant."""
+    bodies = SUITES["xmagical"]["SweepToTop"].bodies
+    return [suite_id(*parts) for parts in itertools.product(bodies, (variant,), ("State", "Pixels"), ("Allo", "Ego"))]
+
+
 def _register_xmagical() -> None:
     """Registers the 96 ids of the suite xmagical."""
     spec = SUITES["xmagical"]["SweepToTop"]

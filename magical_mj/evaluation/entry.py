@@ -21,7 +21,15 @@ import msgspec
 from msgspec import Meta, Struct
 
 from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, recorded_policies, recorded_settings
+from magical_mj.evaluation.scores import (
+    EpisodeResult,
+    check_runs,
+    folders_of,
+    method_name,
+    read,
+    recorded_policies,
+    recorded_settings,
+)
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
@@ -228,7 +236,7 @@ def submit(
         new_card = msgspec.convert({"method": name, **described}, Card)
     except msgspec.ValidationError as error:
         raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
-    _check_trainings(folders, name)
+    check_trainings(folders, name)
     entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
     content = packed(entry)
     unpacked(content, "the choice of folders")
@@ -242,19 +250,18 @@ def has_place(task: str, variant: str, shift: str) -> bool:
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
-def _check_trainings(folders: Sequence[Path], method: str) -> None:
-    """Raises an `EvaluationError` if two runs played with equal policies: a run is a training of its own."""
-    runs: dict[str, set[int]] = defaultdict(set)
-    for folder in folders:
-        for policy, run, digest in recorded_policies(recorded_settings(folder)):
-            if policy == method and digest:
-                runs[digest].add(run)
-    for digest, same in runs.items():
-        if len(same) > 1:
-            raise EvaluationError(
-                f"the runs {', '.join(map(str, sorted(same)))} of {method} played with equal policies (sha256 "
-                f"{digest[:12]}...), which count as one run: leave the others out"
-            )
+def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
+    """Raises an `EvaluationError` if two runs of a method played with equal policies: a run is a training of its own.
+
+    `method` is the only policy that is checked; None: all.
+    """
+    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    check_runs(
+        (method_name(policy, settings["body"], settings["wrap"]), run, digest)
+        for settings in known
+        for policy, run, digest in recorded_policies(settings)
+        if policy == (method or policy)
+    )
 
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:

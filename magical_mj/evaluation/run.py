@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, nullcontext
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, frame
+from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, check_runs, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
 from magical_mj.policies.interface import reason
@@ -31,13 +31,21 @@ FIRST_EPISODES: Final = 10
 """If this many planned episodes of a policy, its first ones, fail with the same type of error, the evaluation stops."""
 
 
-def evaluate(policy: Any, *, watch: Callable[[EpisodeResult], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
+def evaluate(
+    policy: Any,
+    *,
+    name: str | None = None,
+    watch: Callable[[EpisodeResult], None] = lambda _: None,
+    **settings: Any,
+) -> pd.DataFrame:
     """Plays a policy's episodes in the evaluation scenes of some environments, and returns all scores.
 
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
             stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
             as a mapping of names to them. Policies with the same name are successive runs of one method.
+        name: what the policy is called in results, instead of by its class, function or file; several policies are
+            successive runs of a method with this name.
         watch: called with the result of each finished episode.
         settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
@@ -46,12 +54,15 @@ def evaluate(policy: Any, *, watch: Callable[[EpisodeResult], None] = lambda _: 
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
-        EvaluationError: if the folder holds something else, a worker dies repeatedly, or the first episodes of a
-            policy all fail.
+        EvaluationError: if the folder holds something else, two runs of a method have equal policy files, a worker
+            dies repeatedly, or the first episodes of a policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
     """
-    evaluation = Evaluation(policy, with_values(EvaluationSettings, settings))
+    if name is not None and isinstance(policy, Mapping):
+        raise SettingsError(f"the policies have names already ({', '.join(map(str, policy))}): leave out name")
+    named = policy if name is None else {name: policy}
+    evaluation = Evaluation(named, with_values(EvaluationSettings, settings))
     for result in evaluation.play():
         watch(result)
     return frame(evaluation.scores)
@@ -97,6 +108,7 @@ class Evaluation:
             batched=settings.batched,
             like=settings.like,
         )
+        check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self._sources)
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # an error now

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -176,13 +177,18 @@ class EpisodeResult:
     @property
     def method(self) -> str:
         """What played, as reports call it: the policy, and the body and the wrapper if they were others than usual."""
-        who = self.policy if self.body == GRIPPER else f"{self.policy} with {self.body}"
-        return f"{who} in {self.wrap}" if self.wrap else who
+        return method_name(self.policy, self.body, self.wrap)
 
     def line(self) -> str:
         """The line of the file; it leaves out fields that older versions did not write, where they are as usual."""
         values = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in _USUAL}
         return json.dumps(values, ensure_ascii=False) + "\n"
+
+
+def method_name(policy: str, body: str, wrap: str) -> str:
+    """What reports call a policy that played with this body and in this wrapper."""
+    who = policy if body == GRIPPER else f"{policy} with {body}"
+    return f"{who} in {wrap}" if wrap else who
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
@@ -423,6 +429,20 @@ def recorded_settings(folder: Path) -> dict[str, Any]:
 def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
     """Name, run and SHA-256 (empty without a file) of an evaluation's policies."""
     return [(row["name"], row["run"], row.get("sha256", "")) for row in settings.get("policies", ())]
+
+
+def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
+    """Raises an `EvaluationError` if two runs of a method have equal policies, given as (name, run, SHA-256 or "")."""
+    runs: dict[tuple[str, str], set[int]] = defaultdict(set)
+    for name, run, digest in policies:
+        if digest:
+            runs[name, digest].add(run)
+    for (name, digest), same in runs.items():
+        if len(same) > 1:
+            raise EvaluationError(
+                f"the runs {', '.join(map(str, sorted(same)))} of {name} have equal policies (sha256 "
+                f"{digest[:12]}...), which count as one run: leave the others out"
+            )
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:

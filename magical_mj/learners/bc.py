@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import torch
@@ -14,8 +15,10 @@ from magical_mj.learners.data import Dataset, Demonstrations
 from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
+from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import CloningSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
+from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
@@ -105,25 +108,34 @@ class BehaviouralCloning(Learner):
             norm.momentum = 0.1  # PyTorch's
 
 
-def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> TrainedPolicy:
-    """Trains a policy by behavioural cloning in memory: nothing is saved.
+def clone(
+    settings: TrainingSettings, demonstrations: Demonstrations | None = None, out: Path | str | None = None
+) -> TrainedPolicy:
+    """Trains a policy by behavioural cloning in memory.
 
     Args:
-        settings: of "bc"; as many demonstrations of each task as they say, 10 unless told, are chosen by the seed.
-        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+        settings: of "bc". If they say how many `demonstrations` of each task, the seed chooses them.
+        demonstrations: task -> demonstrations, of which all are used by default; None: those that the settings name.
+        out: a new folder for the policy, where `evaluate` finds it; None: it is not saved. Only `train` saves its
+            progress, and can be resumed.
 
     Raises:
         DemonstrationError: if they are too few, or do not fit the settings.
         SettingsError: if the settings are of another method.
+        TrainingError: if there is something in the folder.
     """
     if settings.method != "bc":
         raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
+    folder = None if out is None else RunFolder(files.to_path(out), settings, resume=False)
     with torch_settings(threads_for(settings)):
         learner = BehaviouralCloning(settings, demonstrations)
         for _ in range(learner.updates):
             learner.update()
         learner.recalibrate()
-    return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
+    if folder is not None:
+        with folder.locked():
+            learner.save_policy(folder.path)
+    return learner.policy()
 
 
 def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:

@@ -104,7 +104,8 @@ def load_settings(
         method: one of `magical_mj.learners.METHODS`, or the name of a method of the user's own.
         tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
         quick: use a smaller network and a shorter training on pictures.
-        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
+        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``. `recordings` becomes an absolute
+            path.
 
     Raises:
         UnknownNameError: for an unknown task or setting.
@@ -119,6 +120,8 @@ def load_settings(
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
+    if isinstance(folder := changes.get("recordings"), str | Path) and str(folder):
+        changes["recordings"] = str(Path(folder).absolute())  # runs of an experiment are trained in other folders
     defaults = load_method(method).defaults if method in announced_methods() else {}
     return changed(settings, {**short, **defaults, **changes})
 

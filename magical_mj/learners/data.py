@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -36,6 +37,10 @@ class Batch(NamedTuple):
     """Shape (n,) int64: numbers in the order of the settings."""
 
 
+FEW: Final = 10
+"""The number of demonstrations that come with a task from which a run learns by default, as in the paper."""
+
+
 def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
     """The numbers of the task's demonstrations that a run uses: the same for all methods with this seed."""
     if count > of:
@@ -56,26 +61,61 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
 
 def shipped(task: str) -> list[Demonstration]:
     """The demonstrations that come with a task, of its demo scene; raises a `DemonstrationError` if there are none."""
-    demonstrations = demos.load(task)
-    chosen = [demo for demo in demonstrations if demo.variant == "Demo"]
-    if not chosen:
+    return _of_the_demo_scene(demos.load(task), f"that come with {task}")
+
+
+def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
+    """Those of the demo scene without shifts; raises a `DemonstrationError` if there are none."""
+    fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
+    if not fitting:
         raise DemonstrationError(
-            f"policies learn from the demo scene, and all demonstrations that come with {task} are of others: "
+            f"policies learn from the demo scene, and all demonstrations {origin} are of others: "
             f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
         )
-    return chosen
+    return fitting
 
 
-def _demonstrations_of(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
-    """The demonstrations of a task to choose from."""
-    if demonstrations is None:
+def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]:
+    """The demonstrations of a task's demo scene, from the settings' folder or those that come with the task.
+
+    Raises:
+        DemonstrationError: if there are none.
+    """
+    if not settings.recordings:
         return shipped(task)
-    chosen = demonstrations.get(task) if isinstance(demonstrations, Mapping) else None
-    if chosen is None or isinstance(chosen, Demonstration | Transitions):
+    return _of_the_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
+
+
+def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
+    """The demonstrations of a task from which a run learns.
+
+    Raises:
+        DemonstrationError: if there are none, or fewer than the settings ask for.
+    """
+    every = to_choose_from(settings, task)
+    count = settings.demonstrations or (len(every) if settings.recordings else min(FEW, len(every)))
+    return [every[number] for number in drawn(task, settings.seed, count, len(every))]
+
+
+def digest(settings: TrainingSettings) -> str:
+    """The SHA-256 of the user's demonstrations from which a run learns; empty without any."""
+    if not settings.recordings:
+        return ""
+    parts = (demo.digest for task in settings.tasks for demo in chosen(settings, task))
+    return hashlib.sha256("".join(parts).encode()).hexdigest()
+
+
+def _given(
+    settings: TrainingSettings, task: str, demonstrations: Demonstrations
+) -> Sequence[Demonstration | Transitions]:
+    """Those of the demonstrations at hand from which a run learns: all unless the settings say how many."""
+    listed = demonstrations.get(task) if isinstance(demonstrations, Mapping) else None
+    if listed is None or isinstance(listed, Demonstration | Transitions):
         raise DemonstrationError(
             f"give a list of demonstrations for each task, as {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
         )
-    return chosen
+    count = settings.demonstrations or len(listed)
+    return [listed[number] for number in drawn(task, settings.seed, count, len(listed))]
 
 
 def _episode(
@@ -111,9 +151,9 @@ class Dataset:
     """All transitions of a run's demonstrations, and batches in which all tasks have the same weight.
 
     Args:
-        settings: the settings; tasks, seed, preset and number of demonstrations are used.
+        settings: the settings; tasks, seed, preset, and number and folder of demonstrations are used.
         drop_noop: leave out the transitions with the no-op action.
-        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+        demonstrations: task -> demonstrations, instead of those that the settings name.
 
     Raises:
         DemonstrationError: if a task has too few demonstrations, or one of them does not fit the task or the preset.
@@ -127,9 +167,10 @@ class Dataset:
         self.lengths: list[list[int]] = []
         """The number of transitions in each demonstration, for each task."""
         for task in settings.tasks:
-            all_of_task = _demonstrations_of(task, demonstrations)
-            numbers = drawn(task, settings.seed, settings.demonstrations, len(all_of_task))
-            episodes = [_episode(task, all_of_task[number], settings, drop_noop) for number in numbers]
+            learnt = chosen(settings, task) if demonstrations is None else _given(settings, task, demonstrations)
+            if not learnt:
+                raise DemonstrationError(f"no demonstrations of {task} are given")
+            episodes = [_episode(task, demonstration, settings, drop_noop) for demonstration in learnt]
             observations, actions = zip(*episodes, strict=True)
             self.lengths.append([len(taken) for taken in actions])
             self._observations.append(np.concatenate(observations))

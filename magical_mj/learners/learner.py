@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Literal
 import torch
 
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
 from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
@@ -68,7 +68,7 @@ class Method(ABC):
         """
         cls.check_settings(settings)
         for task in settings.tasks:
-            drawn(task, settings.seed, settings.demonstrations, len(shipped(task)))
+            chosen(settings, task)
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:

@@ -23,6 +23,7 @@ from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
+from magical_mj.learners.data import digest
 from magical_mj.learners.learner import threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
@@ -120,7 +121,7 @@ class RunFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if not config.exists():
-                files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance()}")
+                files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance(self._settings)}")
         except OSError as error:
             raise TrainingError(f"cannot write into {self.path}: {error.strerror}") from error
         busy = TrainingError(f"another process is training in {self.path}; wait for it, or give a new folder")
@@ -171,6 +172,11 @@ class RunFolder:
                     f"{self.path} was begun with the {name} of number {start[name]}, and this version has number "
                     f"{number}: continue with magical_mj {start.get('magical_mj')}, or train anew in another folder"
                 )
+        if start.get("recordings", "") != digest(self._settings):
+            raise TrainingError(
+                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was begun: put them "
+                "back, or train anew in another folder"
+            )
         return as_integer(start.get("threads"), 1, MOST_THREADS)
 
 
@@ -260,8 +266,8 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _provenance() -> str:
-    """The time, command, versions and threads with which a run is started, as TOML."""
+def _provenance(settings: TrainingSettings) -> str:
+    """The time, command, versions and threads with which a run is started, and a hash of recordings, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -272,5 +278,6 @@ def _provenance() -> str:
         "torch": torch.__version__,
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
+        **({"recordings": digest(settings)} if settings.recordings else {}),
     }
     return "".join(f"{name} = {toml_value(value)}\n" for name, value in start.items())

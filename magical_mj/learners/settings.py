@@ -186,7 +186,13 @@ class TrainingSettings(Settings):
             ge=0, le=2**63 - 1, description="Decides which demonstrations are learnt from, and all else that is drawn."
         ),
     ] = 0
-    demonstrations: Annotated[Count, Meta(description="how many of each task's are drawn")] = 10
+    demonstrations: Annotated[
+        Count | None,
+        Meta(description="how many of each task's are drawn; by default 10 of the package's, and all of one's own"),
+    ] = None
+    recordings: Annotated[
+        str, Meta(description="the folder with one's own demonstrations, instead of those that come with the tasks")
+    ] = ""
     preset: Annotated[str, Meta(description="What is looked at, such as LoRes4A.")] = "LoRes4E"
     augment: Annotated[
         Literal["all", "none", "no-trans-rot"],

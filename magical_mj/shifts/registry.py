@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -22,7 +23,7 @@ from magical_mj.utils.errors import (
     short_repr,
     unknown_name,
 )
-from magical_mj.utils.imports import is_reference
+from magical_mj.utils.imports import is_reference, reference_in_folder
 
 PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
@@ -34,6 +35,11 @@ SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for
 PHYSICAL: Final = tuple(kind.name for kind in AXES if kind.scene is not Shift.scene or kind.action is not Shift.action)
 """Those that change the scene, its dynamics or the actions, and not only what is seen or read."""
 
+EFFECTS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
+"""The methods by which a shift changes an episode."""
+
+_CLASS: Final = re.compile(r"^class (\w+)\((?:\w+\.)*Shift\):", re.MULTILINE)
+"""How a module defines a shift."""
 GROUP: Final = "magical_mj.shifts"
 """The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
 
@@ -65,7 +71,8 @@ def shift_class(name: str) -> type[Shift]:
         return SHIFTS[name]
     point = shift_plugins().get(name) if isinstance(name, str) else None
     if point is None and not is_reference(name):
-        raise unknown_name("shift", name, (*SHIFTS, *shift_plugins(), "package.module:NAME"))
+        meant = reference_in_folder(name, _CLASS)
+        raise unknown_name("shift", name, (*SHIFTS, *shift_plugins(), "package.module:NAME"), meant)
     kind: Any = imported("shift", name, point, ShiftError)
     if not (isinstance(kind, type) and issubclass(kind, Shift)):
         raise ShiftError(f"{name} is not a class derived from magical_mj.shifts.Shift but {short_repr(kind)}")
@@ -76,8 +83,13 @@ def shift_class(name: str) -> type[Shift]:
             f"not {short_repr(own)}"
         )
     factors: Any = kind.factors
-    if not isinstance(factors, tuple) or not all(isinstance(factor, Factor) for factor in factors):
-        raise ShiftError(f"{name}.factors must be a tuple of magical_mj.shifts.Factor, not {short_repr(factors)}")
+    if not isinstance(factors, tuple) or not factors or not all(isinstance(factor, Factor) for factor in factors):
+        raise ShiftError(
+            f"{name}.factors must be a tuple of one or more magical_mj.shifts.Factor, not {short_repr(factors)}; "
+            "leave it out for the strength alone"
+        )
+    if all(getattr(kind, method) is getattr(Shift, method) for method in EFFECTS):
+        raise ShiftError(f"{name} changes nothing: give it at least one of the methods {', '.join(EFFECTS)}")
     return kind
 
 

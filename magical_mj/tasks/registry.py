@@ -6,6 +6,7 @@ Tasks of other packages are announced by entry points, or given by reference as 
 from __future__ import annotations
 
 import hashlib
+import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -35,6 +36,7 @@ from magical_mj.utils.imports import (
     errors_of_task,
     is_reference,
     place,
+    reference_in_folder,
     resolve,
     resolve_installed,
     source_of,
@@ -42,6 +44,7 @@ from magical_mj.utils.imports import (
 )
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
+from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
 
 _REGION_TOLERANCE: Final = 1e-6
@@ -73,6 +76,8 @@ Names = str | Iterable[str]
 
 GROUP: Final = "magical_mj.tasks"
 """The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+_SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
+"""How a module defines a task."""
 DRAWS: Final = 3
 """How often each variant's first scene is drawn again, to see whether it is always the same."""
 _CHECKED: Final[dict[str, TaskSpec]] = {}
@@ -94,7 +99,24 @@ def task_spec(task: str) -> TaskSpec:
         return KNOWN[task]
     if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
         return load_spec(task)
-    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"))
+    if (parts := _parts_of_id(task)) is not None:
+        raise UnknownNameError(
+            f"{short_repr(task)} names an environment and not a task: its task is {parts[0]!r} and its variant "
+            f"{parts[1]!r}; give them separately"
+        )
+    meant = reference_in_folder(task, _SPEC)
+    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"), meant)
+
+
+def _parts_of_id(text: object) -> Pair | None:
+    """Task and variant in an environment's id, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None of others."""
+    if not isinstance(text, str):
+        return None
+    task, *parts = text.removeprefix("magical_mj/").split("-")
+    known = {other.lower(): other for other in (*KNOWN, *task_plugins())}
+    names = [part.removeprefix("Test").replace("Color", "Colour") for part in parts]
+    variants = [name for name in names if name in VARIANTS]
+    return (known[task.lower()], variants[0]) if task.lower() in known and variants else None
 
 
 def task_name(task: str) -> str:
@@ -370,11 +392,16 @@ def check_spec(spec: Any, task: str) -> None:
         raise TaskError(f"{spec.name}.like must be one of {', '.join(SPECS)}, not {short_repr(spec.like)}")
     try:
         check_drawn(spec, "Demo", 0, spec.demo)
+        if touching := contact(spec.demo, regions=False):
+            raise TaskError(f"in the demo scene of {spec.name}, {touching}: move them apart")
         checked: Any = spec.check(spec.demo)
         if checked is not None:
             raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {short_repr(checked)}")
-        for rules in RULES:
-            spec.checked_score((spec.demo, spec.demo), rules)
+        if {spec.checked_score((spec.demo, spec.demo), rules) for rules in RULES} == {1.0}:
+            warnings.warn(
+                f"the demo scene of {spec.name} is solved at the start: a policy that does nothing scores 1.0 in it",
+                stacklevel=2,
+            )
         for variant in variants_of(spec):
             drawn = vary(spec, variant, 0)
             check_drawn(spec, variant, 0, drawn)

@@ -99,12 +99,21 @@ class TrainingError(MagicalError, RuntimeError):
     """A training run, or its files, that cannot be continued."""
 
 
-def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
-    """The error for a `name` that is not among the `allowed`; it suggests the closest one."""
+def unknown_name(kind: str, name: object, allowed: Iterable[str], meant: str = "") -> UnknownNameError:
+    """The error for a `name` that is not among the `allowed`; it suggests what was `meant`, or else the closest one."""
     allowed = tuple(allowed)
-    near = difflib.get_close_matches(name[:_SHOWN], allowed, n=1, cutoff=0.5) if isinstance(name, str) else []
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    meant = meant or closest(name, allowed)
+    hint = f" Did you mean {meant!r}?" if meant else ""
     return UnknownNameError(f"unknown {kind} {short_repr(name)}.{hint} There are: {', '.join(allowed)}")
+
+
+def closest(name: object, allowed: Iterable[str]) -> str:
+    """The name among the `allowed` that is most like this one, in upper or lower case; empty if none is."""
+    if not isinstance(name, str):
+        return ""
+    known = {other.lower(): other for other in allowed}
+    near = difflib.get_close_matches(name[:_SHOWN].lower(), known, n=1, cutoff=0.5)
+    return known[near[0]] if near else ""
 
 
 def short_repr(value: object) -> str:

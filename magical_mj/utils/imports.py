@@ -29,9 +29,11 @@ from sysconfig import get_path
 from traceback import extract_tb
 from typing import Any, Final
 
-from magical_mj.utils.errors import MagicalError, TaskError, UntrustedNameError
+from magical_mj.utils.errors import MagicalError, TaskError, UntrustedNameError, closest
 
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+_LONGEST: Final = 100
+"""The number of letters in the longest module's name that is looked for in the working folder."""
 _PACKAGE: Final = f"{Path(__file__).parents[1]}{os.sep}"
 _STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 
@@ -103,7 +105,9 @@ def resolve(reference: str) -> Any:
     if _TRUST.only_named:
         check_named(reference, "a file")
     trust(reference)
-    module = reference.partition(":")[0]
+    module, _, name = reference.partition(":")
+    if module.endswith(".py"):
+        raise ImportError(f"{module} is a file's name. Did you mean '{module.removesuffix('.py')}:{name}'?")
     if module not in sys.modules and (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)  # Python adds it for scripts, but not for installed commands
     return resolve_installed(reference)
@@ -115,9 +119,25 @@ def resolve_installed(reference: str) -> Any:
     value: Any = importlib.import_module(module)
     for part in name.split("."):
         if not hasattr(value, part):
-            raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}")
+            near = closest(part, dir(value))
+            hint = f". Did you mean {near!r}?" if near else ""
+            raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}{hint}")
         value = getattr(value, part)
     return value
+
+
+def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
+    """The reference that a text such as "mine" or "mine.py" probably stands for, if the working folder has mine.py.
+
+    It refers to the first object in that file whose `definition` begins a line and names it in its first group. The
+    file is read and not imported. Empty if there is none.
+    """
+    name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
+    file = Path(f"{name}.py")
+    if not name.isidentifier() or len(name) > _LONGEST or not file.is_file():
+        return ""
+    found = definition.search(file.read_text(encoding="utf-8", errors="replace"))
+    return f"{name}:{found[1]}" if found else ""
 
 
 def source_of(reference: str) -> Path | None:

@@ -148,8 +148,12 @@ def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> S
     return _place(scene, regions, lambda thing, home: Near(poses[thing], home), rng)
 
 
-def contact(scene: Scene) -> str | None:
-    """What placement would reject about the scene's poses, such as "block 1 touches a wall"; None: nothing."""
+def contact(scene: Scene, regions: bool = True) -> str | None:
+    """What placement would reject about the scene's poses, such as "block 1 touches a wall"; None: nothing.
+
+    Without `regions`, only the robot, blocks and walls count.
+    """
+    scene = scene if regions else replace(scene, regions=())
     areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
     bodies = solids(scene)
     inner = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if region.border == "dashed"}

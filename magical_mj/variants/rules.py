@@ -238,7 +238,8 @@ def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Genera
     If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
     stars side by side do. So the shapes are uniform over those that fit.
     """
-    touching: str | None = None
+    if touching := contact(scene):  # with the demo's own shapes
+        raise PlacementError(f"in the demo scene of {rules.name}, {touching}: move them apart, so that shapes can vary")
     for _ in range(MAX_SHAPE_DRAWS):
         drawn = _draw(rules, axis, rng, scene)
         touching = contact(drawn)

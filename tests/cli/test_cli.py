@@ -10,6 +10,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import imageio_ffmpeg
 import mujoco
 import numpy as np
@@ -24,19 +25,50 @@ from magical_mj.rendering.backend import OSMESA_LIBRARIES
 from magical_mj.utils import files
 from tests.helpers.commands import COMMANDS, Shell, opened, process
 
+TASK = """
+from dataclasses import replace
+from magical_mj.tasks.move_to_corner import SPEC as OURS
+SPEC = replace(OURS, name="PushToWall")
+"""
+
 
 def test_list_shows_every_environment(shell: Shell) -> None:
     code, out, _ = shell("list")
     rows = [line.split() for line in out.splitlines()[1:]]
     assert code == 0
-    assert [(row[0], row[1]) for row in rows] == list(magical_mj.ENVIRONMENTS)
+    sweep = [("SweepToTop", variant) for variant in ("Demo", "Layout", "Colour", "Shape", "Dynamics", "All")]
+    assert [(row[0], row[1]) for row in rows] == [*magical_mj.ENVIRONMENTS, *sweep]
     assert ["FindDupe", "Layout", "100", "layout"] in rows
     assert ["MoveToCorner", "Demo", "80", "nothing"] in rows
 
 
 def test_list_ids(shell: Shell) -> None:
+    """As they are registered, of SweepToTop those of its suite; or those of some tasks."""
     _, out, _ = shell("list", "--ids")
-    assert out.split() == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
+    ids = out.split()
+    assert ids[:60] == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
+    assert len(ids) == len(set(ids)) == 60 + 96
+    assert set(ids) <= set(gymnasium.registry)
+    assert (
+        shell("list", "FindDupe,SweepToTop", "--ids")[1].split() == [id_ for id_ in ids if "FindDupe" in id_] + ids[60:]
+    )
+
+
+def test_list_shows_a_task_of_ones_own(shell: Shell) -> None:
+    Path("push_to_wall.py").write_text(TASK)
+    rows = [line.split() for line in shell("list", "push_to_wall:SPEC")[1].splitlines()[1:]]
+    assert [row[:3] for row in rows[:2]] == [["push_to_wall:SPEC", variant, "80"] for variant in ("Demo", "Jitter")]
+
+
+def test_out_is_a_file_or_its_folder(shell: Shell) -> None:
+    """By default the file has its usual name in the current folder; evaluations and trainings fill a folder."""
+    view, model = ("view", "FindDupe", "--size", 32), ("export", "FindDupe")
+    for command, name in ((view, "FindDupe-Demo-0.png"), (model, "FindDupe-Demo-0.xml")):
+        for out, path in (([], name), (["--out", "a"], f"a/{name}"), (["--out", f"b{name[-4:]}"], f"b{name[-4:]}")):
+            assert shell(*command, *out) == (0, f"{path}\n", "")
+            assert Path(path).is_file()
+        assert f"must end in {name[-4:]}" in shell.fails(2, *command, "--out", "a.jpg")
+    assert "--out is a folder" in shell.fails(2, "evaluate", "--policy", "noop", "--out", "scores.jsonl")
 
 
 def test_help_and_version(shell: Shell) -> None:
@@ -147,7 +179,7 @@ def test_rollout_writes_a_video(shell: Shell, tmp_path: Path) -> None:
     )
     assert code == 0
     assert out.splitlines()[0].startswith("seed 0: score ")
-    assert "expert: mean of 2 " in out
+    assert "expert: mean score of 2 episodes 1.000" in out
     assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
     assert frames == 2 * (8 + 40 + 8)  # the first and the last frame of an episode stand for a second
@@ -178,7 +210,7 @@ def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) ->
     code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a:b.mp4", "--size", 32)
     assert code == 1
     assert "score 0.00 after 0 steps; the policy failed: ValueError: [batch, 12] is not in [/data]" in out
-    assert "my [red] one: mean of 1 0.000" in out
+    assert "my [red] one: mean score of 1 episode 0.000" in out
 
 
 def test_the_expert_begins_no_task_without_a_plan(shell: Shell, tmp_path: Path) -> None:

@@ -204,6 +204,7 @@ def test_doctor_says_what_draws_and_names_a_wrong_setting() -> None:
     assert mujoco.__version__ in result.stdout
     assert "Flat views are drawn by software (MAGICAL_MJ_RENDERER is software); the fastest here: " in result.stdout
     assert "MUJOCO_GL=egl" in result.stdout
+    assert "software renderer's first frame includes its compilation" in " ".join(result.stdout.split())
 
 
 def test_every_extra_for_users_is_listed() -> None:

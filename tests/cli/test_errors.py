@@ -29,7 +29,12 @@ from tests.helpers.commands import Shell, process
         ("rollout FindDupe --episodes 1000000000", "less than or equal to 1000000"),
         ("rollout FindDupe --video a.avi", "must end in .mp4"),
         ("rollout MoveToRegion CountPlus", "It has: Demo, Jitter"),
-        ("export FindDupe", "--out"),
+        ("export FindDupe --out a.png", "must end in .xml"),
+        ("view magical_mj/FindDupe-TestAll-LoRes4E-v0", "its task is 'FindDupe' and its variant 'All'"),
+        ("list FindDupe-Demo", "its task is 'FindDupe' and its variant 'Demo'"),
+        ("view magical_mj/SweepToTop-Longstick-State-Allo-TestColor-v0", "'SweepToTop' and its variant 'Colour'"),
+        ("evaluate --policy noop --tasks finddupe --out s", "Did you mean 'FindDupe'?"),
+        ("train BC --tasks FindDupe --out run", "Did you mean 'bc'?"),
         ("evaluate --policy =noop --out scores", "name of a method"),
         ("play FindDupe --collect study", "only with --web"),
         ("play FindDupe --web --record mine", "without --web"),
@@ -46,6 +51,29 @@ from tests.helpers.commands import Shell, process
 def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
     assert hint.lower() in shell.fails(2, *line.split()).lower()
     assert list(tmp_path.iterdir()) == []
+
+
+TASK = "from magical_mj.tasks.move_to_corner import SPEC as OURS\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("view push_to_wall", "push_to_wall:SPEC"),
+        ("evaluate --policy noop --tasks push_to_wall.py --out s", "push_to_wall:SPEC"),
+        ("view push_to_wall.py:SPEC", "push_to_wall:SPEC"),
+        ("view push_to_wall:spec", "SPEC"),
+        ("view FindDupe --shifts salt:3", "salt:Salt"),
+        ("evaluate --policy noop --tasks FindDupe --shifts salt --out s", "salt:Salt"),
+        ("view FindDupe --shifts salt:salt:3", "Salt"),
+    ],
+)
+def test_files_in_the_folder_are_meant(shell: Shell, line: str, meant: str) -> None:
+    """Their code is not run to find out what is in them, unless the module is named."""
+    fails = "1 / 0\n" if ":" in meant else ""
+    Path("push_to_wall.py").write_text(f"{fails}from dataclasses import replace\n{TASK}SPEC = replace(OURS)\n")
+    Path("salt.py").write_text(f"{fails}from magical_mj.shifts import Shift\n\nclass Salt(Shift):\n    name = 'salt'\n")
+    assert f"Did you mean {meant!r}?" in shell.fails(2, *line.split())
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,20 @@ def test_verify_tells_what_does_not_replay_of_every_file(demo: Demonstration, sh
     assert "good.npz" not in error
 
 
+def test_verify_counts_what_it_cannot_replay_by_itself(demo: Demonstration, shell: Shell) -> None:
+    """Files that name the code of a task are not replayed unless the command names the task, too."""
+    for number in range(2):
+        demos.write(demo, f"{number}.npz")
+        forge(Path(f"{number}.npz"), {"task": "mine:SPEC"})
+    printed = said(shell, "verify", ".", "--jobs", 1, code=1)
+    assert printed.startswith("2 not replayed magical-mj: ")
+    assert "--tasks mine:SPEC" in printed
+    demos.write(demo, "ours.npz")
+    assert said(shell, "verify", ".", "--jobs", 1, code=1).startswith(
+        "1 of 1 replay to the same score, 1 through the same states, 1 with the same pictures 2 not replayed"
+    )
+
+
 def test_strangers_tasks_run_only_if_they_are_named(demo: Demonstration, shell: Shell) -> None:
     """And do not matter beside those that were asked for."""
     for name in ("one.npz", "other.npz"):

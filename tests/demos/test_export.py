@@ -118,6 +118,15 @@ def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return pytest.importorskip("minari")
 
 
+def test_the_command_says_how_to_load_a_minari_data_set(
+    tmp_path: Path, minari: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demos", "export", "--tasks", "MoveToRegion", "--to", "minari"]) == 0
+    name, where = capsys.readouterr().out.splitlines()
+    assert where == f"in {tmp_path / 'sets' / name}; to load it: minari.load_dataset({name!r})"
+    assert minari.load_dataset(name).total_episodes == 25
+
+
 def test_minari_export_is_lossless_and_its_environment_replays(demo: Demonstration, minari: Any) -> None:
     name = demos.to_minari([demo, demo], preset="LoRes4A")
     assert name == f"magical-mj/FixColour/Demo-expert-LoRes4A-p{PROTOCOL}-v0"

@@ -6,6 +6,7 @@ To write the golden files anew: ``python tests/evaluation/test_report.py`` from 
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,7 +23,8 @@ from magical_mj.evaluation.reports import report as page
 from magical_mj.evaluation.reports import results, tables
 from magical_mj.evaluation.reports.report import bars, extremes, heat_map, report
 from magical_mj.evaluation.reports.results import choose, compare, published_results
-from magical_mj.evaluation.scores import SCORES, EpisodeResult
+from magical_mj.evaluation.scores import SCORES, SETTINGS, EpisodeResult
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.evaluations import TEMPLATE, example, write
@@ -101,6 +103,93 @@ def test_the_page_says_what_readers_must_know(tmp_path: Path) -> None:
     assert "Unfinished: noop, run 0, MoveToRegion All has 2 of 4 episodes" in page
     assert "different versions of MuJoCo: 3.17.0, 3.18.0" in page
     assert "- [a video](best-BC%20%28ST%29.mp4)" in page
+
+
+def noop_report(folder: Path, **settings: Any) -> str:
+    """The page of an evaluation of noop."""
+    asked = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1, **settings}
+    magical_mj.evaluate("noop", out=folder, **asked)
+    return report([folder], folder / "report").read_text()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"split": "dev"}, "the split dev; 2 episodes in each environment instead of 100"),
+        ({"first_seed": 50}, "first seed 50 of the split; 2 episodes in each"),
+        (
+            {"split": "dev", "first_seed": 7, "time_limit": 60, "like": "FindDupe"},
+            (
+                "the split dev; first seed 7 of the split; 2 episodes in each environment instead of 100; "
+                "policies receive the task name FindDupe; a time limit of 60.0 s"
+            ),
+        ),
+        (
+            {"wrap": "gymnasium.wrappers:RecordEpisodeStatistics"},
+            "2 episodes in each environment instead of 100; the wrapper gymnasium.wrappers:RecordEpisodeStatistics",
+        ),
+    ],
+)
+def test_reports_say_how_they_differ_from_the_protocol(tmp_path: Path, settings: dict[str, Any], said: str) -> None:
+    """At the top and with every table and figure; complete evaluations have no note about missing episodes."""
+    page = noop_report(tmp_path, **settings)
+    assert page.count(f"Not by the official protocol: {said}") == 4
+    assert "Unfinished" not in page
+    with (tmp_path / "report" / "environments.csv").open() as file:
+        assert {row["split"] for row in csv.DictReader(file)} == {settings.get("split", "test")}
+    (mark,) = (text for text in heat_map(results.results([tmp_path])).findobj(Text) if "official" in text.get_text())
+    assert said[:14] in mark.get_text().replace("\n", " ")
+
+
+def test_reports_by_the_protocol_have_no_mark(tmp_path: Path) -> None:
+    folder = write(tmp_path / "scores", [replace(TEMPLATE, seed=seed) for seed in range(100)])
+    page = report([folder], tmp_path / "out").read_text()
+    assert "official" not in page
+    assert "split `test`, seeds 0 to 99; " in page
+
+
+def test_planned_episodes_that_are_missing_are_noted(tmp_path: Path) -> None:
+    """For each policy, run, environment and shift, by what the evaluation planned."""
+    page = noop_report(tmp_path, episodes=4, shifts="camera:1-2,light:2", first_seed=3)
+    assert "Unfinished" not in page
+    assert "split `test`, seeds 3 to 6; shifts: camera:1-2, light:2; " in page
+    path = tmp_path / SCORES
+    rows = path.read_text().splitlines(keepends=True)
+    shifted = [row for row in rows if "camera:1" in row]
+    for left, note in (
+        (rows, ""),
+        (shifted[:1], "camera:1 has 1 of 4 episodes."),
+        ([], "camera:1 has 0 of 4 episodes."),
+    ):
+        path.write_text("".join([row for row in rows if row not in shifted] + [row for row in left if row in shifted]))
+        page = report([tmp_path], tmp_path / "report").read_text()
+        assert ("Unfinished: noop, run 0, MoveToRegion Demo " + note in page) == bool(note)
+
+
+def test_parts_of_a_run_in_several_folders_are_complete(tmp_path: Path) -> None:
+    asked = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1}
+    for first in (0, 2):
+        magical_mj.evaluate("noop", out=tmp_path / str(first), first_seed=first, **asked)
+    page = report([tmp_path / "0", tmp_path / "2"], tmp_path / "out").read_text()
+    assert "Unfinished" not in page
+    assert "4 episodes in each environment instead of 100" in page
+
+
+def test_only_variants_that_the_tasks_have_are_missed(tmp_path: Path) -> None:
+    page = report([write(tmp_path / "scores", [replace(TEMPLATE, task="MoveToRegion")])], tmp_path / "out").read_text()
+    assert "not evaluated in Jitter, Layout, Colour, Dynamics, All." in page
+
+
+def test_one_training_is_not_two_runs(tmp_path: Path) -> None:
+    rows = [replace(TEMPLATE, policy="BC", run=run) for run in (0, 1)]
+    folder = write(tmp_path / "scores", rows)
+    settings = EvaluationSettings(tasks="FindDupe", variants="Demo", episodes=1).recorded()
+    same = [{"name": "BC", "run": run, "origin": "runs/a", "sha256": "c0ffee" * 8} for run in (0, 1)]
+    (folder / SETTINGS).write_text(json.dumps({**settings, "policies": same}))
+    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of BC have equal policies \(sha256 c0ffee"):
+        report([folder], tmp_path / "out")
+    (folder / SETTINGS).write_text(json.dumps({**settings, "policies": [same[0], {**same[1], "sha256": "dec0de"}]}))
+    report([folder], tmp_path / "out")
 
 
 @pytest.fixture(scope="module")

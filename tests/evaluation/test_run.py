@@ -403,3 +403,12 @@ def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"pip install .*\[eval\]"):
         magical_mj.evaluate("noop", **SETTINGS)
+
+
+def test_a_policy_has_the_name_that_it_is_given() -> None:
+    """Several are runs of one method; names in a mapping are not replaced."""
+    actions = [lambda _: 0, lambda _: 1]
+    scores = evaluate(actions, name="BC", variants="Demo", episodes=1, jobs=1)
+    assert scores[["policy", "run"]].to_numpy().tolist() == [["BC", 0], ["BC", 1]]
+    with pytest.raises(SettingsError, match=r"have names already \(A\): leave out name"):
+        evaluate({"A": "noop"}, name="BC")

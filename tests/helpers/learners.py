@@ -11,10 +11,12 @@ import onnxruntime
 import pytest
 import torch
 
+from magical_mj import demos
 from magical_mj.learners import METHODS, Progress, TrainingSettings, checkpoint, load_settings, train
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import CHECKPOINT
+from magical_mj.utils.errors import DemonstrationError
 
 TINY = {
     "network.first_stride": 4,
@@ -87,6 +89,18 @@ def made(method: str, changes: dict[str, Any], seed: int = 0) -> Any:
 
 def weights(learner: Any) -> torch.Tensor:
     return torch.cat([values.detach().flatten() for values in learner.actor.parameters()])
+
+
+def check_own_demonstrations(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
+    """It learns from all demonstrations in a folder, six here, and needs some."""
+    changes = {**changes, "recordings": str(tmp_path), "demonstrations": None}
+    with pytest.raises(DemonstrationError, match="there are no demonstrations of MoveToRegion in "):
+        made(method, changes).update()
+    for number, demonstration in enumerate(demos.load("MoveToRegion")[:6]):
+        demos.write(demonstration, tmp_path / f"MoveToRegion-Demo-{number}.npz")
+    learner = made(method, changes)
+    learner.update()
+    learner.close()
 
 
 def check_resumes(method: str, changes: dict[str, Any], tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours
 
 @pytest.mark.skipif(find_spec("lerobot") is not None, reason="lerobot is installed")
 def test_without_lerobot_one_line_says_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(MagicalError, match="make lerobot"):
+    with pytest.raises(MagicalError, match=r'pip install .*\[eval\]" "lerobot\[dataset\]==.*`make lerobot`'):
         import_module("magical_mj.integrations.lerobot")
     with pytest.raises(MagicalError, match="make lerobot"):
         to_lerobot(magical_mj.demos.load("FixColour")[:1], tmp_path / "set")

@@ -227,7 +227,7 @@ def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
     settings = json.loads((folder / SETTINGS).read_text())
     settings["policies"] = [{"name": "expert", "run": run, "origin": "a", "sha256": "c0ffee"} for run in (0, 1)]
     (folder / SETTINGS).write_text(json.dumps(settings))
-    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert played with equal policies \(sha256 c0ffee"):
+    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert have equal policies \(sha256 c0ffee"):
         submit([folder], tmp_path / "entry.json.xz")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.learners import check_resumes, check_seeds
+from tests.helpers.learners import check_own_demonstrations, check_resumes, check_seeds
 
 TWO = {"tasks": "MoveToRegion,FixColour", "preset": "State"}
 TRAININGS: list[tuple[str, dict[str, Any]]] = [
@@ -21,6 +21,11 @@ TRAININGS: list[tuple[str, dict[str, Any]]] = [
     ("wgail-gp", TWO),
     ("al", TWO),
 ]
+
+
+@pytest.mark.parametrize("method", sorted({method for method, _ in TRAININGS}))
+def test_every_method_learns_from_ones_own_demonstrations(method: str, tmp_path: Path) -> None:
+    check_own_demonstrations(method, {} if method == "point" else {"preset": "State"}, tmp_path)
 
 
 @pytest.mark.parametrize(("method", "changes"), TRAININGS)

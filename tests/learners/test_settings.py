@@ -12,6 +12,7 @@ import pytest
 from magical_mj import TASKS
 from magical_mj.learners import load_settings
 from magical_mj.learners.config import QUICK, flattened, from_toml, to_toml, toml_value
+from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.utils.errors import SettingsError, UnknownNameError
@@ -32,7 +33,7 @@ def test_defaults_are_the_papers() -> None:
     judge = settings.discriminator
     assert (judge.steps, judge.batch_size, judge.learning_rate, judge.gradient_penalty) == (12, 24, 2.5e-5, 100)
     assert (settings.features.batches, settings.features.size, settings.features.samples) == (8192, 32, 512)
-    assert settings.demonstrations == 10
+    assert len(chosen(settings, "FindDupe")) == 10
 
 
 def test_quick_changes_only_what_it_says() -> None:

@@ -28,7 +28,8 @@ from magical_mj.learners.settings import NetworkSettings
 from magical_mj.policies.interface import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
-from magical_mj.utils.errors import DemonstrationError, SettingsError
+from magical_mj.utils.errors import DemonstrationError, SettingsError, TrainingError
+from magical_mj.utils.settings import changed
 from tests.helpers.agents import Alone
 from tests.helpers.learners import playing, tiny
 
@@ -166,6 +167,23 @@ def test_demonstrations_at_hand_are_those_of_the_package() -> None:
     weights = [torch.cat([w.flatten() for w in policy.actor.parameters()]) for policy in policies]
     assert torch.equal(weights[0], weights[1])
     assert torch.equal(weights[0], weights[2])
+
+
+def test_all_demonstrations_at_hand_are_learnt_from_and_the_policy_is_saved(tmp_path: Path) -> None:
+    """Unless the settings say how many; the saved policy acts as the returned one."""
+    settings = load_settings("bc", "MoveToRegion", preset="State", **{"bc.batches": 3})
+    given = demos.load("MoveToRegion")[:4]
+    every, four = (
+        clone(changed(settings, {"demonstrations": count}), {"MoveToRegion": given}, out).actor.state_dict()
+        for count, out in ((None, tmp_path / "every"), (4, None))
+    )
+    assert all(torch.equal(every[name], four[name]) for name in every)
+    saved = load_policy(tmp_path / "every").actor.state_dict()
+    assert all(torch.equal(every[name], saved[name]) for name in every)
+    with pytest.raises(TrainingError, match="holds a training already"):
+        clone(settings, {"MoveToRegion": given}, tmp_path / "every")
+    with pytest.raises(DemonstrationError, match="no demonstrations of MoveToRegion are given"):
+        clone(settings, {"MoveToRegion": []})
 
 
 EPISODE = demos.transitions(demos.load("MoveToRegion")[:1], "State", drop_noop=False)

@@ -55,6 +55,22 @@ class Nameless(Shift):
     """Has no name of its own."""
 
 
+class Nothing(Shift):
+    """Changes nothing: it has none of the methods."""
+
+    name = "nothing"
+
+
+class Equal(Shift):
+    """Draws nothing, not even its strength."""
+
+    name = "equal"
+    factors = ()
+
+    def picture(self, picture: Any, frame: Any) -> Any:
+        return 255 - picture
+
+
 def engine(shifts: Any, seed: int = 3, task: str = "FindDupe") -> magical_mj.Engine:
     return magical_mj.Engine(task, seed=seed, shifts=shifts, renderer="software")
 
@@ -130,6 +146,8 @@ def test_evaluations_name_several_settings() -> None:
         ("no.such.module:Fog:3", UnknownNameError, "no.such.module:Fog"),
         ("tests.shifts.test_shifts:DRAWN:3", ShiftError, "derived"),
         ("tests.shifts.test_shifts:Nameless:3", ShiftError, "name"),
+        ("tests.shifts.test_shifts:Nothing:3", ShiftError, "changes nothing: give it at least one of .* scene, model"),
+        ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* leave it out"),
     ],
 )
 def test_what_is_no_shift_is_refused(shifts: Any, error: type[MagicalError], message: str) -> None:

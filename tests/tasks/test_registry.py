@@ -89,6 +89,11 @@ CROWDED = replace(GOOD, count=MANY)
 RARELY = replace(GOOD, colour=lambda rng, scene: replace(scene, regions=()) if rng.random() < 0.1 else scene)
 (REGION,) = DEMO.regions
 STUCK = replace(GOOD, demo=DEMO.moved(robot=(REGION.x_min - 0.05, REGION.y_max - 0.3, 0.0)))
+POSES = [block.pose for block in DEMO.blocks]
+SHAPES = replace(GOOD, demo=DEMO.moved(blocks=[POSES[0], (-0.68, 0.72, 0.0), POSES[2], (-0.48, 0.72, 0.0), POSES[4]]))
+TOUCHING = replace(SHAPES, shape=None, count=None)
+AT_WALL = replace(GOOD, demo=DEMO.moved(robot=(0.82, -0.3, 0.0)))
+SOLVED = replace(GOOD, score=lambda initial, final, rules: float(initial.robot == final.robot))
 INSIDE = replace(GOOD, demo=DEMO.moved(robot=(*REGION.centre, 0.0)))
 """
 
@@ -134,6 +139,8 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
         ("NO_SCENE", "Mine.colour"),
         ("MOVED", "Colour .* overlap"),
         ("STUCK", "no room for Robot"),
+        *((name, "in the demo scene of Mine, block 1 touches block 3: move them") for name in ("TOUCHING", "SHAPES")),
+        ("AT_WALL", "in the demo scene of Mine, robot touches a wall"),
     ],
 )
 def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, word: str) -> None:
@@ -183,9 +190,16 @@ def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -
 
 
 def test_rounding_makes_no_score_invalid(mine: str) -> None:
-    scene = sample_scene(f"{mine}:ROUNDED", "Demo", 0)
+    with pytest.warns(UserWarning, match="solved at the start"):
+        scene = sample_scene(f"{mine}:ROUNDED", "Demo", 0)
     assert 0.05 + 0.55 + 0.3 + 0.1 > 1
     assert score(f"{mine}:ROUNDED", scene, scene) == 1
+
+
+def test_a_demo_scene_that_is_solved_at_the_start_is_warned_of(mine: str) -> None:
+    with pytest.warns(UserWarning, match="of Mine is solved at the start: a policy that does nothing scores 1.0"):
+        env = Engine(f"{mine}:SOLVED", seed=0)
+    assert env.score() == 1.0
 
 
 def test_plans_of_ones_own_are_checked(mine: str) -> None:

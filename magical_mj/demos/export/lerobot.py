@@ -27,6 +27,7 @@ from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError, check_name
+from magical_mj.utils.extras import remedy
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
@@ -45,8 +46,9 @@ PRESETS: Final[Mapping[str, str]] = MappingProxyType(
 def missing_lerobot() -> MagicalError:
     """The error where lerobot cannot be imported: it needs an environment of its own."""
     return MagicalError(
-        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: "
-        "`make lerobot` builds an environment for both in .venv-lerobot"
+        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: make "
+        f'a new environment for both, and in it {remedy("eval")} "lerobot[dataset]==0.6.1"; in a checkout, '
+        "`make lerobot` does so in .venv-lerobot"
     )
 
 

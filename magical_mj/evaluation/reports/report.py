@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +17,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from magical_mj.evaluation.reports.provenance import played_shifts
 from magical_mj.evaluation.reports.results import Results, results
 from magical_mj.evaluation.reports.statistics import by_shift, curve
 from magical_mj.evaluation.reports.tables import (
@@ -58,6 +61,7 @@ ONE_TASK: Final = 1.5  # inches
 CURVES_PER_ROW: Final = 4
 CURVES: Final = (2.6, 2.2)  # inches
 BARS_PER_ROW: Final = 7
+LETTER: Final = 0.065  # inches; the width of a small letter
 DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
 NO_ENVIRONMENT: Final = "#e4e4e4"
@@ -125,29 +129,33 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     """The part of `report` that writes the files; see there."""
     out = files.to_path(out)
     _load_matplotlib()
-    tables, shifts = result_tables(data), by_shift(data.scores)
+    shifts = by_shift(data.scores)
+    shifts = shifts.assign(split=data.scores["split"].iloc[0])
+    tables = [*result_tables(data), *(shift_tables(shifts) if len(shifts) else [])]
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
     draw: dict[str, Callable[[], Figure]] = {"bars": lambda: bars(data), "heat_map": lambda: heat_map(data)}
     if len(shifts) and shifts["strength"].notna().any():
-        draw["shifts"] = lambda: shift_curves(shifts)
+        draw["shifts"] = lambda: shift_curves(shifts, data.mark)
     out.mkdir(parents=True, exist_ok=True)
     begin(out)
     made = (*texts, *(f"{name}.pdf" for name in draw))
     listed = {**links, **{text: name for name, text in FILES.items() if name in made}}
+    marked_tables = [markdown(replace(table, caption=_sentences(table.caption, data.mark))) for table in tables]
     parts = [
         TITLE,
         *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
+        *([f"**{escape.markdown(data.mark)}.**"] if data.mark else []),
         _settings(data),
         "## Variants",
-        *map(markdown, tables[:2]),
+        *marked_tables[:2],
         "![Mean scores over tasks](bars.png)",
         "## Environments",
         "![Mean scores](heat_map.png)",
-        *map(markdown, tables[2:]),
+        marked_tables[2],
         *(["## Shifts"] if len(shifts) else []),
         *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
-        *(map(markdown, shift_tables(shifts)) if len(shifts) else []),
+        *marked_tables[3:],
         "## Files",
         "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in listed.items()),
     ]
@@ -182,6 +190,11 @@ def _load_matplotlib() -> None:
             mpl.rcParams["backend"] = backend
 
 
+def _sentences(*parts: str) -> str:
+    """The parts that are not empty as sentences, without the last full stop."""
+    return ". ".join(filter(None, parts))
+
+
 def _settings(data: Results) -> str:
     """What was played, in a paragraph."""
     scores = data.scores
@@ -189,13 +202,17 @@ def _settings(data: Results) -> str:
     count = scores["policy"].nunique()
     methods = "one method" if count == 1 else f"{count} methods"
     environments = len(scores[["task", "variant"]].drop_duplicates())
+    shifts = played_shifts(scores)
+    versions = {"magical_mj": "version", "MuJoCo": "mujoco", "renderer": "gl"}
+    facts = [f"{name} {', '.join(scores[column].unique())}" for name, column in versions.items()]
     return (
         f"{counted(len(scores), 'episode')} of {methods} in {counted(environments, 'environment')}; "
+        f"split {escape.markdown_code(scores['split'].iloc[0])}, seeds {scores['seed'].min()} to "
+        f"{scores['seed'].max()}; "
+        f"{f'shifts: {escape.markdown(shifts)}; ' if shifts else ''}"
         f"scores by the rules {escape.markdown_code(scores['rules'].iloc[0])}; "
         f"observations: {presets or 'none needed'}; "
-        + escape.markdown(
-            f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}."
-        )
+        + escape.markdown(f"{', '.join((*facts, *data.provenance.facts))}.")
     )
 
 
@@ -222,6 +239,7 @@ def heat_map(results: Results) -> Figure:
     for axes, policy in zip(panels.flat, policies, strict=False):
         image = _panel(axes, results, policy)
     figure.colorbar(image, ax=panels, label="mean score", shrink=0.8, aspect=30)
+    _write_below(figure, results.mark)
     return figure
 
 
@@ -264,9 +282,16 @@ def bars(results: Results) -> Figure:
             results.variants["missing"].ne("").any()
         ),
     }
-    if any(marks.values()):
-        figure.supxlabel("; ".join(mark for mark, needed in marks.items() if needed), fontsize=8, color="#444")
+    _write_below(figure, "; ".join(mark for mark, needed in marks.items() if needed), results.mark)
     return figure
+
+
+def _write_below(figure: Figure, *lines: str) -> None:
+    """Small text below all panels, broken into lines that fit."""
+    width = int(figure.get_figwidth() / LETTER)
+    text = "\n".join(textwrap.fill(line, width) for line in lines if line)
+    if text:
+        figure.supxlabel(escape.mathtext(text), fontsize=8, color="#444")
 
 
 def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) -> None:
@@ -313,8 +338,11 @@ def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float
     return figure, panels
 
 
-def shift_curves(shifts: pd.DataFrame) -> Figure:
-    """The score of each method over the strength of each shift, with the interval of its difference from strength 0."""
+def shift_curves(shifts: pd.DataFrame, mark: str) -> Figure:
+    """The score of each method over the strength of each shift, with the interval of its difference from strength 0.
+
+    `mark` is written below them.
+    """
     single = shifts[shifts["strength"].notna()]
     axes_of_shifts = list(dict.fromkeys(single["axis"]))
     figure, panels = panels_of(len(axes_of_shifts), CURVES_PER_ROW, CURVES, legend=0.5)
@@ -333,6 +361,6 @@ def shift_curves(shifts: pd.DataFrame) -> Figure:
     lines = {line.get_label(): line for axes in panels.flat for line in axes.get_lines()}
     names = [escape.mathtext(str(name)) for name in lines]
     figure.legend(list(lines.values()), names, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
-    figure.supxlabel("strength of the shift", fontsize=9)
+    _write_below(figure, "strength of the shift", mark)
     figure.supylabel("mean score", fontsize=9)
     return figure

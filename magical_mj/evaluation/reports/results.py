@@ -16,11 +16,12 @@ from zlib import crc32
 
 import numpy as np
 
-from magical_mj.evaluation.entry import is_entry, read_entry
+from magical_mj.evaluation.entry import check_trainings, is_entry, read_entry
 from magical_mj.evaluation.replay import obstacle, replay
+from magical_mj.evaluation.reports.provenance import Provenance, provenance
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in, recorded_settings
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, in_order
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from magical_mj.utils.extras import check_extra
@@ -62,12 +63,20 @@ class Results:
             is a published result, `rules` how it was scored.
         variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
         lacks_published: whether the paper's results were wanted, and it has none in these tasks.
+        provenance: what was planned, and how it differs from the official protocol.
     """
 
     scores: pd.DataFrame
     environments: pd.DataFrame
     variants: pd.DataFrame
     lacks_published: bool
+    provenance: Provenance
+
+    @property
+    def mark(self) -> str:
+        """A sentence for every table and figure of results that are not official; empty if they are."""
+        differs = "; ".join(self.provenance.deviations)
+        return f"Not by the official protocol: {differs}" if differs else ""
 
     @property
     def policies(self) -> list[str]:
@@ -89,10 +98,11 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
 
     Raises:
         EvaluationError: if there are no folders, one is not an evaluation, two hold the same episode with different
-            results, or rules, worlds, splits, presets or scenes differ.
+            results, two runs of a method have the same policy, or rules, worlds, splits, presets or scenes differ.
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
+    check_trainings(folders)
     scores = _read(folders, rules)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder that was copied, or added to, agrees with the other
@@ -212,23 +222,32 @@ def results(
             f"the paper has methods named {', '.join(map(repr, taken))} as well: evaluate yours under another name "
             "(--policy NAME=...), or leave out the published results"
         )
-    marks = {"published": False, "rules": str(scores["rules"].iloc[0])}
+    marks = {"published": False, "rules": str(scores["rules"].iloc[0]), "split": str(scores["split"].iloc[0])}
     environments = by_environment(plain).assign(**marks)
     variants = by_variant(plain[plain["task"].isin(counted_tasks(tasks))]).assign(**marks)
     if shows_published:
-        marks = {"published": True, "rules": PUBLISHED_RULES}
+        marks = {"published": True, "rules": PUBLISHED_RULES, "split": "test"}
         alone = counted_tasks(tasks) if len(tasks) == 1 else TASKS
         environments = pd.concat([environments, published_by_environment(alone).assign(**marks)])
         variants = pd.concat([variants, published_by_variant(alone).assign(**marks)])
     environments, variants = (_sorted(table, [*own, *papers]) for table in (environments, variants))
     variants["missing"] = _missing(environments, variants)
-    return Results(scores, environments, variants, with_published and not shows_published)
+    lacks_published = with_published and not shows_published
+    return Results(scores, environments, variants, lacks_published, provenance(folders, scores))
 
 
 def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
     """The tasks over which means are taken: an only one, or the benchmark's, or if there are none, users' own."""
     played = in_order(tasks)
     return list(TASKS) if len(played) > 1 and set(played) & set(TASKS) else played
+
+
+def expected_environments(environments: pd.DataFrame) -> list[Pair]:
+    """The environments of the tasks over which means are taken; of users' own tasks, those that were played."""
+    own = environments[~environments["published"]]
+    counted = counted_tasks(own["task"])
+    benchmark = [pair for pair in ENVIRONMENTS if pair[0] in counted]
+    return benchmark or list(dict.fromkeys(zip(own["task"], own["variant"], strict=True)))
 
 
 def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
@@ -242,9 +261,7 @@ def _missing(environments: pd.DataFrame, variants: pd.DataFrame) -> list[str]:
     """For each row of `variants`, the names of the tasks that it lacks, separated by commas."""
     own = environments.loc[~environments["published"], ["policy", "task", "variant"]]
     played = set(own.itertuples(index=False, name=None))
-    counted = counted_tasks(own["task"])
-    pairs = [pair for pair in ENVIRONMENTS if pair[0] in counted]
-    pairs = pairs or dict.fromkeys(zip(own["task"], own["variant"], strict=True))
+    pairs = expected_environments(environments)
 
     def lacked(policy: str, variant: str) -> str:
         return ", ".join(task for task, other in pairs if other == variant and (policy, task, variant) not in played)
@@ -316,7 +333,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         A row for each variant, and each shift of it, and one for all that is not shifted: the mean scores (`first`,
         `second`), their `difference` and its 95 % interval (`low`, `high`), in how many scenes the first was `better`
         or `worse`, of how many `scenes` in how many `environments`, and how many other scenes only one of them has
-        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`.
+        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`, and the `split`.
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
@@ -343,7 +360,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         unshifted = (table.xs("", level="shift") for table in (both, paired))
         rows.append(_comparison(ALL, *unshifted))
     table = pd.DataFrame(rows)
-    table.attrs["policies"] = (name, other)
+    table.attrs |= {"policies": (name, other), "split": str(played["split"].iloc[0])}
     return table
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from magical_mj.evaluation.reports.provenance import Gap
 from magical_mj.evaluation.reports.results import (
     PUBLISHED_EPISODES,
     PUBLISHED_RULES,
     PUBLISHED_RUNS,
     Results,
     counted_tasks,
+    expected_environments,
 )
 from magical_mj.evaluation.reports.statistics import area, curve, half_lost
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -144,9 +146,11 @@ def notes(results: Results) -> Iterator[str]:
     played = results.environments.loc[~results.environments["published"], "task"]
     if own := [task for task in results.tasks if task not in counted_tasks(played)]:
         yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
+    expected = {variant for _, variant in expected_environments(results.environments)}
+    existing = [variant for variant in VARIANTS if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
-        yield from (f"{policy}: {gap}." for gap in _gaps(variants))
-    yield from _unfinished(results.scores)
+        yield from (f"{policy}: {gap}." for gap in _gaps(variants, existing))
+    yield from _unfinished(results.provenance.gaps)
     yield from _numbers_of_runs(results.environments)
     yield from _failures(results.scores)
     for column, name in VERSIONS.items():
@@ -163,25 +167,23 @@ def notes(results: Results) -> Iterator[str]:
         yield "The paper's results are not shown: it has none in these tasks."
 
 
-def _gaps(variants: pd.DataFrame) -> Iterator[str]:
-    """Which tasks and variants a policy lacks, by its rows of the table of variants."""
+def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
+    """Which tasks and variants a policy lacks, by its rows of the table of variants; `existing` are the tasks'."""
     incomplete: dict[str, list[str]] = defaultdict(list)
     for row in variants.itertuples():
         incomplete[str(row.missing)].append(str(row.variant))
     for tasks, names in incomplete.items():
         if tasks:
             yield f"incomplete in {', '.join(names)}: without {tasks}"
-    if absent := [variant for variant in VARIANTS if variant not in set(variants["variant"])]:
+    if absent := [variant for variant in existing if variant not in set(variants["variant"])]:
         yield f"not evaluated in {', '.join(absent)}"
 
 
-def _unfinished(scores: pd.DataFrame) -> Iterator[str]:
-    most = int(scores["seed"].max()) + 1
-    counts = scores.groupby(["policy", "run", "task", "variant"], sort=False, observed=True).size()
-    short = counts[counts < most]
-    for (policy, run, task, variant), count in short.head(1).items():
-        others = f", and {len(short) - 1} more are short" if len(short) > 1 else ""
-        yield f"Unfinished: {policy}, run {run}, {task} {variant} has {count} of {counted(most, 'episode')}{others}."
+def _unfinished(gaps: Sequence[Gap]) -> Iterator[str]:
+    for gap in gaps[:1]:
+        others = f", and {len(gaps) - 1} more are short" if len(gaps) > 1 else ""
+        count = f"{gap.there} of {counted(gap.planned, 'episode')}"
+        yield f"Unfinished: {gap.policy}, run {gap.run}, {gap.environment} has {count}{others}."
 
 
 def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:

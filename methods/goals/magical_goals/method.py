@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from magical_goals.inference import InferredGoal, infer
 from magical_goals.policy import GOALS, GoalPolicy, from_json, to_json
 from magical_mj.demos import Demonstration
-from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners.data import chosen
 from magical_mj.learners.learner import Method
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.scene import Scene
@@ -39,9 +39,7 @@ class GoalInference(Method):
         """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
         goals_of: dict[str, list[InferredGoal]] = {}
         for task in self.settings.tasks:
-            known = shipped(task)
-            chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(known))
-            goals_of[task] = infer([ends(known[number]) for number in chosen])
+            goals_of[task] = infer([ends(demonstration) for demonstration in chosen(self.settings, task)])
         self._pursue(to_json(goals_of))
         saved = [[*(goal.saved for goal in goals), 0.0] for goals in goals_of.values()]
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}

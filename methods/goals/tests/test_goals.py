@@ -29,6 +29,7 @@ from magical_mj.policies.interface import Episode, play
 from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, TrainingError
+from tests.helpers.learners import check_own_demonstrations
 
 PROJECT = Path(__file__).parents[1]
 COLOUR, BEGAN = "has the region's colour", "began in the region"
@@ -212,6 +213,10 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     assert list(magical_mj.evaluate(load_goals(tmp_path / "run"), **asked)["actions"]) == list(first["actions"])
     with pytest.raises(SettingsError, match="give --preset State"):
         magical_mj.evaluate(str(tmp_path / "run"), tasks="FixColour", variants="Demo", episodes=1)
+
+
+def test_ones_own_demonstrations_are_learnt_from(tmp_path: Path) -> None:
+    check_own_demonstrations("goals", {"preset": "State"}, tmp_path)
 
 
 def test_pictures_are_refused() -> None:

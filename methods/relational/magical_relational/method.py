@@ -31,7 +31,7 @@ from torch import nn
 
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
-from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners import data
 from magical_mj.learners.learner import Method, restore_optimizer, seeded
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.settings import STATE, TrainingSettings
@@ -96,9 +96,7 @@ class Relational(Method):
         chosen = settings.relational
         (task,) = settings.tasks
         self._assumptions = tuple(chosen.assumptions)
-        shown = shipped(task)
-        demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
-        self._sources = demonstrated(demonstrations, chosen, settings.seed)
+        self._sources = demonstrated(data.chosen(settings, task), chosen, settings.seed)
         self.draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)

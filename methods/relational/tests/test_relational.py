@@ -32,7 +32,7 @@ from magical_mj.policies.interface import histories
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from tests.helpers.learners import TINY, check_resumes, check_seeds, compare_exported
+from tests.helpers.learners import TINY, check_own_demonstrations, check_resumes, check_seeds, compare_exported
 
 RELATIONAL = {
     "relational.hidden": 8,
@@ -352,6 +352,12 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(
     method: str, changes: dict[str, Any], tmp_path: Path
 ) -> None:
     check_resumes(method, {**RELATIONAL, **changes}, tmp_path)
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_ones_own_demonstrations_are_learnt_from(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
+    check_own_demonstrations(method, {**RELATIONAL, **changes}, tmp_path)
 
 
 @pytest.mark.usefixtures("small_pools")

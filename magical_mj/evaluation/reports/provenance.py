@@ -1,0 +1,185 @@
+"""What evaluations planned to play, and how that differs from the official protocol.
+
+Both follow from ``run.json``. Where it is missing, every environment is expected to have all seeds from the lowest to
+the highest one in ``scores.jsonl``; an entry of the leaderboard is expected to have those of its protocol.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, is_entry
+from magical_mj.evaluation.scores import method_name, recorded_policies, recorded_settings
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.scene.bodies import BODIES, GRIPPER
+from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
+from magical_mj.tasks import KNOWN
+from magical_mj.tasks.registry import SPLITS, TASKS
+from magical_mj.utils.errors import SettingsError, counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+GROUP: Final = ["policy", "run", "task", "variant", "shift"]
+"""What identifies the episodes of a run in an environment under a shift."""
+RECORDED: Final = {"protocol": "protocol", "shift_protocol": "shift protocol", "demonstrations": "demonstrations"}
+"""Setting in ``run.json`` -> what a report calls it."""
+NAMED: Final = 20
+"""The largest number of shifts that a report names; it counts the others."""
+
+Group = tuple[str, int, str, str, str]
+Settings = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Episodes of a run in an environment that were planned and are missing. `environment` includes the shift."""
+
+    policy: str
+    run: int
+    environment: str
+    there: int
+    planned: int
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How the episodes of a report came about.
+
+    Attributes:
+        gaps: the runs and environments in which planned episodes are missing.
+        deviations: differences from the official protocol, in a few words each. Shifts and variants are not among
+            them, since tables show them.
+        facts: the recorded numbers of protocols, such as "protocol 1".
+    """
+
+    gaps: tuple[Gap, ...]
+    deviations: tuple[str, ...]
+    facts: tuple[str, ...]
+
+
+def provenance(folders: Sequence[Path], scores: pd.DataFrame) -> Provenance:
+    """How the episodes in these folders came about; `scores` has a row for each."""
+    settings = {folder: {} if is_entry(folder) else recorded_settings(folder) for folder in folders}
+    plan: dict[Group, set[range]] = defaultdict(set)
+    for folder in folders:
+        for group, seeds in _planned(folder, settings[folder], scores[scores["folder"] == str(folder)]):
+            plan[group].add(seeds)
+    merged = {group: _merged(seeds) for group, seeds in plan.items()}
+    known = [values for values in settings.values() if values]
+    return Provenance(tuple(_gaps(merged, scores)), tuple(_deviations(known, scores, merged)), tuple(_facts(known)))
+
+
+def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator[tuple[Group, range]]:
+    """The seeds of each run in each environment, by the settings, or else by the scores of this folder."""
+    if settings:
+        first = SPLITS.get(settings["split"], 0) + settings["first_seed"]
+        seeds = range(first, first + settings["episodes"])
+        played = set(zip(scores["task"], scores["shift"], strict=True))
+        yield from ((group, seeds) for group in _groups(settings, played))
+    elif len(scores):
+        seen = range(int(scores["seed"].min()), int(scores["seed"].max()) + 1)
+        for group in scores[GROUP].drop_duplicates().itertuples(index=False, name=None):
+            yield group, range(SHIFT_SEEDS if group[-1] else SEEDS) if is_entry(folder) else seen
+
+
+def _groups(settings: Settings, played: Set[tuple[str, str]]) -> Iterator[Group]:
+    """What was to be played; `played` are tasks with shifts in which there are episodes."""
+    policies = [
+        (method_name(name, settings["body"], settings["wrap"]), run)
+        for name, run, _ in recorded_policies(dict(settings))
+    ]
+    for environment, shift in product(settings["environments"], settings["shifts"]):
+        task, _, variant = environment.rpartition("-")
+        if shift != f"{BODY}:{settings['body']}" and ((task, shift) in played or _can_have(task, shift)):
+            yield from ((policy, run, task, variant, shift) for policy, run in policies)
+
+
+def _can_have(task: str, shift: str) -> bool:
+    """Whether a task is played with a shift, as far as that is known without running a user's code."""
+    if not shift:
+        return True
+    if task not in KNOWN or not all(named_in(part) in (*SHIFTS, *BODIES) for part in shift.split("+")):
+        return False
+    try:
+        parse_shifts(shift, task)
+    except SettingsError:
+        return False
+    return True
+
+
+def _merged(seeds: Set[range]) -> list[range]:
+    """The same seeds as ranges that do not overlap: several folders may hold parts of a run."""
+    merged: list[range] = []
+    for part in sorted(seeds, key=lambda part: part.start):
+        if merged and part.start <= merged[-1].stop:
+            merged[-1] = range(merged[-1].start, max(part.stop, merged[-1].stop))
+        else:
+            merged.append(part)
+    return merged
+
+
+def _count(seeds: Sequence[range]) -> int:
+    return sum(part.stop - part.start for part in seeds)
+
+
+def _gaps(plan: Mapping[Group, Sequence[range]], scores: pd.DataFrame) -> Iterator[Gap]:
+    there: Any = dict(list(scores.groupby(GROUP, observed=True)["seed"]))
+    for (policy, run, *environment), seeds in plan.items():
+        numbers = there.get((policy, run, *environment), ())
+        count = sum(number in part for number in numbers for part in seeds)
+        if count < _count(seeds):
+            yield Gap(policy, run, " ".join(filter(None, environment)), count, _count(seeds))
+
+
+def _deviations(
+    known: Sequence[Settings], scores: pd.DataFrame, plan: Mapping[Group, Sequence[range]]
+) -> Iterator[str]:
+    split = str(scores["split"].iloc[0])
+    if split != "test":
+        yield f"the split {split}"
+    if first := min(seeds[0].start for seeds in plan.values()) - SPLITS.get(split, 0):
+        yield f"first seed {first} of the split"
+    counts = sorted({_count(seeds) for (*_, shift), seeds in plan.items() if not shift})
+    if counts != [SEEDS]:
+        number = " to ".join(map(str, sorted({counts[0], counts[-1]})))
+        yield f"{number} episode{'' if number == '1' else 's'} in each environment instead of {SEEDS}"
+    if set(scores["worlds"]) != {"single"}:
+        yield "batched worlds of MuJoCo Warp"
+    usual = {"body": GRIPPER, "wrap": "", "like": "", "time_limit": EvaluationSettings.time_limit}
+    words = {"body": "the body {}", "wrap": "the wrapper {}", "like": "policies receive the task name {}"}
+    for name, text in {**words, "time_limit": "a time limit of {} s"}.items():
+        if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
+            yield text.format(", ".join(map(str, others)))
+    if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
+        yield f"tasks that are not of the benchmark: {', '.join(own)}"
+
+
+def _facts(known: Sequence[Settings]) -> Iterator[str]:
+    for name, text in RECORDED.items():
+        if numbers := sorted({settings[name] for settings in known if name in settings}):
+            yield f"{text} {', '.join(map(str, numbers))}"
+
+
+def played_shifts(scores: pd.DataFrame) -> str:
+    """The shifts that were played, such as "camera:1-5, light:2"; empty if none was."""
+    strengths: dict[str, list[int]] = defaultdict(list)
+    names: list[str] = []
+    for label in filter(None, map(str, scores["shift"].cat.categories)):
+        axis, _, level = label.rpartition(":")
+        if "+" not in label and level.isdigit():
+            strengths[axis].append(int(level))
+        else:
+            names.append(label)
+    for axis, levels in strengths.items():
+        if len(levels) > 1 and levels == list(range(levels[0], levels[-1] + 1)):
+            names.append(f"{axis}:{levels[0]}-{levels[-1]}")
+        else:
+            names += [f"{axis}:{level}" for level in levels]
+    others = len(names) - NAMED
+    return ", ".join([*names[:NAMED], *([f"and {counted(others, 'other')}"] if others > 0 else [])])
