@@ -1,0 +1,273 @@
+"""Other code that draws in the same process: neither its pictures nor ours change, in whatever order both begin."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.display import hidden_display
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the drivers of Linux")
+WITH_DISPLAY = pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb (Debian: apt-get install xvfb)")
+BARE = {
+    name: value
+    for name, value in os.environ.items()
+    if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
+}
+EGL = {"MUJOCO_GL": "egl"}
+OFFSCREEN = {"SDL_VIDEODRIVER": "offscreen"}  # pygame's contexts are EGL's
+
+BEGIN = """
+import gymnasium, mujoco, numpy as np
+import magical_mj
+
+MODEL = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1' rgba='1 0 0 1'/></worldbody></mujoco>"
+)
+DATA = mujoco.MjData(MODEL)
+mujoco.mj_forward(MODEL, DATA)
+
+class Ours:
+    '''An environment drawn by OpenGL, and the same one drawn without.'''
+
+    def __init__(self, preset="LoRes4E"):
+        name = f"magical_mj/FindDupe-TestAll-{preset}-v0"
+        self.envs = [gymnasium.make(name, renderer=renderer) for renderer in ("opengl", "software")]
+        self.seen = [env.reset(seed=0)[0] for env in self.envs]
+        self.steps = 0
+
+    def check(self):
+        self.steps += 1
+        newest = [env.step(5 * self.steps % 18)[0][..., -3:] for env in self.envs]
+        share = (newest[0] == newest[1]).mean()
+        assert share > 0.995, f"step {self.steps}: {share}"
+        self.seen.append(newest[0])
+
+    def check_that_it_moved(self):
+        assert (self.seen[-1] != self.seen[-3]).any()
+"""
+END = """
+for _ in range(6):
+    theirs.check()
+    ours.check()
+ours.check_that_it_moved()
+"""
+
+MUJOCO = """
+class Theirs:
+    def __init__(self):
+        self.renderer = mujoco.Renderer(MODEL, 96, 96)
+        self.expected = None
+
+    def check(self):
+        self.renderer.update_scene(DATA)
+        picture = self.renderer.render()
+        self.expected = picture if self.expected is None else self.expected
+        assert np.ptp(picture) > 100 and (picture == self.expected).all()
+"""
+DM_CONTROL = """
+from dm_control import mujoco as dm
+
+class Theirs:
+    def __init__(self):
+        self.physics = dm.Physics.from_xml_string("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
+        self.expected = self.physics.render(96, 96)
+
+    def check(self):
+        picture = self.physics.render(96, 96)
+        assert np.ptp(picture) > 100 and (picture == self.expected).all()
+"""
+WINDOW = """
+from OpenGL import GL
+
+class Theirs:
+    '''Paints a window with a colour that changes, and relies on its context staying current.'''
+
+    def __init__(self):
+        self.frames = 0
+        self.open()
+
+    def check(self):
+        self.frames += 1
+        GL.glClearColor(self.frames / 10, 0.5, 0, 1)
+        GL.glClear(GL.GL_COLOR_BUFFER_BIT)
+        pixel = GL.glReadPixels(5, 5, 1, 1, GL.GL_RGB, GL.GL_UNSIGNED_BYTE)
+        assert list(pixel) == [round(255 * self.frames / 10), 128, 0], list(pixel)
+        self.show()
+"""
+GLFW = f"""{WINDOW}
+import glfw
+
+def open_window(self):
+    assert glfw.init()
+    self.window = glfw.create_window(64, 48, "theirs", None, None)
+    glfw.make_context_current(self.window)
+
+Theirs.open = open_window
+Theirs.show = lambda self: (glfw.swap_buffers(self.window), glfw.poll_events())
+"""
+PYGAME = f"""{WINDOW}
+import pygame
+
+def open_window(self):
+    pygame.display.init()
+    pygame.display.set_mode((64, 48), pygame.OPENGL | pygame.DOUBLEBUF)
+
+Theirs.open = open_window
+Theirs.show = lambda self: (pygame.display.flip(), pygame.event.pump())
+"""
+PLAIN_PYGAME = """
+import pygame
+
+class Theirs:
+    '''A window without OpenGL, as that of Gymnasium's render_mode="human".'''
+
+    def __init__(self):
+        pygame.display.init()
+        self.window, self.frames = pygame.display.set_mode((64, 48)), 0
+
+    def check(self):
+        self.frames += 1
+        self.window.fill((self.frames, 128, 0))
+        pygame.display.flip()
+        pygame.event.pump()
+        assert self.window.get_at((5, 5))[:3] == (self.frames, 128, 0)
+"""
+OTHER_SIZE = """
+class Theirs:
+    '''Two more worlds of ours, drawn at other sizes, the second one in 3-D, too.'''
+
+    def __init__(self):
+        make = lambda renderer: magical_mj.Engine("MatchRegions", "All", seed=3, renderer=renderer)
+        self.engines = [make("opengl"), make("software")]
+        self.solid = self.engines[0].render("scene", 80)
+
+    def check(self):
+        for size in (64, 200):
+            opengl, software = (engine.render("allo", size) for engine in self.engines)
+            assert (opengl == software).mean() > 0.995
+        assert (self.engines[0].render("scene", 80) == self.solid).all()
+"""
+FILM = """
+from gymnasium.wrappers import RenderCollection
+
+class Theirs:
+    '''Another environment that observes pictures, of which a film is made as by RecordVideo: larger, after each step.'''
+
+    def __init__(self):
+        name = "magical_mj/MoveToCorner-Demo-LoRes4A-v0"
+        make = lambda renderer: gymnasium.make(name, renderer=renderer, render_mode="rgb_array")
+        self.envs = [RenderCollection(make(renderer), pop_frames=False) for renderer in ("opengl", "software")]
+        for env in self.envs:
+            env.reset(seed=1)
+
+    def check(self):
+        opengl, software = (env.step(7)[0][..., -3:] for env in self.envs)
+        assert (opengl == software).mean() > 0.995
+        opengl, software = (env.render()[-1] for env in self.envs)
+        assert (opengl == software).mean() > 0.995
+"""
+THREADS = """
+from concurrent.futures import ThreadPoolExecutor
+
+class Theirs:
+    '''Worlds of ours that are drawn by other threads meanwhile, each frame by whichever is free.'''
+
+    def __init__(self):
+        self.pool, self.jobs = ThreadPoolExecutor(4), []
+        make = lambda seed, renderer: magical_mj.Engine("MakeLine", "All", seed=seed, renderer=renderer)
+        self.pairs = [[make(seed, renderer) for renderer in ("opengl", "software")] for seed in range(6)]
+        self.check()
+
+    def check(self):
+        assert all(job.result() > 0.995 for job in self.jobs)
+        self.jobs = [self.pool.submit(self.step, number, *pair) for number, pair in enumerate(self.pairs)]
+
+    def step(self, number, opengl, software):
+        for engine in (opengl, software):
+            engine.step(number)
+        size = 64 + number
+        return min((opengl.render(view, size) == software.render(view, size)).mean() for view in ("ego", "allo"))
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path):
+    def run(*program: str, **variables: str) -> None:
+        environment = BARE | {"PYTHONWARNINGS": "ignore"} | variables
+        result = subprocess.run(
+            [sys.executable, "-c", "".join(program)],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert (result.returncode, "ignored" in result.stderr) == (0, False), result.stderr[-2000:]
+
+    return run
+
+
+BOTH_ORDERS = pytest.mark.parametrize(
+    "order", ["ours = Ours()\ntheirs = Theirs()\n", "theirs = Theirs()\nours = Ours()\n"], ids=["ours", "theirs"]
+)
+
+
+@BOTH_ORDERS
+@pytest.mark.parametrize(
+    ("theirs", "variables"),
+    [
+        pytest.param(MUJOCO, EGL, id="mujoco"),
+        pytest.param(DM_CONTROL, EGL, id="dm_control"),
+        pytest.param(PYGAME, OFFSCREEN, id="pygame"),
+        pytest.param(OTHER_SIZE, {}, id="sizes"),
+        pytest.param(FILM, {}, id="film"),
+        pytest.param(THREADS, {}, id="threads"),
+    ],
+)
+def test_pictures_stay_current_without_a_display(theirs: str, variables: dict[str, str], order: str, run) -> None:
+    if "dm_control" in theirs:
+        pytest.importorskip("dm_control", reason="dm_control does not install here")
+    run(BEGIN, theirs, order, END, **variables)
+
+
+@pytest.mark.parametrize("theirs", [MUJOCO, DM_CONTROL], ids=["mujoco", "dm_control"])
+def test_pictures_stay_current_where_others_find_no_context_of_their_own(theirs: str, run) -> None:
+    """Without a display and MUJOCO_GL, their windows cannot be opened, and they draw into what is current, if any."""
+    if "dm_control" in theirs:
+        pytest.importorskip("dm_control", reason="dm_control does not install here")
+    run(BEGIN, theirs, "ours = Ours()\nours.check()\ntheirs = Theirs()\n", END)
+
+
+def test_dm_control_may_be_imported_before_an_environment_is_loaded(run) -> None:
+    pytest.importorskip("dm_control", reason="dm_control does not install here")
+    for begin in (DM_CONTROL + "import magical_mj\n", "import magical_mj\n" + DM_CONTROL):
+        run(
+            "import numpy as np\n",
+            begin,
+            "theirs = Theirs()\n"
+            "envs = [magical_mj.load('FindDupe', 'All', seed=0, renderer=name) for name in ('opengl', 'software')]\n"
+            "before = [env.reset() for env in envs][0].observation['ego']\n"
+            "for action in range(12, 18):\n"
+            "    theirs.check()\n"
+            "    lit = envs[0].physics.render(64, 64)\n"
+            "    opengl, software = (env.step(action).observation['ego'] for env in envs)\n"
+            "    assert (opengl == software).mean() > 0.995\n"
+            "    assert (envs[0].physics.render(64, 64) != lit).any()\n"
+            "assert (opengl != before).any()\n",
+            **EGL,
+        )
+
+
+@WITH_DISPLAY
+@BOTH_ORDERS
+@pytest.mark.parametrize("theirs", [MUJOCO, GLFW, PYGAME, PLAIN_PYGAME], ids=["mujoco", "glfw", "pygame", "plain"])
+def test_pictures_stay_current_beside_windows(theirs: str, order: str, run, tmp_path: Path) -> None:
+    with hidden_display(tmp_path) as display:
+        run(BEGIN, theirs, order, END, DISPLAY=display.name)
