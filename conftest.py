@@ -16,11 +16,11 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-from magical_mj.rendering.backend import chosen_backend, load_triton
-
-os.environ.setdefault("MUJOCO_GL", chosen_backend())
+if sys.platform == "linux":
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 import magical_mj
+from magical_mj.rendering.libraries import load_triton
 from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES
 

@@ -29,8 +29,8 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import world_mjcf
 from magical_mj.rendering.backend import RENDERERS
-from magical_mj.rendering.canvas import opengl_name
-from magical_mj.rendering.renderer import Renderer
+from magical_mj.rendering.canvases import opengl_name
+from magical_mj.rendering.flat import FlatRenderer
 from magical_mj.rendering.software import SoftwareRenderer
 from magical_mj.scene.state_vector import VIEWS
 
@@ -72,7 +72,7 @@ def compare(task: str, variant: str, seeds: int, count: int) -> np.ndarray:
     for seed in range(seeds):
         opengl = software = None
         for model, data in states(task, variant, seed, count):
-            opengl, software = opengl or Renderer(model), software or SoftwareRenderer(model)
+            opengl, software = opengl or FlatRenderer(model), software or SoftwareRenderer(model)
             for view in VIEWS:
                 a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
                 levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)

@@ -21,7 +21,7 @@ import magical_mj
 from magical_mj.cli import environments
 from magical_mj.cli.film import Film, film, in_words
 from magical_mj.evaluation.scores import read
-from magical_mj.rendering.backend import OSMESA_LIBRARIES
+from magical_mj.rendering.libraries import OSMESA_LIBRARIES
 from magical_mj.utils import files
 from tests.helpers.commands import COMMANDS, Shell, opened, process
 

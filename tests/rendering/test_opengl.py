@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.rendering.backend import osmesa_works
+from magical_mj.rendering.libraries import osmesa_works
 from tests.helpers.display import hidden_display
 
 FIRST_FRAME = """
@@ -156,9 +156,9 @@ assert dict(os.environ) == before
 env = gymnasium.make("magical_mj/FindDupe-Demo-State-v0")
 env.reset(seed=0); env.step(1)
 magical_mj.export_mjcf(magical_mj.sample_scene("FindDupe", "Demo", 0), sys.argv[1] + "/scene.xml")
+assert not [name for name in sys.modules if name.startswith(("OpenGL", "dm_control"))]
 print(magical_mj.evaluate("noop", tasks="MoveToCorner", variants="Demo", episodes=1, jobs=1).score[0])
 assert dict(os.environ) == before
-assert not [name for name in sys.modules if name.startswith(("OpenGL", "dm_control"))]
 """
 
 

@@ -13,8 +13,10 @@ from PIL import Image
 import magical_mj
 from magical_mj.assets import style
 from magical_mj.engine.simulation import Simulation
-from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS
-from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_white
+from magical_mj.rendering.canvas import DRAWN_GROUPS
+from magical_mj.rendering.canvases import CANVASES
+from magical_mj.rendering.flat import FlatRenderer, on_white
+from magical_mj.rendering.renderer import LARGEST, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 
@@ -141,7 +143,7 @@ def test_the_solid_view_disturbs_nobody() -> None:
     for view in VIEWS:
         np.testing.assert_array_equal(simulation.draw(view, 96), before[view])
     np.testing.assert_array_equal(draw(GALLERY, "scene", 64), solid)
-    CANVAS.close()
+    CANVASES.close()
     np.testing.assert_array_equal(simulation.draw("scene", 64), solid)
 
 
@@ -188,13 +190,13 @@ def test_interleaved_simulations_draw_what_each_draws_alone() -> None:
         for view in VIEWS
         for size in (96, 64, 200)
     }
-    CANVAS.close()
+    CANVASES.close()
     simulations = [Simulation.of(scene) for scene in scenes]
     keys = list(alone)
     for choice in np.random.default_rng(0).integers(len(keys), size=300):
         k, view, size = keys[choice]
         np.testing.assert_array_equal(simulations[k].draw(view, size), alone[keys[choice]])
-    assert len(CANVAS.contexts) == 1
+    assert CANVASES.draw(lambda canvas: len(canvas.drawings)) <= 4  # as many as numbers of regions
 
 
 def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
@@ -207,7 +209,7 @@ def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
     )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    red, green, blue = Renderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
+    red, green, blue = FlatRenderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
     assert min(red, green) > blue
     np.testing.assert_array_equal(ours.draw("allo", 96), before)
 
@@ -251,8 +253,8 @@ def test_drawing_beside_mujocos_renderers_disturbs_nobody() -> None:
 def test_the_canvas_can_be_closed_and_opened_again() -> None:
     simulation = Simulation.of(GALLERY)
     before = simulation.draw("ego", 96)
-    CANVAS.close()
-    CANVAS.close()
+    CANVASES.close()
+    CANVASES.close()
     np.testing.assert_array_equal(simulation.draw("ego", 96), before)
 
 
@@ -262,7 +264,7 @@ def test_each_thread_has_a_canvas_of_its_own() -> None:
 
     def work() -> None:
         found.append(draw(GALLERY, "ego"))
-        CANVAS.close()
+        CANVASES.close()
 
     threads = [threading.Thread(target=work) for _ in range(3)]
     for thread in threads:

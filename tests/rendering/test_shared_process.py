@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,9 @@ BARE = {
     if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")
 }
 EGL = {"MUJOCO_GL": "egl"}
-OFFSCREEN = {"SDL_VIDEODRIVER": "offscreen"}  # pygame's contexts are EGL's
+OFFSCREEN = {"SDL_VIDEODRIVER": "offscreen", "PYOPENGL_PLATFORM": "egl"}  # pygame's contexts are EGL's
+
+Run = Callable[..., None]
 
 BEGIN = """
 import gymnasium, mujoco, numpy as np
@@ -157,7 +160,7 @@ FILM = """
 from gymnasium.wrappers import RenderCollection
 
 class Theirs:
-    '''Another environment that observes pictures, of which a film is made as by RecordVideo: larger, after each step.'''
+    '''Another environment that observes pictures, and is filmed as by RecordVideo: larger, after each step.'''
 
     def __init__(self):
         name = "magical_mj/MoveToCorner-Demo-LoRes4A-v0"
@@ -197,7 +200,7 @@ class Theirs:
 
 
 @pytest.fixture
-def run(tmp_path: Path):
+def run(tmp_path: Path) -> Run:
     def run(*program: str, **variables: str) -> None:
         environment = BARE | {"PYTHONWARNINGS": "ignore"} | variables
         result = subprocess.run(
@@ -231,21 +234,21 @@ BOTH_ORDERS = pytest.mark.parametrize(
         pytest.param(THREADS, {}, id="threads"),
     ],
 )
-def test_pictures_stay_current_without_a_display(theirs: str, variables: dict[str, str], order: str, run) -> None:
+def test_pictures_stay_current_without_a_display(theirs: str, variables: dict[str, str], order: str, run: Run) -> None:
     if "dm_control" in theirs:
         pytest.importorskip("dm_control", reason="dm_control does not install here")
     run(BEGIN, theirs, order, END, **variables)
 
 
 @pytest.mark.parametrize("theirs", [MUJOCO, DM_CONTROL], ids=["mujoco", "dm_control"])
-def test_pictures_stay_current_where_others_find_no_context_of_their_own(theirs: str, run) -> None:
+def test_pictures_stay_current_where_others_find_no_context_of_their_own(theirs: str, run: Run) -> None:
     """Without a display and MUJOCO_GL, their windows cannot be opened, and they draw into what is current, if any."""
     if "dm_control" in theirs:
         pytest.importorskip("dm_control", reason="dm_control does not install here")
     run(BEGIN, theirs, "ours = Ours()\nours.check()\ntheirs = Theirs()\n", END)
 
 
-def test_dm_control_may_be_imported_before_an_environment_is_loaded(run) -> None:
+def test_dm_control_may_be_imported_before_an_environment_is_loaded(run: Run) -> None:
     pytest.importorskip("dm_control", reason="dm_control does not install here")
     for begin in (DM_CONTROL + "import magical_mj\n", "import magical_mj\n" + DM_CONTROL):
         run(
@@ -268,6 +271,6 @@ def test_dm_control_may_be_imported_before_an_environment_is_loaded(run) -> None
 @WITH_DISPLAY
 @BOTH_ORDERS
 @pytest.mark.parametrize("theirs", [MUJOCO, GLFW, PYGAME, PLAIN_PYGAME], ids=["mujoco", "glfw", "pygame", "plain"])
-def test_pictures_stay_current_beside_windows(theirs: str, order: str, run, tmp_path: Path) -> None:
+def test_pictures_stay_current_beside_windows(theirs: str, order: str, run: Run, tmp_path: Path) -> None:
     with hidden_display(tmp_path) as display:
         run(BEGIN, theirs, order, END, DISPLAY=display.name)
