@@ -1,9 +1,12 @@
 """The canvases of this process, and in which threads they draw, so that other code finds OpenGL as it left it.
 
 Other code may rely on its context staying current, as windows and dm_control do, and may free its objects in whatever
-context is current. So a canvas is current only while it draws, which costs 10 us a picture. Beside a window of GLX, such
-as those of GLFW and pygame under X11, a context of EGL cannot be current, and backends other than EGL cannot say what is
-current: there a thread of our own draws.
+context is current. So a canvas is current only while it draws, which costs 10 us a picture.
+
+- Without a display and MUJOCO_GL, mujoco and dm_control can make no contexts, and draw into the one that is current. So
+  there the main thread's canvas stays current if nothing was before, and they work beside our pictures.
+- Beside a window of GLX, such as those of GLFW and pygame under X11, a context of EGL cannot be current, and backends
+  other than EGL cannot say what is current: there a thread of our own draws.
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ class Canvases:
         self._first = threading.Lock()
         self._process = 0
         self._shares_threads = False
-        self._lent: Any = None
+        self._stays = False
+        self._main: Canvas | None = None  # of the main thread if it stays current
 
     def draw(self, job: Callable[[Canvas], T]) -> T:
         """What the job returns, which is called with a canvas while its context is current.
@@ -63,22 +67,16 @@ class Canvases:
                 raise RenderingError(NO_OPENGL.format(error=backend.problem))
             self._process, self._shares_threads = os.getpid(), backend.name == "egl"
             atexit.register(self.close)
-            if self._shares_threads and not (wanted_backend() or has_display()):
-                self._lend(backend.context)
-
-    def _lend(self, context: type[Any]) -> None:
-        """Makes an empty context current in the main thread if none is.
-
-        Without a display, mujoco and dm_control cannot make contexts of their own unless MUJOCO_GL says which. But they
-        draw into the one that is current. So they work beside our pictures.
-        """
-        from OpenGL import EGL
-
-        if threading.current_thread() is threading.main_thread() and not EGL.eglGetCurrentContext():
-            self._lent = context()
-            self._lent.make_current()
+            self._stays = self._shares_threads and not (wanted_backend() or has_display())
 
     def _draw(self, job: Callable[[Canvas], T]) -> T:
+        if self._stays and threading.current_thread() is threading.main_thread():
+            if self._main is None:
+                with self._first:
+                    self._main = self._new()
+                    self._main.context.stays = True
+                    return self._main.draw(job)
+            return self._main.draw(job)
         try:
             canvas = self._idle.pop()
         except IndexError:
@@ -101,7 +99,8 @@ class Canvases:
 
     def close(self) -> None:
         """Frees the canvases; the next picture begins anew. May be called twice."""
-        idle, self._idle, self._lent = self._idle, [], None
+        idle = [*self._idle, *filter(None, [self._main])]
+        self._idle, self._main = [], None
         if self._process == os.getpid():
             with suppress(Exception):  # at exit other code may have closed the display
                 for canvas in idle:

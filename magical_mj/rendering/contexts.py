@@ -9,6 +9,8 @@ import os
 from collections.abc import Iterator
 from typing import Any, Final
 
+import numpy as np
+
 from magical_mj.utils.errors import RenderingError
 
 HEADLESS: Final = ("egl", "osmesa")
@@ -30,8 +32,9 @@ class BlockedError(RenderingError):
 def context_class(backend: str) -> type[Any]:
     """The class of a backend's contexts; whatever its module raises if the backend is missing.
 
-    Objects are made without arguments. `begin` makes one current, and returns what `end` needs to make current what was
-    before, or nothing. Freeing them never fails: other code may have closed the display before.
+    Objects are made without arguments. `begin` makes one current, and `end` takes what that returned, and makes current
+    what was before, or nothing; an object that `stays` is left current if there was nothing. Freeing one never fails,
+    since other code may have closed the display before.
     """
     with _same_environment():
         base: Any = importlib.import_module(f"mujoco.{backend}" if backend in HEADLESS else "mujoco").GLContext
@@ -57,17 +60,23 @@ def context_class(backend: str) -> type[Any]:
 def _egl(base: Any) -> type[Any]:
     from mujoco import egl
     from OpenGL import EGL
+    from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0
 
     nothing = EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
 
     class EglContext(base):
         def __init__(self) -> None:
             super().__init__()
+            self.stays, self._address, self._buffer = False, 0, np.zeros(1, np.int32)
             # mujoco ends EGL at exit: before dm_control frees its contexts, and for ever in the child of a fork.
             atexit.unregister(EGL.eglTerminate)
 
         def begin(self) -> Any:
-            before = (context := EGL.eglGetCurrentContext()) and (
+            context = EGL.eglGetCurrentContext()
+            if context and self.stays and context.address == self._address:
+                GL_1_0.glGetIntegerv(GL_3_0.GL_FRAMEBUFFER_BINDING, self._buffer)  # of mujoco's own renderer, if any
+                return None
+            before = context and (
                 EGL.eglGetCurrentDisplay(),
                 EGL.eglGetCurrentSurface(EGL.EGL_DRAW),
                 EGL.eglGetCurrentSurface(EGL.EGL_READ),
@@ -77,10 +86,16 @@ def _egl(base: Any) -> type[Any]:
                 self.make_current()
             except Exception as error:
                 raise BlockedError(f"OpenGL's context cannot become current: {error}") from error
+            if self.stays and not before:
+                self._address = EGL.eglGetCurrentContext().address
+                return None
             return before or (egl.EGL_DISPLAY, *nothing)
 
         def end(self, before: Any) -> None:
-            EGL.eglMakeCurrent(*before)
+            if before is not None:
+                EGL.eglMakeCurrent(*before)
+            else:
+                GL_3_0.glBindFramebuffer(GL_3_0.GL_FRAMEBUFFER, int(self._buffer[0]))
 
     return EglContext
 
