@@ -36,8 +36,8 @@ KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", *OFF, *HEADLESS)
 _TRY_EGL: Final = "from mujoco.egl import GLContext; GLContext(1, 1).make_current()"
 _GLFW_CHOSEN: Final = (
     "dm_control was imported first, without a display and without MUJOCO_GL, so it has chosen GLFW: physics.render "
-    "and dm_control's viewer cannot draw in this process. Set MUJOCO_GL to {backend} before Python starts, or use "
-    "magical_mj.load before dm_control is imported. Observations and env.render work"
+    "and dm_control's viewer find no OpenGL context of their own. Set MUJOCO_GL to {backend} before Python starts, "
+    "or use magical_mj.load before dm_control is imported. Observations and env.render work"
 )
 
 
@@ -113,6 +113,8 @@ def _known_problem(name: str) -> str:
         return "it switches OpenGL off"
     if name and name not in KNOWN:
         return "mujoco does not know it"
+    if name == "osmesa" and not osmesa_works():
+        return "its library is missing"
     if sys.platform == "linux" and name not in HEADLESS and not has_display():
         return "GLFW needs a display"
     return "on macOS it draws in the main thread only" if sys.platform == "darwin" and name == "glfw" else ""

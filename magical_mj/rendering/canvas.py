@@ -61,7 +61,7 @@ def kind_of(model: mujoco.MjModel, *, lit: bool) -> bytes:
     digest = blake2b(bytes([lit]), digest_size=16)
     for array in arrays:
         digest.update(f"{array.shape}".encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(array.tobytes())
     return digest.digest()
 
 
@@ -165,6 +165,6 @@ class Canvas:
 
     def name(self) -> str:
         """OpenGL's renderer and version."""
-        from OpenGL.raw.GL.VERSION import GL_1_0
+        from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
 
-        return " / ".join(GL_1_0.glGetString(name).decode() for name in (GL_1_0.GL_RENDERER, GL_1_0.GL_VERSION))
+        return " / ".join(glGetString(name).decode() for name in (GL_RENDERER, GL_VERSION))

@@ -62,7 +62,8 @@ def _egl(base: Any) -> type[Any]:
     from OpenGL import EGL
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0
 
-    nothing = EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+    def nothing() -> tuple[Any, ...]:
+        return egl.EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
 
     class EglContext(base):
         def __init__(self) -> None:
@@ -73,23 +74,24 @@ def _egl(base: Any) -> type[Any]:
 
         def begin(self) -> Any:
             context = EGL.eglGetCurrentContext()
-            if context and self.stays and context.address == self._address:
-                GL_1_0.glGetIntegerv(GL_3_0.GL_FRAMEBUFFER_BINDING, self._buffer)  # of mujoco's own renderer, if any
-                return None
-            before = context and (
-                EGL.eglGetCurrentDisplay(),
-                EGL.eglGetCurrentSurface(EGL.EGL_DRAW),
-                EGL.eglGetCurrentSurface(EGL.EGL_READ),
-                context,
-            )
+            if context and not (self.stays and context.address == self._address):
+                surfaces = EGL.eglGetCurrentSurface(EGL.EGL_DRAW), EGL.eglGetCurrentSurface(EGL.EGL_READ)
+                before = EGL.eglGetCurrentDisplay(), *surfaces, context
+                self._make_current()
+                return before
+            if not context:
+                self._make_current()
+            if not self.stays:
+                return nothing()
+            self._address = EGL.eglGetCurrentContext().address
+            GL_1_0.glGetIntegerv(GL_3_0.GL_FRAMEBUFFER_BINDING, self._buffer)  # of mujoco's own renderer, if any
+            return None
+
+        def _make_current(self) -> None:
             try:
                 self.make_current()
             except Exception as error:
                 raise BlockedError(f"OpenGL's context cannot become current: {error}") from error
-            if self.stays and not before:
-                self._address = EGL.eglGetCurrentContext().address
-                return None
-            return before or (egl.EGL_DISPLAY, *nothing)
 
         def end(self, before: Any) -> None:
             if before is not None:

@@ -13,7 +13,7 @@ from PIL import Image
 import magical_mj
 from magical_mj.assets import style
 from magical_mj.engine.simulation import Simulation
-from magical_mj.rendering.canvas import DRAWN_GROUPS
+from magical_mj.rendering.canvas import DRAWN_GROUPS, KEPT
 from magical_mj.rendering.canvases import CANVASES
 from magical_mj.rendering.flat import FlatRenderer, on_white
 from magical_mj.rendering.renderer import LARGEST, check_size
@@ -212,6 +212,26 @@ def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
     red, green, blue = FlatRenderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
     assert min(red, green) > blue
     np.testing.assert_array_equal(ours.draw("allo", 96), before)
+
+
+def test_drawing_contexts_are_few_however_many_kinds_of_models_are_drawn() -> None:
+    """Each of these has a mesh of its own; those whose context was freed are drawn as before."""
+
+    def shown(width: float) -> int:
+        corners = f"{-width} -.5 0  {width} -.5 0  {width} .5 0  {-width} .5 0  0 0 .01"
+        model = mujoco.MjModel.from_xml_string(
+            f'<mujoco><asset><mesh name="m" vertex="{corners}"/></asset><worldbody>'
+            '<camera name="c" pos="0 0 3"/><geom type="mesh" mesh="m" rgba="1 0 0 1"/></worldbody></mujoco>'
+        )
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        return int((FlatRenderer(model).draw(data, "c", 96) == (255, 0, 0)).all(axis=2).sum())
+
+    widths = np.linspace(0.1, 0.9, KEPT + 4)
+    areas = [shown(width) for width in widths]
+    assert sorted(set(areas)) == areas
+    assert [shown(width) for width in widths] == areas
+    assert CANVASES.draw(lambda canvas: len(canvas.drawings)) == KEPT
 
 
 def test_things_that_users_add_are_drawn() -> None:

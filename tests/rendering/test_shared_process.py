@@ -274,3 +274,20 @@ def test_dm_control_may_be_imported_before_an_environment_is_loaded(run: Run) ->
 def test_pictures_stay_current_beside_windows(theirs: str, order: str, run: Run, tmp_path: Path) -> None:
     with hidden_display(tmp_path) as display:
         run(BEGIN, theirs, order, END, DISPLAY=display.name)
+
+
+def test_load_warns_if_dm_control_has_chosen_windows_without_a_display(run: Run) -> None:
+    """It chooses when it is imported. Our own pictures are not affected."""
+    pytest.importorskip("dm_control", reason="dm_control does not install here")
+    load = (
+        "import warnings\n"
+        "with warnings.catch_warnings(record=True) as said:\n"
+        "    warnings.simplefilter('always')\n"
+        "    import magical_mj\n"
+        "    env = magical_mj.load('MoveToRegion', seed=0, observations=('ego',))\n"
+        "    assert env.reset().observation['ego'].std() > 0\n"
+        "texts = [str(warning.message) for warning in said if 'MUJOCO_GL' in str(warning.message)]\n"
+    )
+    run("from dm_control import mujoco\n", load, "assert len(texts) == 1 and 'GLFW' in texts[0], texts\n")
+    run("from dm_control import mujoco\n", load, "assert not texts, texts\n", **EGL)
+    run(load, "from dm_control import mujoco\nassert not texts, texts\n")
