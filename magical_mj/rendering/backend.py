@@ -103,7 +103,7 @@ def _started(name: str) -> Backend:
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
         problem = " ".join(str(error).split()).rstrip(".")
     device = os.environ.get("MUJOCO_EGL_DEVICE_ID")
-    source = f"MUJOCO_GL is {name}" if wanted_backend() else name
+    source = f"MUJOCO_GL is {name}, which does not start" if wanted_backend() else name
     suffix = f" (MUJOCO_EGL_DEVICE_ID is {device!r})" if device is not None else ""
     return Backend(name, None, f"{source}: {problem}{suffix}")
 
