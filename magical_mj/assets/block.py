@@ -22,7 +22,7 @@ from magical_mj.assets.contacts import (
     vertex,
 )
 from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
-from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
+from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_name
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.scene import Block, Dynamics, Pebble
 from magical_mj.scene import constants as c
@@ -75,7 +75,7 @@ def block_pair(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
     """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_joint`.
+    `scope` is that of `planar_name`.
     """
     name = f"block{index}"
     move_body(model, name, block.pose, scope)
@@ -83,7 +83,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     for part, colour in (("outline", outline), ("fill", fill), ("sides", outline)):
         model.geom_rgba[model.geom(f"{scope}{name}_{part}").id] = colour
     model.pair_friction[model.pair(f"{name}_foot").id, :2] = foot_friction(dynamics.block_friction_force)
-    spin = model.jnt_dofadr[planar_joint(model, f"{name}_angle", scope)]
+    spin = model.joint(planar_name(f"{name}_angle", scope)).dofadr
     model.dof_frictionloss[spin] = dynamics.block_friction_torque
 
 

@@ -66,27 +66,28 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
     )
 
 
-def planar_joint(model: mujoco.MjModel, name: str, scope: str) -> int:
-    """The index of a planar body's joint.
+def planar_name(name: str, scope: str) -> str:
+    """The name of a planar body's joint in a compiled model.
 
     Args:
-        model: a compiled model.
         name: the joint's name.
         scope: "" or, where bodies are models of their own that dm_control attached, what precedes names, as "block0/".
             Planar joints are in the frame of the attachment there, and names of what is in it end with "/", too.
     """
-    return model.joint(f"{scope}{name}/" if scope else name).id
+    return f"{scope}{name}/" if scope else name
 
 
 def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> None:
-    """Changes the reference pose of a planar body in a compiled model, with the same result as compiling."""
-    joint = planar_joint(model, f"{name}_x", scope)
-    body = model.jnt_bodyid[joint]
+    """Changes the reference pose of a planar body in a compiled model, with the same result as compiling.
+
+    `scope` is that of `planar_name`.
+    """
+    joints = [model.joint(planar_name(f"{name}_{axis}", scope)).id for axis in ("x", "y", "angle")]
+    body = model.jnt_bodyid[joints[0]]
     model.body_pos[body, :2] = pose[:2]
     model.body_quat[body] = quaternion(pose[2])
-    model.jnt_axis[joint : joint + 2] = slide_axes(pose[2])
-    first = model.jnt_qposadr[joint]
-    model.qpos0[first : first + 3] = pose
+    model.jnt_axis[joints[:2]] = slide_axes(pose[2])
+    model.qpos0[model.jnt_qposadr[joints]] = pose
 
 
 def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:

@@ -64,6 +64,11 @@ def joints(body: str) -> tuple[str, ...]:
     return JOINTS if body_named(body).fingers else JOINTS[: JOINTS.index(MOTORS["left"])]
 
 
+def actuators(body: str) -> tuple[str, ...]:
+    """The actuators of a robot with this body, in the order of the model's controls."""
+    return (*WHEELS, *ROTORS, *(MOTORS.values() if body_named(body).fingers else ()))
+
+
 ROTOR_INERTIA: Final = 40.0  # of wheels, rotors and motors: so heavy that friction cannot slow them
 CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
@@ -236,7 +241,7 @@ def actuators_mjcf(body: str = GRIPPER) -> str:
 def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope: str = "") -> None:
     """Changes pose and force caps of the robot in a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_joint`.
+    `scope` is that of `planar_name`.
     """
     move_body(model, "robot", robot.pose, scope)
     fingers = body_named(robot.body).fingers

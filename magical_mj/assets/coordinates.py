@@ -1,0 +1,83 @@
+"""Where a scene's coordinates and controls are in MuJoCo's vectors `qpos`, `qvel` and `ctrl`.
+
+A model that this package compiles lists them in one order, in which demonstrations are recorded, too. In a composer
+environment users' joints and actuators may come before or between them, so there they are looked up by name.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.assets.mjcf import planar_name
+from magical_mj.assets.robot import actuators, joints
+from magical_mj.scene.bodies import GRIPPER, body_named
+from magical_mj.utils.errors import SettingsError
+
+Indices = NDArray[np.int64]
+
+AXES: Final = ("x", "y", "angle")
+FINGERS: Final = ("left_finger", "right_finger")
+
+
+class Coordinates(NamedTuple):
+    """Indices into MuJoCo's vectors."""
+
+    qpos: Indices
+    """x, y and angle of the robot, and then of each block. Shape (1 + blocks, 3)."""
+    qvel: Indices
+    """Their velocities, likewise."""
+    fingers: Indices
+    """In `qpos`: the left and the right finger. Shape (2,), without fingers (0,)."""
+    pebbles: Indices
+    """In `qpos`: x, y and angle of each pebble. Shape (pebbles, 3)."""
+    ctrl: Indices
+    """The robot's actuators. Shape (6,), without fingers (4,)."""
+
+
+@lru_cache(64)
+def own_coordinates(blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coordinates:
+    """Those in a model that this package compiles, of a scene with so many blocks, this robot, and so many pebbles."""
+    robot = len(AXES) * blocks
+    first, order = robot + len(joints(body)), joints(body)
+    planar = np.arange(len(AXES)) + np.array([robot, *range(0, robot, len(AXES))])[:, None]
+    fingers = [robot + order.index(name) for name in FINGERS] if body_named(body).fingers else []
+    grit = np.arange(first, first + len(AXES) * pebbles).reshape(-1, len(AXES))
+    return Coordinates(planar, planar, np.array(fingers, np.int64), grit, np.arange(len(actuators(body))))
+
+
+def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coordinates:
+    """Those in the model of a composer environment, which may hold more than the scene.
+
+    Raises:
+        SettingsError: if the model lacks a joint or an actuator of the scene.
+    """
+
+    def find(kind: mujoco.mjtObj, name: str) -> int:
+        index = mujoco.mj_name2id(model, kind, name)
+        if index < 0:
+            what = kind.name.removeprefix("mjOBJ_").lower()
+            raise SettingsError(f"the MJCF tree lacks the {what} {name!r}, which its scene needs: do not remove it")
+        return index
+
+    def planar(bodies: list[str]) -> Indices:
+        names = [[planar_name(f"{body}_{axis}", f"{body}/") for axis in AXES] for body in bodies]
+        return np.array([[find(_JOINT, name) for name in row] for row in names], np.int64).reshape(-1, len(AXES))
+
+    moving = planar(["robot", *(f"block{index}" for index in range(blocks))])
+    fingers = [find(_JOINT, f"robot/{name}") for name in FINGERS] if body_named(body).fingers else []
+    return Coordinates(
+        model.jnt_qposadr[moving].astype(np.int64),
+        model.jnt_dofadr[moving].astype(np.int64),
+        model.jnt_qposadr[np.array(fingers, np.int64)].astype(np.int64),
+        model.jnt_qposadr[planar([f"pebble{index}" for index in range(pebbles)])].astype(np.int64),
+        np.array([find(_ACTUATOR, f"robot/{name}") for name in actuators(body)], np.int64),
+    )
+
+
+_JOINT: Final = mujoco.mjtObj.mjOBJ_JOINT
+_ACTUATOR: Final = mujoco.mjtObj.mjOBJ_ACTUATOR
