@@ -14,6 +14,7 @@ from dm_control import composer
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
+from magical_mj.assets.world import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import check_state
@@ -33,6 +34,7 @@ from magical_mj.variants import check_seed
 
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
 """Hooks that composer calls only when it compiles the tree."""
+SUBSTEP_HOOKS: Final = ("before_substep", "after_substep")
 
 
 class Environment(composer.Environment):
@@ -52,20 +54,23 @@ class Environment(composer.Environment):
         """
         self._fixed, self._recompile, self._hooks_added = fixed, recompile, list[tuple[str, Callable[..., Any]]]()
         self._first_seed: int | None = None if fixed else seed
-        self._over, self._closed = True, False
+        self._over, self._closed, self._never_reset = True, False, True
         self.seed = self._first_seed
         """The seed of the present scene; None if it came from elsewhere."""
         self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
 
     def _compile(self, task: SceneTask, random_state: np.random.RandomState) -> None:
         """Makes composer's part anew: that is how it compiles another tree where it does not do so in every episode."""
+        self._structure = None  # until it has succeeded
+        task.compile_next()
         super().__init__(
             task,
             random_state=random_state,
             strip_singleton_obs_buffer_dim=True,
             recompile_mjcf_every_episode=self._recompile,
         )
-        self._structure = task.world.structure
+        task.root_entity.compiled()
+        self._structure: Structure | None = task.world.structure
         for name, hook in self._hooks_added:
             super().add_extra_hook(name, hook)
 
@@ -99,6 +104,8 @@ class Environment(composer.Environment):
         Raises:
             SettingsError: for a hook that is called at compilation only, which episodes mostly do without.
         """
+        if hook_name in SUBSTEP_HOOKS and not (self._over or self.task.stepwise):
+            raise SettingsError(f"add {hook_name} before reset(), or after the last step of an episode")
         if hook_name in AT_COMPILATION and not self._recompile:
             raise SettingsError(
                 f"{hook_name} is called only when the tree is compiled: "
@@ -106,6 +113,7 @@ class Environment(composer.Environment):
             )
         super().add_extra_hook(hook_name, hook_callable)
         self._hooks_added.append((hook_name, hook_callable))
+        self.task.substeps_hooked |= hook_name in SUBSTEP_HOOKS
 
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
@@ -141,10 +149,12 @@ class Environment(composer.Environment):
         task = self.task
         task.start(scene, shifts, state)
         self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
-        if not self._recompile and task.world.structure != self._structure:
+        if not (self._recompile or self._never_reset) and (task.world.structure != self._structure or task.outdated):
+            task.compile_next()
             task.root_entity.show(scene)  # what composer observes now
             self._compile(task, self.random_state)
         timestep = super().reset()
+        self._never_reset = False
         if state is not None:
             task.resume(self.physics, state)  # to the bit: composer has solved for accelerations since
         self._over = task.should_terminate_episode(self.physics)

@@ -1,0 +1,83 @@
+"""What users do to MJCF trees: whether one was changed, and what its elements hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+from dm_control import mjcf
+
+from magical_mj.utils.errors import SettingsError
+
+OWNERS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("pos", "quat", "axis", "ref"), "the poses in the Scene (Robot, Block), such as scene.moved(...)"),
+    "rgba": "the colour of its Block or GoalRegion",
+    **dict.fromkeys(("vertex", "face"), "the box of the GoalRegion"),
+    **dict.fromkeys(("friction", "frictionloss"), "Scene.dynamics, such as Dynamics(block_friction_force=...)"),
+    "timestep": "protocol 1: an action is ten physics steps of 12.5 ms",
+}
+"""Attribute -> what determines it, where the scene does."""
+
+
+class Watch:
+    """Notices changes of a tree, with everything that is attached to it, since it was made.
+
+    dm_control counts what is assigned, added and removed, but not what is written into an array: `geom.size[0] = 1`.
+    """
+
+    def __init__(self, root: mjcf.RootElement) -> None:
+        found = list(_walk(root))
+        self._scopes = list({id(element.namescope): element.namescope for element in found}.values())
+        values = (value for element in found for value in element.get_attributes().values())
+        self._arrays = [value for value in values if isinstance(value, np.ndarray) and value.flags.c_contiguous]
+        self._before = self._now()
+
+    def changed(self) -> bool:
+        """Whether the tree was changed."""
+        return self._now() != self._before
+
+    def _now(self) -> tuple[list[int], bytes]:
+        return [scope.revision for scope in self._scopes], b"".join(self._arrays)
+
+
+def _walk(element: Any) -> Iterator[Any]:
+    yield element
+    for child in element.all_children():
+        yield from _walk(child)
+
+
+class Owned:
+    """Attributes that a scene determines, as they were last written. Users change the scene instead."""
+
+    def __init__(self) -> None:
+        self._written: list[tuple[Any, str, Any]] = []
+
+    def write(self, element: Any, attributes: Mapping[str, Any]) -> None:
+        """Gives an element attributes."""
+        element.set_attributes(**attributes)
+        self._written += ((element, name, np.copy(getattr(element, name))) for name in attributes)
+
+    def changed(self) -> list[tuple[str, str]]:
+        """The elements and attributes that somebody else has changed since they were written."""
+        return [
+            ("an element", name) if element.is_removed else (_described(element), name)
+            for element, name, value in self._written
+            if element.is_removed or not np.array_equal(getattr(element, name), value)
+        ]
+
+
+def _described(element: Any) -> str:
+    name = getattr(element, "full_identifier", None)
+    return f"<{element.tag}>" if name is None else f'<{element.tag} name="{name}">'
+
+
+def refuse(changed: list[tuple[str, str]]) -> None:
+    """Raises a `SettingsError` if there are such elements and attributes."""
+    if changed:
+        (element, name), more = changed[0], len(changed) - 1
+        raise SettingsError(
+            f"{name} of {element} was changed{f' ({more} more such changes)' if more else ''}, but it follows from "
+            f"{OWNERS[name]}. Change it there, or write into the compiled model in an initialize_episode hook. The "
+            "tree has its value again (docs/composer.md: What the scene owns)"
+        )
