@@ -331,6 +331,14 @@ def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
         setattr(model.opt, name, getattr(other.opt, name))
 
 
+def different_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
+    """The names of arrays and options in which two models differ, such as "geom_rgba", apart from names."""
+    arrays, options = _fields()
+    pairs = {name: (getattr(model, name), getattr(other, name)) for name in arrays if not name.startswith("name")}
+    pairs |= {name: (getattr(model.opt, name), getattr(other.opt, name)) for name in options}
+    return [name for name, values in pairs.items() if not np.array_equal(*values, equal_nan=True)]
+
+
 @cache
 def _fields() -> tuple[list[str], list[str]]:
     """The names of a model's arrays, and of its options."""

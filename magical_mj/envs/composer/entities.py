@@ -231,6 +231,15 @@ class Arena(composer.Entity):
                     f"the {what} {new!r} in this scene, and {present!r} in this environment: load another one for it"
                 )
 
+    def refuse_variations(self) -> None:
+        """Raises a `SettingsError` if users' entities have hooks that would never be called."""
+        for entity in self.iter_entities():
+            if type(entity).initialize_episode_mjcf is not composer.Entity.initialize_episode_mjcf:
+                raise SettingsError(
+                    f"{type(entity).__name__}.initialize_episode_mjcf is called only when the tree is compiled: load "
+                    "the environment with recompile_mjcf_every_episode=True"
+                )
+
     def show(self, scene: Scene) -> None:
         """Makes the trees those of this scene.
 
@@ -257,6 +266,10 @@ class Arena(composer.Entity):
                 self._skins.append(self._model.deformable.add("skin", **element.attrib))
                 self._skins[index].add("bone", **element[0].attrib)
             skin = self._skins[index]
+            if skin.is_removed:
+                raise SettingsError(
+                    f"the MJCF tree lacks the skin {element.get('name')!r} of a goal region: do not remove it"
+                )
             self._owned.write(skin, {name: element.attrib[name] for name in ("rgba", "vertex", "face")})
             skin.bone[0].set_attributes(**element[0].attrib)
 

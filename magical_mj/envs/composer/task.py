@@ -109,6 +109,7 @@ class SceneTask(composer.Task):
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
+        self._observers = list[int]()
         self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 

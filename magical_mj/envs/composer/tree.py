@@ -10,14 +10,17 @@ from dm_control import mjcf
 
 from magical_mj.utils.errors import SettingsError
 
+_SCENE: Final = "give it to reset(scene=...)"
+_HOOK: Final = "or write {} in an initialize_episode hook"
 OWNERS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("pos", "quat", "axis", "ref"), "the poses in the Scene (Robot, Block), such as scene.moved(...)"),
-    "rgba": "the colour of its Block or GoalRegion",
-    **dict.fromkeys(("vertex", "face"), "the box of the GoalRegion"),
-    **dict.fromkeys(("friction", "frictionloss"), "Scene.dynamics, such as Dynamics(block_friction_force=...)"),
-    "timestep": "protocol 1: an action is ten physics steps of 12.5 ms",
+    **dict.fromkeys(("pos", "quat", "axis", "ref"), f"the scene says where things are: {_SCENE}"),
+    **dict.fromkeys(("vertex", "face"), f"the scene says where its goal regions are: {_SCENE}"),
+    "rgba": f"the scene says what colours things have: {_SCENE}, {_HOOK.format('physics.model.geom_rgba')}",
+    "friction": f"Scene.dynamics says how strong it is: {_SCENE}, {_HOOK.format('physics.model.pair_friction')}",
+    "frictionloss": f"Scene.dynamics says how strong it is: {_SCENE}, {_HOOK.format('the compiled model')}",
+    "timestep": "an action is ten physics steps of 12.5 ms, for which motors, friction and contacts are fitted",
 }
-"""Attribute -> what determines it, where the scene does."""
+"""Attribute -> why it is not for users to change, and what they can do."""
 
 
 class Watch:
@@ -77,7 +80,6 @@ def refuse(changed: list[tuple[str, str]]) -> None:
     if changed:
         (element, name), more = changed[0], len(changed) - 1
         raise SettingsError(
-            f"{name} of {element} was changed{f' ({more} more such changes)' if more else ''}, but it follows from "
-            f"{OWNERS[name]}. Change it there, or write into the compiled model in an initialize_episode hook. The "
-            "tree has its value again (docs/composer.md: What the scene owns)"
+            f"{name} of {element} was changed{f', and {more} more,' if more else ''} but {OWNERS[name]}. The tree has "
+            "its value again. docs/composer.md lists what the scene owns"
         )
