@@ -13,14 +13,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.mjcf import planar_name
+from magical_mj.assets.mjcf import AXES, index_of, planar_name
 from magical_mj.assets.robot import actuators, joints
 from magical_mj.scene.bodies import GRIPPER, body_named
-from magical_mj.utils.errors import SettingsError
 
 Indices = NDArray[np.int64]
 
-AXES: Final = ("x", "y", "angle")
 FINGERS: Final = ("left_finger", "right_finger")
 
 
@@ -57,27 +55,20 @@ def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pe
         SettingsError: if the model lacks a joint or an actuator of the scene.
     """
 
-    def find(kind: mujoco.mjtObj, name: str) -> int:
-        index = mujoco.mj_name2id(model, kind, name)
-        if index < 0:
-            what = kind.name.removeprefix("mjOBJ_").lower()
-            raise SettingsError(f"the MJCF tree lacks the {what} {name!r}, which its scene needs: do not remove it")
-        return index
+    def find(*names: str, kind: str = "joint") -> Indices:
+        return np.array([index_of(model, kind, name) for name in names], np.int64)
 
-    def planar(bodies: list[str]) -> Indices:
-        names = [[planar_name(f"{body}_{axis}", f"{body}/") for axis in AXES] for body in bodies]
-        return np.array([[find(_JOINT, name) for name in row] for row in names], np.int64).reshape(-1, len(AXES))
+    def planar(*bodies: str) -> Indices:
+        names = (planar_name(f"{body}_{axis}", f"{body}/") for body in bodies for axis in AXES)
+        return find(*names).reshape(-1, len(AXES))
 
-    moving = planar(["robot", *(f"block{index}" for index in range(blocks))])
-    fingers = [find(_JOINT, f"robot/{name}") for name in FINGERS] if body_named(body).fingers else []
+    moving = planar("robot", *(f"block{index}" for index in range(blocks)))
+    fingers = find(*(f"robot/{name}" for name in FINGERS if body_named(body).fingers))
+    grit = planar(*(f"pebble{index}" for index in range(pebbles)))
     return Coordinates(
         model.jnt_qposadr[moving].astype(np.int64),
         model.jnt_dofadr[moving].astype(np.int64),
-        model.jnt_qposadr[np.array(fingers, np.int64)].astype(np.int64),
-        model.jnt_qposadr[planar([f"pebble{index}" for index in range(pebbles)])].astype(np.int64),
-        np.array([find(_ACTUATOR, f"robot/{name}") for name in actuators(body)], np.int64),
+        model.jnt_qposadr[fingers].astype(np.int64),
+        model.jnt_qposadr[grit].astype(np.int64),
+        find(*(f"robot/{name}" for name in actuators(body)), kind="actuator"),
     )
-
-
-_JOINT: Final = mujoco.mjtObj.mjOBJ_JOINT
-_ACTUATOR: Final = mujoco.mjtObj.mjOBJ_ACTUATOR

@@ -40,7 +40,7 @@ from magical_mj.assets.contacts import (
     softness,
     vertex,
 )
-from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import bend_body, comment, index_of, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, Gripper
@@ -249,11 +249,11 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
         for side, angle in zip(MOTORS, robot.fingers, strict=True):
             bend_body(model, f"{scope}{side}_finger", angle)
     for wheel, force in wheel_caps(dynamics.drive_force).items():
-        model.pair_friction[model.pair(wheel).id, :2] = foot_friction(force)
+        model.pair_friction[index_of(model, "pair", wheel), :2] = foot_friction(force)
     for motor, torque in torque_caps(dynamics.turn_torque, dynamics.finger_torque).items():
         if not fingers and motor in MOTORS.values():
             continue
-        model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
+        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = torque
 
 
 @lru_cache(16)

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from magical_mj.assets.coordinates import AXES, FINGERS, own_coordinates
+from magical_mj.assets.coordinates import FINGERS, own_coordinates
+from magical_mj.assets.mjcf import AXES
 from magical_mj.assets.robot import actuators, controls
 from magical_mj.assets.world import world_mjcf
 from magical_mj.scene import Block, Pebble, Robot, Scene

@@ -399,6 +399,7 @@ def test_exports_are_the_same_from_every_interface(tmp_path: Path) -> None:
     env.reset(seed=3)
     env.step(5)
     sources = [single, gymnasium.wrappers.ClipReward(single, 0, 1), env]
+    assert env.to_engine().get_state() == engine.get_state()
     for source in sources:
         assert text(source) == mjcf_text(engine)
     for mode in ("sync", "vector_entry_point"):

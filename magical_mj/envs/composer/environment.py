@@ -154,12 +154,12 @@ class Environment(composer.Environment):
         task = self.task
         task.start(scene, shifts, state)
         self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
-        if not self._recompile:
+        if not self._recompile and (self._never_reset or task.world.structure != self._structure or task.outdated):
             task.root_entity.refuse_variations()
-        if not (self._recompile or self._never_reset) and (task.world.structure != self._structure or task.outdated):
-            task.compile_next()
-            task.root_entity.show(scene)  # what composer observes now
-            self._compile(task, self.random_state)
+            if not self._never_reset:  # else composer compiles by itself
+                task.compile_next()
+                task.root_entity.show(scene)  # what composer observes now
+                self._compile(task, self.random_state)
         timestep = super().reset()
         self._never_reset = False
         if state is not None:
