@@ -312,16 +312,3 @@ def test_copies_go_on_exactly_alike() -> None:
         for twin in twins:
             twin.reset()
             assert (twin.seed, twin.scene) == (env.seed, env.scene)
-
-
-@pytest.mark.parametrize("change", ["hook", "observable", "tree"])
-def test_what_somebody_changed_is_not_copied_without_a_word(change: str) -> None:
-    with magical_mj.load("MoveToRegion", seed=0) as env:
-        if change == "hook":
-            env.add_extra_hook("before_step", lambda physics, action, random_state: None)
-        elif change == "observable":
-            env.task.observables["ego"].delay = 1
-        else:
-            env.task.root_entity.mjcf_model.worldbody.add("site")
-        with pytest.raises(StateError, match="cannot be copied"):
-            env.clone()

@@ -61,9 +61,10 @@ def check_episodes(env: magical_mj.Environment, task: str, variant: str, seeds: 
         engine = Engine(task, variant, seed=seed)
         counts.add(len(engine.scene.blocks))
         assert env.initial_scene == env.scene == engine.initial_scene
-        for action in np.random.default_rng(seed).integers(len(ACTIONS), size=steps).tolist():
-            observation = env.step(action).observation
-            engine.step(action)
+        *_, observation = [
+            (env.step(action).observation, engine.step(action))[0]
+            for action in np.random.default_rng(seed).integers(len(ACTIONS), size=steps).tolist()
+        ]
         assert env.scene == engine.scene, f"seed {seed}"
         assert env.score() == engine.score()
         np.testing.assert_array_equal(observation["state"], engine.state_vector())
@@ -167,10 +168,10 @@ OWNED = {
     "tendon": (lambda arena: assign(arena.robot.mjcf_model.tendon.fixed[0], frictionloss=9), "Scene.dynamics"),
     "colour": (
         lambda arena: assign(arena.blocks[0].mjcf_model.find("geom", "block0_fill"), rgba=[1, 1, 1, 1]),
-        "reset.scene=",
+        "the colours in the scene",
     ),
-    "pose": (lambda arena: assign(mjcf.get_attachment_frame(arena.robot.mjcf_model), pos=[0, 0, 0]), "reset.scene="),
-    "region": (lambda arena: assign(arena.mjcf_model.deformable.skin[0], rgba=[1, 1, 1, 1]), "reset.scene="),
+    "pose": (lambda arena: assign(mjcf.get_attachment_frame(arena.robot.mjcf_model), pos=[0, 0, 0]), "the poses"),
+    "region": (lambda arena: assign(arena.mjcf_model.deformable.skin[0], rgba=[1, 1, 1, 1]), "the colours"),
     "timestep": (lambda arena: assign(arena.mjcf_model.option, timestep=0.005), "ten physics steps"),
     "removed": (lambda arena: arena.mjcf_model.deformable.skin[0].remove(), "do not remove"),
 }
@@ -340,7 +341,7 @@ def test_a_users_hooks_at_compilation_need_compilations() -> None:
     for _ in range(3):
         env.reset()
         sizes.add(env.physics.named.model.geom_size["prop/ball", 0])
-    assert len(sizes) == 3
+    assert len(sizes - {0.05}) == 3
 
 
 def noise(values: np.ndarray, random_state: np.random.RandomState) -> np.ndarray:
@@ -404,7 +405,7 @@ def test_exports_are_the_same_from_every_interface(tmp_path: Path) -> None:
         assert text(source) == mjcf_text(engine)
     for mode in ("sync", "vector_entry_point"):
         worlds = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, renderer="software")
-        worlds.reset(seed=[9, 3])
+        worlds.reset(seed=[9, 3])  # pyright: ignore[reportArgumentType]
         worlds.step(np.array([5, 5]))
         assert text(worlds, 1) == mjcf_text(engine) != text(worlds, 0)
         with pytest.raises(SettingsError, match="0 to 1"):

@@ -154,7 +154,10 @@ class Environment(composer.Environment):
         task = self.task
         task.start(scene, shifts, state)
         self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
-        if not self._recompile and (self._never_reset or task.world.structure != self._structure or task.outdated):
+        if self._recompile:
+            if task.root_entity.edited:  # with new entities, whose hooks composer looks for when it compiles
+                self._compile(task, self.random_state)
+        elif self._never_reset or task.world.structure != self._structure or task.outdated:
             task.root_entity.refuse_variations()
             if not self._never_reset:  # else composer compiles by itself
                 task.compile_next()
@@ -346,9 +349,10 @@ def load(
 ) -> Environment:
     """A dm_env environment of the benchmark, by dm_control's composer.
 
-    Its MJCF tree is `env.task.root_entity.mjcf_model`. What is changed there counts from the next compilation: before
-    the first episode, and when an episode has other blocks than the one before. In between, a scene is written into the
-    compiled model, which takes milliseconds.
+    Its MJCF tree is `env.task.root_entity.mjcf_model`. What users change there, or in observables, counts from the next
+    reset; an error names what the scene owns (docs/composer.md). The tree is compiled again where it was changed, and
+    where an episode has other blocks than the one before. In between, a scene is written into the compiled model, which
+    takes a millisecond.
 
     Args:
         task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
@@ -363,7 +367,7 @@ def load(
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         renderer: what draws observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or what works.
         body: the robot's body, one that the task offers; see docs/bodies.md.
-        recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
+        recompile_mjcf_every_episode: compile the tree for every episode, as hooks need that change it.
 
     Raises:
         UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.

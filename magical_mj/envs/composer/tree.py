@@ -10,17 +10,17 @@ from dm_control import mjcf
 
 from magical_mj.utils.errors import SettingsError
 
-_SCENE: Final = "give it to reset(scene=...)"
+_SCENE: Final = "give another scene to reset(scene=...)"
 _HOOK: Final = "or write {} in an initialize_episode hook"
 OWNERS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("pos", "quat", "axis", "ref"), f"the scene says where things are: {_SCENE}"),
-    **dict.fromkeys(("vertex", "face"), f"the scene says where its goal regions are: {_SCENE}"),
-    "rgba": f"the scene says what colours things have: {_SCENE}, {_HOOK.format('physics.model.geom_rgba')}",
-    "friction": f"Scene.dynamics says how strong it is: {_SCENE}, {_HOOK.format('physics.model.pair_friction')}",
-    "frictionloss": f"Scene.dynamics says how strong it is: {_SCENE}, {_HOOK.format('the compiled model')}",
-    "timestep": "an action is ten physics steps of 12.5 ms, for which motors, friction and contacts are fitted",
+    **dict.fromkeys(("pos", "quat", "axis", "ref"), f"the poses in the scene: {_SCENE}"),
+    **dict.fromkeys(("vertex", "face"), f"the scene's goal regions: {_SCENE}"),
+    "rgba": f"the colours in the scene: {_SCENE}, {_HOOK.format('physics.model.geom_rgba')}",
+    "friction": f"Scene.dynamics: {_SCENE}, {_HOOK.format('physics.model.pair_friction')}",
+    "frictionloss": f"Scene.dynamics: {_SCENE}, {_HOOK.format('the compiled model')}",
+    "timestep": "the protocol: an action is ten physics steps of 12.5 ms, for which motors and contacts are fitted",
 }
-"""Attribute -> why it is not for users to change, and what they can do."""
+"""Attribute -> what it follows from, and what users can change instead."""
 
 
 class Watch:
@@ -33,7 +33,9 @@ class Watch:
         found = list(_walk(root))
         self._scopes = list({id(element.namescope): element.namescope for element in found}.values())
         values = (value for element in found for value in element.get_attributes().values())
-        self._arrays = [value for value in values if isinstance(value, np.ndarray) and value.flags.c_contiguous]
+        self._arrays: list[Any] = [
+            value for value in values if isinstance(value, np.ndarray) and value.flags.c_contiguous
+        ]
         self._before = self._now()
 
     def changed(self) -> bool:
@@ -78,8 +80,9 @@ def _described(element: Any) -> str:
 def refuse(changed: list[tuple[str, str]]) -> None:
     """Raises a `SettingsError` if there are such elements and attributes."""
     if changed:
-        (element, name), more = changed[0], len(changed) - 1
+        element, name = changed[0]
+        more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
         raise SettingsError(
-            f"{name} of {element} was changed{f', and {more} more,' if more else ''} but {OWNERS[name]}. The tree has "
-            "its value again. docs/composer.md lists what the scene owns"
+            f"{name} of {element} was changed{more}, but it follows from {OWNERS[name]}. The tree has its value again. "
+            "docs/composer.md lists what the scene owns"
         )
