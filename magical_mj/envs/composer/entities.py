@@ -6,7 +6,8 @@ from names: those of the robot's and of a block's parts begin with "robot/" and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from typing import Any, Final
@@ -16,12 +17,30 @@ from dm_control import composer, mjcf
 
 from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.contacts import SETTINGS, TIMESTEP, geom_classes
+from magical_mj.assets.coordinates import FINGERS
 from magical_mj.assets.mjcf import elements
 from magical_mj.assets.region import regions_mjcf
-from magical_mj.assets.robot import WHEELS, actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
+from magical_mj.assets.robot import (
+    WHEELS,
+    actuators,
+    actuators_mjcf,
+    control_signal,
+    robot_mjcf,
+    robot_pairs,
+    tendons_mjcf,
+)
 from magical_mj.assets.world import APART, world_mjcf
+from magical_mj.envs.composer.observables import (
+    ArenaObservables,
+    BlockObservables,
+    GripperObservables,
+    PlanarObservables,
+    RobotObservables,
+)
+from magical_mj.envs.composer.planar import PlanarEntity
 from magical_mj.envs.composer.tree import Owned, Watch, refuse
 from magical_mj.scene import Scene
+from magical_mj.scene.actions import action_number
 from magical_mj.scene.bodies import body_named
 from magical_mj.utils.errors import InvalidSceneError, SettingsError
 
@@ -41,28 +60,66 @@ Pairs = dict[str, dict[str, str]]
 """The attributes of contacts, by their names."""
 
 
-class Thing(composer.Entity):
-    """A planar body: the robot, or a block. Its joints are in the frame by which it is attached to the arena."""
+@dataclass
+class Tree:
+    """The MJCF tree of a thing in one of its forms.
 
-    def _build(self, name: str, mjcf_of: Callable[[Scene], str], scene: Scene, more: str = "") -> None:
+    Attributes:
+        root: its root.
+        kept: of its frame the attributes, the parts and the contacts, since it has left the arena.
+        pairs: the contacts of its feet.
+    """
+
+    root: mjcf.RootElement
+    kept: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]], list[dict[str, Any]]] | None = None
+    pairs: dict[str, Any] = field(default_factory=dict[str, Any])
+
+
+class Thing(PlanarEntity):
+    """A planar body: the robot, or a block. Its joints are in the frame by which it is attached to the arena.
+
+    It has a tree for each form that it has had in a scene, such as each shape of a block, and the same hooks and
+    observables in all of them.
+    """
+
+    def _build(
+        self, name: str, mjcf_of: Callable[[Scene], str], scene: Scene, form: Hashable = None, more: str = ""
+    ) -> None:
         """Parses the tree of this name, from the thing's MJCF in a scene (its body, and its tendons) and some more."""
-        self._name, self._mjcf_of = name, mjcf_of
+        self.name, self._mjcf_of, self._more = name, mjcf_of, more
+        self._trees: dict[Hashable, Tree] = {}
+        self.take_form(form, scene)
+
+    def _build_observables(self) -> PlanarObservables:
+        return PlanarObservables(self)
+
+    def take_form(self, form: Hashable, scene: Scene) -> None:
+        """Makes its tree the one of a form, which it has in the scene. It must not be attached."""
+        if form not in self._trees:
+            self._trees[form] = Tree(self._parsed(scene))
+        self.form, self._tree = form, self._trees[form]
+
+    def _parsed(self, scene: Scene) -> mjcf.RootElement:
         body, others = self._elements(scene)
         content = "".join(tostring(part, "unicode") for part in body if part.tag in ("geom", "body", "camera"))
         tendons = "".join(tostring(part, "unicode") for part in others)
-        self._model = mjcf.from_xml_string(
-            f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/><default>{geom_classes()}</default>'
-            f"<worldbody>{content}</worldbody><tendon>{tendons}</tendon>{more}</mujoco>"
+        return mjcf.from_xml_string(
+            f'<mujoco model="{self.name}"><compiler angle="radian" autolimits="true"/>'
+            f"<default>{geom_classes()}</default><worldbody>{content}</worldbody><tendon>{tendons}</tendon>"
+            f"{self._more}</mujoco>"
         )
-        self._kept: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]], list[dict[str, Any]]] | None = None
-        self._pairs: dict[str, Any] = {}
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
         """The tree, as it is in the present episode's scene."""
         if isinstance(self.parent, Arena):
             self.parent.refresh()
-        return self._model
+        return self._tree.root
+
+    @property
+    def frame(self) -> Any:
+        """The body by which it is attached, with its joints."""
+        return mjcf.get_attachment_frame(self._tree.root)
 
     def join(self, arena: Arena, scene: Scene, pairs: Pairs, place: int | None = None) -> None:
         """Puts the thing into the arena, with its joints and the contacts of its feet. Its meshes are the arena's.
@@ -73,20 +130,22 @@ class Thing(composer.Entity):
             pairs: its contacts of feet.
             place: its number among the children of the arena's `worldbody`; None: the last.
         """
-        if arena.mjcf_model.namescope.has_identifier("namescope", self._name):
+        if arena.mjcf_model.namescope.has_identifier("namescope", self.name):
             raise SettingsError(
-                f"an entity of yours is called {self._name!r}, and this scene has a part of that name: give it "
+                f"an entity of yours is called {self.name!r}, and this scene has a part of that name: give it "
                 'another one, which is not "robot", nor "block" or "pebble" with a number'
             )
         frame = _attach(arena, self, place)
-        if self._kept is None:
+        if self._tree.kept is None:
             self._join_first(arena, scene, pairs, frame)
         else:
-            attributes, parts, contacts = self._kept
+            attributes, parts, contacts = self._tree.kept
             frame.set_attributes(**attributes)
             for tag, values in parts:
                 frame.add(tag, **values)
-            self._pairs = {contact["name"]: arena.mjcf_model.contact.add("pair", **contact) for contact in contacts}
+            self._tree.pairs = {
+                contact["name"]: arena.mjcf_model.contact.add("pair", **contact) for contact in contacts
+            }
 
     def _join_first(self, arena: Arena, scene: Scene, pairs: Pairs, frame: Any) -> None:
         body, others = self._elements(scene)
@@ -94,52 +153,83 @@ class Thing(composer.Entity):
         for part in body.findall("inertial"):
             frame.add("inertial", **part.attrib)
         for tendon in others:  # those of the frame's joints would be searched in the tree
-            for part, term in zip(tendon, self._model.find("tendon", tendon.get("name")).joint, strict=True):
+            for part, term in zip(tendon, self._tree.root.find("tendon", tendon.get("name")).joint, strict=True):
                 if part.get("joint") in joints:
                     term.joint = joints[part.get("joint")]
-        for geom in self._model.find_all("geom", exclude_attachments=True):
+        for geom in self._tree.root.find_all("geom", exclude_attachments=True):
             if isinstance(geom.mesh, str):
                 geom.mesh = arena.mjcf_model.find("mesh", geom.mesh)
         floor = arena.mjcf_model.find("geom", "floor")
-        for name in WHEELS if self._name == "robot" else (f"{self._name}_foot",):
-            geoms = {"geom1": floor, "geom2": self._model.find("geom", name)}
-            self._pairs[name] = arena.mjcf_model.contact.add("pair", **{**pairs[name], **geoms})
+        for name in WHEELS if self.name == "robot" else (f"{self.name}_foot",):
+            geoms = {"geom1": floor, "geom2": self._tree.root.find("geom", name)}
+            self._tree.pairs[name] = arena.mjcf_model.contact.add("pair", **{**pairs[name], **geoms})
 
     def leave(self) -> None:
         """Takes the thing out of the arena. It keeps what users have added or changed, for when it joins again."""
-        frame = mjcf.get_attachment_frame(self._model)
+        frame = self.frame
         own = [child for child in frame.all_children() if child.namescope is frame.namescope]
         parts = [(child.tag, child.get_attributes()) for child in own]
-        self._kept = frame.get_attributes(), parts, [pair.get_attributes() for pair in self._pairs.values()]
-        for pair in self._pairs.values():
+        self._tree.kept = frame.get_attributes(), parts, [pair.get_attributes() for pair in self._tree.pairs.values()]
+        for pair in self._tree.pairs.values():
             pair.remove()
         self.detach()
 
     def show(self, scene: Scene, pairs: Pairs, owned: Owned) -> None:
         """Writes what the scene determines into the tree."""
         body, others = self._elements(scene)
-        frame = mjcf.get_attachment_frame(self._model)
+        frame = self.frame
         owned.write(frame, {name: body.attrib[name] for name in PLACE})
         joints = {joint.name: joint for joint in frame.find_all("joint", immediate_children_only=True)}
         for element in (*list(body.iter())[1:], *others):
             names = [name for name in OWNED.get(element.tag, ()) if name in element.attrib]
-            if not element.get("name") or not names or (element.tag == "geom" and not self._name.startswith("block")):
+            if not element.get("name") or not names or (element.tag == "geom" and not self.name.startswith("block")):
                 continue
             name = element.get("name")
-            target = joints.get(name) or self._model.find(NAMESPACES[element.tag], name)
+            target = joints.get(name) or self._tree.root.find(NAMESPACES[element.tag], name)
             if target is None:
                 raise SettingsError(
-                    f"the MJCF tree of {self._name} lacks the {element.tag} {name!r}, which its scene needs: do not "
+                    f"the MJCF tree of {self.name} lacks the {element.tag} {name!r}, which its scene needs: do not "
                     "remove it"
                 )
             owned.write(target, {name: element.attrib[name] for name in names})
-        for name, pair in self._pairs.items():
+        for name, pair in self._tree.pairs.items():
             owned.write(pair, {"friction": pairs[name]["friction"]})
 
     def _elements(self, scene: Scene) -> tuple[Element, list[Element]]:
         """The body and the tendons."""
         body, *others = _without_comments(self._mjcf_of(scene))
         return body, others
+
+
+class BlockEntity(Thing):
+    """A block."""
+
+    def _build_observables(self) -> BlockObservables:
+        return BlockObservables(self)
+
+
+class RobotEntity(Thing):
+    """The robot."""
+
+    @property
+    def fingers(self) -> list[Any]:
+        """The joints of the left and the right finger, if it has any."""
+        joints = [self._tree.root.find("joint", name) for name in FINGERS]
+        return [joint for joint in joints if joint is not None]
+
+    def apply_action(self, physics: Any, action: Any, random_state: Any = None) -> None:
+        """Writes the controls of one of the 18 actions, for tasks of one's own.
+
+        Raises:
+            InvalidActionError: if it is not one of these.
+        """
+        del random_state
+        robot, dynamics = self.parent.scene.robot, self.parent.scene.dynamics
+        motors = [self._tree.root.find("actuator", name) for name in actuators(robot.body)]
+        physics.bind(motors).ctrl = control_signal(action_number(action), robot.body, dynamics.veer)
+
+    def _build_observables(self) -> RobotObservables:
+        return GripperObservables(self) if self.fingers else RobotObservables(self)
 
 
 def _attach(arena: Arena, thing: Thing, place: int | None) -> Any:
@@ -154,11 +244,11 @@ def _attach(arena: Arena, thing: Thing, place: int | None) -> Any:
     return frame
 
 
-class Arena(composer.Entity):
+class Arena(composer.Arena):
     """The root entity: ground, walls, lights, the camera "allo", and the goal regions. Robot and blocks are attached.
 
-    What users add to the trees stays there. A block has a tree of its own for each shape that it has had. The
-    attributes `robot`, `blocks` and `pebbles` are in the order of the scene.
+    What users add to the trees stays there. A block has a tree of its own for each shape that it has had, and its hooks
+    and observables are the same for all. The attributes `robot`, `blocks` and `pebbles` are in the order of the scene.
 
     Robot and blocks always come before what users attach, and the robot after the blocks: it is drawn over them. So the
     order of MuJoCo's vectors follows from the scene and from the users' parts alone, not from earlier episodes.
@@ -174,13 +264,16 @@ class Arena(composer.Entity):
         self._owned = Owned()
         apart = APART if body_named(body).fingers else ""
         more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
-        self.robot = Thing("robot", _robot, scene, more)
+        self.robot = RobotEntity("robot", _robot, scene, more=more)
         self.robot.join(self, scene, _pairs(scene))
         self.blocks: list[Thing] = []
         self.pebbles: list[Thing] = []
-        self._things: dict[tuple[str, str, float], Thing] = {}  # all blocks so far: parsing one takes 40 ms
+        self._things: dict[str, Thing] = {}  # all blocks and pebbles so far
         self._skins: list[Any] = []
         self.show(scene)
+
+    def _build_observables(self) -> ArenaObservables:
+        return ArenaObservables(self)
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -279,34 +372,38 @@ class Arena(composer.Entity):
             for mesh in elements(pebble_library()):
                 self._model.asset.add("mesh", **mesh.attrib)
         blocks = [
-            (f"block{index}", str(block.shape), block.mass, partial(_block, index))
+            self._thing(BlockEntity, f"block{index}", (block.shape, block.mass), partial(_block, index), scene)
             for index, block in enumerate(scene.blocks)
         ]
         self.blocks = self._exchange(self.blocks, blocks, 0, scene, pairs)
-        grit = [(f"pebble{index}", "pebble", 0.0, partial(_pebble, index)) for index in range(len(scene.pebbles))]
+        grit = [
+            self._thing(Thing, f"pebble{index}", None, partial(_pebble, index), scene)
+            for index in range(len(scene.pebbles))
+        ]
         self.pebbles = self._exchange(self.pebbles, grit, 1, scene, pairs)
 
+    def _thing(
+        self, kind: type[Thing], name: str, form: Hashable, mjcf_of: Callable[[Scene], str], scene: Scene
+    ) -> tuple[Thing, Hashable]:
+        """The thing of this name, and the form that it is to have."""
+        if name not in self._things:
+            self._things[name] = kind(name, mjcf_of, scene, form)
+        return self._things[name], form
+
     def _exchange(
-        self,
-        present: list[Thing],
-        wanted: list[tuple[str, str, float, Callable[[Scene], str]]],
-        after: int,
-        scene: Scene,
-        pairs: Pairs,
+        self, present: list[Thing], wanted: list[tuple[Thing, Hashable]], after: int, scene: Scene, pairs: Pairs
     ) -> list[Thing]:
-        """The wanted things, attached before the robot, or after it if `after` is 1."""
-        for *key, mjcf_of in wanted:
-            if tuple(key) not in self._things:
-                self._things[tuple(key)] = Thing(key[0], mjcf_of, scene)
-        things = [self._things[name, shape, mass] for name, shape, mass, _ in wanted]
-        same = len(list(takewhile(lambda pair: pair[0] is pair[1], zip(present, things, strict=False))))
+        """The wanted things in their forms, attached before the robot, or after it if `after` is 1."""
+        staying = takewhile(lambda pair: (pair[0], pair[0].form) == pair[1], zip(present, wanted, strict=False))
+        same = len(list(staying))
         for thing in present[same:]:
             thing.leave()
-        frame = mjcf.get_attachment_frame(self.robot.mjcf_model)
-        for thing in things[same:]:
+        frame = self.robot.frame
+        for index, (thing, form) in enumerate(wanted[same:], same):
+            thing.take_form(form, scene)
             place = next(k for k, child in enumerate(self._model.worldbody.all_children()) if child is frame)
-            thing.join(self, scene, pairs, place + after * (1 + things.index(thing)))
-        return things
+            thing.join(self, scene, pairs, place + after * (1 + index))
+        return [thing for thing, _ in wanted]
 
 
 def _robot(scene: Scene) -> str:

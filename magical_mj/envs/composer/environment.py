@@ -190,7 +190,7 @@ class Environment(composer.Environment):
 
     def get_state(self) -> State:
         """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
-        return self.task.simulation(self._opened()).state(self.task.steps)
+        return self.task.state(self._opened())
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
@@ -360,7 +360,8 @@ def load(
         seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
             drawn from a generator with this seed. None: seeded from the system's entropy.
         scene: start every episode in this scene instead.
-        observations: any of "ego", "allo" and "state".
+        observations: any of "ego", "allo" and "state", and of "ego_stack" and "allo_stack", the last four frames of a
+            view along the channels, oldest first: the benchmark's LoRes4E and LoRes4A.
         image_size: side of the pictures in pixels.
         reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
         rules: "paper", or "released" for the scores and horizons of the original's released code.

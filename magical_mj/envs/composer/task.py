@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import mujoco
@@ -21,6 +21,7 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
 from magical_mj.envs.composer.entities import Arena
+from magical_mj.envs.composer.observables import STACKS, CurrentObservable, LatestFrames
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
@@ -33,25 +34,10 @@ from magical_mj.utils.errors import SettingsError, check_name, short_repr
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """The names of cameras in the compiled tree, where they are not those of the views."""
 
-
 FIXED_TIMESTEPS: Final = (
     f"an action is {SUBSTEPS} physics steps of {TIMESTEP} s, for which motors, friction and contacts are fitted: the "
     "timesteps cannot be changed. To act less often, repeat actions"
 )
-
-
-class CurrentObservable(observable.Generic):
-    """An observable with a known spec, so that reading the spec draws nothing. It is enabled by default."""
-
-    def __init__(self, function: Callable[[Any], Any], spec: specs.Array) -> None:
-        super().__init__(function)
-        self._own_spec = spec
-        self.enabled = True
-
-    @property
-    def array_spec(self) -> specs.Array:
-        """Shape and type."""
-        return self._own_spec
 
 
 @dataclass(frozen=True)
@@ -126,8 +112,18 @@ class SceneTask(composer.Task):
             vector = specs.Array((len(STATE_NAMES),), np.float32, name)
             return CurrentObservable(lambda physics: self.simulation(physics).state_vector(), vector)
         size = self.settings.image_size
+        if name in STACKS:
+            return LatestFrames(lambda physics, *view: self.simulation(physics).draw(*view), name, size)
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
+
+    def _stacks(self) -> list[LatestFrames]:
+        return [it for it in self._observables.values() if isinstance(it, LatestFrames)]
+
+    def state(self, physics: Any) -> State:
+        """The present state of the episode, with the frames of stacks."""
+        frames = {name: stack for it in self._stacks() for name, stack in it.save(physics).items()}
+        return replace(self.simulation(physics).state(self.steps), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode in composer's model and data."""
@@ -236,6 +232,8 @@ class SceneTask(composer.Task):
         self.steps = 0
         if self._state is not None:
             self.resume(physics, self._state)
+        for stack in self._stacks():
+            stack.begin({} if self._state is None else self._state.frames)
 
     def resume(self, physics: Any, state: State) -> None:
         """Restores a state of an episode that started in this scene."""
@@ -247,6 +245,8 @@ class SceneTask(composer.Task):
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
         del random_state
+        for stack in self._stacks():
+            stack.catch_up(physics)
         self.simulation(physics).command(action)
         self.steps += 1
 
@@ -259,6 +259,12 @@ class SceneTask(composer.Task):
             self.simulation(physics).advance(SUBSTEPS - 1)
         except errors.PhysicsError as error:
             raise PhysicsError(str(error)) from None
+
+    def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Frames are due: they are drawn after all hooks."""
+        del physics, random_state
+        for stack in self._stacks():
+            stack.after_action()
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the horizon is reached."""
