@@ -97,65 +97,82 @@ class LatestFrames(CurrentObservable):
         self._observed, self._due = True, False
 
 
+class Bound(observable.Observable):
+    """An observable that looks elements up once in an episode, since that takes longer than to read them.
+
+    Args:
+        bind: returns, of a physics, the function that observes.
+    """
+
+    def __init__(self, bind: Callable[[Any], Callable[[], Any]]) -> None:
+        super().__init__(1, None, None, None, None)
+        self._bind = bind
+
+    def _callable(self, physics: Any) -> Callable[[], Any]:
+        return self._bind(physics)
+
+
 class PlanarObservables(composer.Observables):
     """Of a body that moves in the plane."""
 
     @composer.observable
-    def pose(self) -> observable.Generic:
+    def pose(self) -> Bound:
         """x, y, angle: world coordinates; the angle is not wrapped. Shape (3,)."""
-        return observable.Generic(lambda physics: _coordinates(physics, "qpos", self._entity)[0])
+        return Bound(lambda physics: _values(physics, "qpos", self._entity.joints))
 
     @composer.observable
-    def velocity(self) -> observable.Generic:
+    def velocity(self) -> Bound:
         """Velocities of x, y and the angle, in world coordinates. Shape (3,)."""
-        return observable.Generic(lambda physics: _coordinates(physics, "qvel", self._entity)[0])
+        return Bound(lambda physics: _values(physics, "qvel", self._entity.joints))
 
 
 class BlockObservables(PlanarObservables):
     """Of a block. They exist in episodes in which the block does."""
 
     @composer.observable
-    def egocentric_pose(self) -> observable.Generic:
+    def egocentric_pose(self) -> Bound:
         """The pose in the robot's frame: to its right, ahead of it, and the angle in [-pi, pi]. Shape (3,)."""
 
-        def relative(physics: Any) -> Rows:
-            robot, block = _coordinates(physics, "qpos", self._entity.parent.robot, self._entity)
-            return _in_frame(robot, block[None])[0]
+        def bind(physics: Any) -> Callable[[], Rows]:
+            relative = _in_frame(physics, self._entity.parent.robot, [self._entity])
+            return lambda: relative()[0]
 
-        return observable.Generic(relative)
+        return Bound(bind)
 
     @composer.observable
-    def contact(self) -> observable.Generic:
+    def contact(self) -> Bound:
         """1 where the robot touches the block, else 0. Shape ()."""
-        return observable.Generic(lambda physics: _touching(physics, self._entity.parent.robot, [self._entity])[0])
+
+        def bind(physics: Any) -> Callable[[], Rows]:
+            touching = _touching(physics, self._entity.parent.robot, [self._entity])
+            return lambda: touching()[0]
+
+        return Bound(bind)
 
 
 class RobotObservables(PlanarObservables):
     """Of the robot. What it observes of blocks has the same shape in every episode, with zeros for absent blocks."""
 
     @composer.observable
-    def egocentric_blocks(self) -> observable.Generic:
+    def egocentric_blocks(self) -> Bound:
         """All blocks in the robot's frame. Shape (10, 4): 1 if the block exists, and its `egocentric_pose`."""
 
-        def relative(physics: Any) -> Rows:
+        def bind(physics: Any) -> Callable[[], Rows]:
             blocks = _check_count(self._entity.parent.blocks)
-            robot, *others = _coordinates(physics, "qpos", self._entity, *blocks)
-            rows = np.zeros((MAX_BLOCKS, 4))
-            rows[: len(blocks), 0] = 1
-            rows[: len(blocks), 1:] = _in_frame(robot, np.reshape(others, (-1, 3)))
-            return rows
+            relative = _in_frame(physics, self._entity, blocks)
+            return lambda: _padded(np.insert(relative(), 0, 1, axis=1))
 
-        return observable.Generic(relative)
+        return Bound(bind)
 
     @composer.observable
-    def contacts(self) -> observable.Generic:
+    def contacts(self) -> Bound:
         """1 for each block that the robot touches, else 0. Shape (10,)."""
 
-        def touching(physics: Any) -> Rows:
-            blocks = _check_count(self._entity.parent.blocks)
-            return np.pad(_touching(physics, self._entity, blocks), (0, MAX_BLOCKS - len(blocks)))
+        def bind(physics: Any) -> Callable[[], Rows]:
+            touching = _touching(physics, self._entity, _check_count(self._entity.parent.blocks))
+            return lambda: _padded(touching())
 
-        return observable.Generic(touching)
+        return Bound(bind)
 
     @composer.observable
     def egocentric_camera(self) -> observable.MJCFCamera:
@@ -167,14 +184,14 @@ class GripperObservables(RobotObservables):
     """Of a robot with fingers."""
 
     @composer.observable
-    def fingers(self) -> observable.Generic:
+    def fingers(self) -> Bound:
         """The angles of the left and the right finger. Shape (2,)."""
-        return observable.Generic(lambda physics: np.array(physics.bind(self._entity.fingers).qpos))
+        return Bound(lambda physics: _values(physics, "qpos", self._entity.fingers))
 
     @composer.observable
-    def finger_velocities(self) -> observable.Generic:
+    def finger_velocities(self) -> Bound:
         """The velocities of these angles. Shape (2,)."""
-        return observable.Generic(lambda physics: np.array(physics.bind(self._entity.fingers).qvel))
+        return Bound(lambda physics: _values(physics, "qvel", self._entity.fingers))
 
 
 class ArenaObservables(composer.Observables):
@@ -196,37 +213,54 @@ class ArenaObservables(composer.Observables):
         return observable.MJCFCamera(self._entity.mjcf_model.find("camera", "allo"), height=96, width=96)
 
 
-def _coordinates(physics: Any, kind: str, *things: PlanarEntity) -> Rows:
-    """The coordinates ("qpos") or velocities ("qvel") of planar bodies. Shape (things, 3), fresh."""
-    joints = [joint for thing in things for joint in thing.joints]
-    return np.array(getattr(physics.bind(joints), kind)).reshape(-1, 3)
+def _values(physics: Any, kind: str, joints: Sequence[Any]) -> Callable[[], Rows]:
+    """Reads the coordinates ("qpos") or velocities ("qvel") of joints, into a fresh array. Shape (joints,)."""
+    bound = physics.bind(joints)
+    return lambda: np.array(getattr(bound, kind))
 
 
-def _in_frame(robot: Rows, poses: Rows) -> Rows:
-    """Poses in the robot's frame. Shape (n, 3)."""
-    x, y, angle = (poses - robot).T
-    cosine, sine = math.cos(robot[2]), math.sin(robot[2])
-    return np.stack((cosine * x + sine * y, cosine * y - sine * x, np.arctan2(np.sin(angle), np.cos(angle))), axis=1)
+def _in_frame(physics: Any, robot: PlanarEntity, blocks: Sequence[PlanarEntity]) -> Callable[[], Rows]:
+    """Reads the poses of blocks in the robot's frame. Shape (blocks, 3)."""
+    values = _values(physics, "qpos", [joint for it in (robot, *blocks) for joint in it.joints])
+
+    def read() -> Rows:
+        robot, *poses = values().reshape(-1, 3)
+        x, y, angle = (np.reshape(poses, (-1, 3)) - robot).T
+        cosine, sine = math.cos(robot[2]), math.sin(robot[2])
+        turned = np.arctan2(np.sin(angle), np.cos(angle))
+        return np.stack((cosine * x + sine * y, cosine * y - sine * x, turned), axis=1)
+
+    return read
 
 
-def _touching(physics: Any, robot: PlanarEntity, blocks: Sequence[PlanarEntity]) -> Rows:
-    """1 for each block that touches the robot, else 0. Shape (blocks,).
+def _touching(physics: Any, robot: PlanarEntity, blocks: Sequence[PlanarEntity]) -> Callable[[], Rows]:
+    """Reads which blocks touch the robot: 1, else 0. Shape (blocks,).
 
     Contacts are those of the present state. Their forces are not: MuJoCo has solved for those of the step before.
     """
-    model, contact = physics.model.ptr, physics.data.ptr.contact
-    geoms = contact.geom[(contact.exclude == 0) & (contact.geom >= 0).all(axis=1)]
-    roots = model.body_rootid[model.geom_bodyid[geoms]]
-    ours, *theirs = np.atleast_1d(physics.bind([it.frame for it in (robot, *blocks)]).element_id)
-    touched = roots[:, ::-1][roots == ours]  # what is at the other side of each contact of the robot
-    return np.isin(theirs, touched).astype(np.float64)
+    model, data = physics.model.ptr, physics.data.ptr
+    ours, *theirs = physics.bind([it.frame for it in (robot, *blocks)]).element_id
+    root_of_geom = model.body_rootid[model.geom_bodyid]
+
+    def read() -> Rows:
+        contact = data.contact
+        roots = root_of_geom[contact.geom[(contact.exclude == 0) & (contact.geom >= 0).all(axis=1)]]
+        touched = roots[:, ::-1][roots == ours]  # what is at the other side of each contact of the robot
+        return np.isin(theirs, touched).astype(np.float64)
+
+    return read
+
+
+def _padded(rows: Rows) -> Rows:
+    """Rows of blocks, with zeros for those that do not exist. Shape (10, ...)."""
+    return np.concatenate((rows, np.zeros((MAX_BLOCKS - len(rows), *rows.shape[1:]))))
 
 
 def _check_count(blocks: Sequence[PlanarEntity]) -> Sequence[PlanarEntity]:
-    """The blocks, if rows have a place for all.
+    """The blocks, if there are rows for all.
 
     Raises:
-        InvalidSceneError: if they have not.
+        InvalidSceneError: if there are not.
     """
     if len(blocks) > MAX_BLOCKS:
         raise InvalidSceneError(
