@@ -134,3 +134,20 @@ def test_noise_of_an_observable_stays_out_of_poses() -> None:
     seen = env.reset().observation["robot/pose"]
     np.testing.assert_array_equal(seen, 2 * np.array(env.scene.robot.pose))
     np.testing.assert_array_equal(robot.get_pose(env.physics)[0][:2], env.scene.robot.pose[:2])
+
+
+def test_what_persists_in_the_compiled_model() -> None:
+    """Until it is compiled again; with a shift that changes the model, until the next reset."""
+    scenes = [magical_mj.sample_scene("MoveToCorner", "Shape", seed) for seed in range(6)]
+    same = [scene for scene in scenes if scene.blocks[0].shape == scenes[0].blocks[0].shape]
+    (other, *_) = (scene for scene in scenes if scene not in same)
+    for shifts, kept in ((None, 0.7), ("camera:2", 0.4)):
+        env = magical_mj.load("MoveToCorner", "Shape", seed=0, observations=(), shifts=shifts)
+        env.reset(scene=same[0])
+        wall = env.task.root_entity.mjcf_model.find("geom", "top_wall")
+        assert env.physics.bind(wall).friction[0] == 0.4
+        env.physics.bind(wall).friction[0] = 0.7
+        env.reset(scene=same[-1])
+        assert env.physics.bind(wall).friction[0] == kept
+        env.reset(scene=other)
+        assert env.physics.bind(wall).friction[0] == 0.4
