@@ -14,13 +14,13 @@ pytest.importorskip("dm_control", reason="dm_control does not install with this 
 
 from dm_control import composer
 from dm_control.composer.observation import observable
-from dm_control.composer.variation import noises
+from dm_control.composer.variation import distributions, noises
 
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import InvalidSceneError, SettingsError
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError
 
 OBSERVED = ("block0/pose", "block0/velocity", "robot/pose", "robot/velocity", "robot/fingers")
 
@@ -176,6 +176,30 @@ def test_what_was_enabled_stays_enabled_where_its_entity_is() -> None:
         assert tuple(seen["block0/pose"][1]) == scene.blocks[0].pose
         assert set(seen) == {"block0/pose"} | ({"block2/twice"} if len(scene.blocks) == 3 else set())
         assert len(scene.blocks) < 3 or tuple(seen["block2/twice"] / 2) == scene.blocks[2].pose
+
+
+def test_copies_observe_the_same() -> None:
+    """Or say which observable they cannot have."""
+    scenes = [magical_mj.sample_scene("FixColour", "All", seed) for seed in (1, 5)]
+    env = magical_mj.load("FixColour", "All", scene=scenes[0], observations=("state",))
+    arena = env.task.root_entity
+    arena.robot.observables.contacts.enabled = True
+    arena.blocks[1].observables.pose.configure(enabled=True, corruptor=noises.Additive(distributions.Normal(scale=0.1)))
+    arena.observables.top_camera.configure(enabled=True, height=8, width=12)
+    env.task.observables["state"].enabled = False
+    env.reset()
+    twins = [env.clone(), pickle.loads(pickle.dumps(env))]
+    expected = env.step(1).observation
+    assert expected["top_camera"].shape == (8, 12, 3)
+    for twin in twins:
+        seen = twin.step(1).observation
+        assert seen.keys() == expected.keys()
+        for name, values in expected.items():
+            np.testing.assert_array_equal(seen[name], values, err_msg=name)
+    arena.blocks[2].observables.contact.enabled = True
+    env.reset(scene=scenes[1])
+    with pytest.raises(StateError, match="'block2/contact' of a block that this episode lacks"):
+        env.clone()
 
 
 def test_contacts_are_the_robots() -> None:

@@ -276,6 +276,11 @@ class Arena(composer.Arena):
         return ArenaObservables(self)
 
     @property
+    def absent(self) -> list[Thing]:
+        """The blocks and pebbles of earlier episodes that the present one lacks."""
+        return [thing for thing in self._things.values() if thing.parent is None]
+
+    @property
     def mjcf_model(self) -> mjcf.RootElement:
         """The tree, as it is in the present episode's scene. Read it again after a reset."""
         self.refresh()

@@ -12,6 +12,7 @@ from typing import Any, Final
 import dm_env
 import numpy as np
 from dm_control import composer
+from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
@@ -34,9 +35,8 @@ from magical_mj.variants import check_seed
 
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
 """Hooks that composer calls only when it compiles the tree."""
-COPIED_OPTIONS: Final = ("enabled", "aggregator", "corruptor")
 TIMING_OPTIONS: Final = ("update_interval", "buffer_size", "delay")
-"""Options of observables that copies have, and those that they cannot have: they need earlier observations."""
+"""Options of observables that copies cannot have: they need earlier observations."""
 SUBSTEP_HOOKS: Final = ("before_substep", "after_substep")
 
 
@@ -230,8 +230,8 @@ class Environment(composer.Environment):
     def clone(self) -> Environment:
         """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
 
-        Which observables are enabled, their corruptors and aggregators are copied, too. What else users have changed
-        cannot be.
+        Which observables are enabled, with their corruptors, aggregators and sizes, is copied as well. What else users
+        have changed cannot be.
 
         Raises:
             StateError: if users have changed anything else of this environment; it says what.
@@ -270,7 +270,7 @@ class Environment(composer.Environment):
             )
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
         state = None if self._over else self.get_state()
-        options = {name: {key: getattr(it, key) for key in COPIED_OPTIONS} for name, it in task.observables.items()}
+        options = {name: _options(it) for name, it in task.observables.items()}
         return loaded, seeds, self._fixed, self._recompile, state, options
 
     def _changes(self, fresh: SceneTask) -> list[str]:
@@ -291,6 +291,12 @@ class Environment(composer.Environment):
                 changes.append(f"the observable {name!r}")
             elif any(getattr(it, key) != getattr(known[name], key) for key in TIMING_OPTIONS):
                 changes.append(f"the buffer or delay of the observable {name!r}")
+        changes += [
+            f"the observable '{block.name}/{name}' of a block that this episode lacks"
+            for block in task.root_entity.absent
+            for name, it in block.observables.as_dict(fully_qualified=False).items()
+            if it.enabled
+        ]
         changes += [f"no observable {name!r}" for name in known.keys() - task.observables.keys()]
         mine, other = (it.root_entity.mjcf_model.to_xml_string() for it in (task, fresh))
         if mine != other:
@@ -311,6 +317,12 @@ class Environment(composer.Environment):
         if self._closed:
             raise ClosedError("the environment is closed; load another one")
         return self.physics
+
+
+def _options(it: observable.Observable) -> dict[str, Any]:
+    """All that can be set of an observable, such as the size of a camera's pictures, but for its timing."""
+    settable = (name for name in dir(type(it)) if getattr(getattr(type(it), name), "fset", None) is not None)
+    return {name: getattr(it, name) for name in settable if name not in TIMING_OPTIONS}
 
 
 def _copied(
