@@ -255,9 +255,10 @@ def test_poses_and_velocities_are_read_and_written_as_of_other_entities() -> Non
     env = magical_mj.load("MoveToCorner", seed=0, observations=())
     block, robot = env.task.root_entity.blocks[0], env.task.root_entity.robot
     env.reset()
-    for _ in range(6):
-        before = env.scene.robot
+    for _ in range(5):
         env.step(1)
+    before = env.scene.robot
+    env.step(1)
     (x, y, z), quaternion = robot.get_pose(env.physics)
     assert (x, y, z) == (env.scene.robot.x, env.scene.robot.y, 0)
     np.testing.assert_allclose(quaternion, env.physics.bind(robot.root_body).xquat, atol=1e-12)
