@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("dm_control", reason="dm_control does not install with this Python or MuJoCo")
 
-from dm_control import composer
+from dm_control import composer, mjcf
 from dm_control.composer.observation import observable
 from dm_control.composer.variation import distributions, noises
 
@@ -112,10 +112,13 @@ def test_stacks_are_complete_however_composer_evaluates_them() -> None:
 
 
 def test_entities_observe_the_present_scene_in_every_episode() -> None:
-    """However the numbers and shapes of blocks change."""
+    """However the numbers and shapes of blocks change; with a joint of the user's."""
     env = magical_mj.load("FixColour", "All", seed=0, observations=("state",))
     arena = env.task.root_entity
     assert isinstance(arena, composer.Arena)
+    prop = mjcf.RootElement(model="prop")
+    prop.worldbody.add("geom", size=(0.1,), pos=(3, 3, 0))
+    arena.add_free_entity(composer.ModelWrapperEntity(prop))
     names = {f"{entity.mjcf_model.model}/{name}" for entity in arena.iter_entities() for name in names_of(entity)}
     assert not set(env.reset().observation) & names  # off
     counts, indices = set(), {name: index for index, name in enumerate(STATE_NAMES)}

@@ -359,7 +359,7 @@ def load(
     body: str = GRIPPER,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
-    """A dm_env environment of the benchmark, by dm_control's composer.
+    """A dm_env environment of the benchmark, by dm_control's composer: docs/composer.md.
 
     Its MJCF tree is `env.task.root_entity.mjcf_model`. What users change there, or in observables, counts from the next
     reset; an error names what the scene owns (docs/composer.md). The tree is compiled again where it was changed, and
