@@ -173,6 +173,7 @@ OWNED = {
     "pose": (lambda arena: assign(mjcf.get_attachment_frame(arena.robot.mjcf_model), pos=[0, 0, 0]), "the poses"),
     "region": (lambda arena: assign(arena.mjcf_model.deformable.skin[0], rgba=[1, 1, 1, 1]), "the colours"),
     "timestep": (lambda arena: assign(arena.mjcf_model.option, timestep=0.005), "ten physics steps"),
+    "detached": (lambda arena: arena.blocks[0].detach(), "do not remove"),
     "removed": (lambda arena: arena.mjcf_model.deformable.skin[0].remove(), "do not remove"),
 }
 
@@ -180,7 +181,7 @@ OWNED = {
 @pytest.mark.parametrize("what", sorted(OWNED))
 def test_changes_of_what_the_scene_owns_are_refused(what: str) -> None:
     change, owner = OWNED[what]
-    env = magical_mj.load("MoveToRegion" if "colour" not in what else "FixColour", seed=0, observations=())
+    env = magical_mj.load("FixColour" if what in ("colour", "detached") else "MoveToRegion", seed=0, observations=())
     if what != "pair friction":  # else before the first reset
         env.reset(seed=0)
     scene = env.initial_scene
@@ -188,7 +189,7 @@ def test_changes_of_what_the_scene_owns_are_refused(what: str) -> None:
     change(env.task.root_entity)
     with pytest.raises(SettingsError, match=owner):
         env.reset(seed=0)
-    if what != "removed":
+    if owner != "do not remove":
         env.reset(seed=0)
         assert env.task.root_entity.mjcf_model.to_xml_string() == before
         assert env.scene == scene

@@ -186,11 +186,6 @@ class Thing(PlanarEntity):
                 continue
             name = element.get("name")
             target = joints.get(name) or self._tree.root.find(NAMESPACES[element.tag], name)
-            if target is None:
-                raise SettingsError(
-                    f"the MJCF tree of {self.name} lacks the {element.tag} {name!r}, which its scene needs: do not "
-                    "remove it"
-                )
             owned.write(target, {name: element.attrib[name] for name in names})
         for name, pair in self._tree.pairs.items():
             owned.write(pair, {"friction": pairs[name]["friction"]})
@@ -364,10 +359,6 @@ class Arena(composer.Arena):
                 self._skins.append(self._model.deformable.add("skin", **element.attrib))
                 self._skins[index].add("bone", **element[0].attrib)
             skin = self._skins[index]
-            if skin.is_removed:
-                raise SettingsError(
-                    f"the MJCF tree lacks the skin {element.get('name')!r} of a goal region: do not remove it"
-                )
             self._owned.write(skin, {name: element.attrib[name] for name in ("rgba", "vertex", "face")})
             skin.bone[0].set_attributes(**element[0].attrib)
 

@@ -56,19 +56,27 @@ class Owned:
     """Attributes that a scene determines, as they were last written. Users change the scene instead."""
 
     def __init__(self) -> None:
-        self._written: list[tuple[Any, str, Any]] = []
+        self._written: list[tuple[Any, str, str, Any]] = []
 
     def write(self, element: Any, attributes: Mapping[str, Any]) -> None:
         """Gives an element attributes."""
         element.set_attributes(**attributes)
-        self._written += ((element, name, np.copy(getattr(element, name))) for name in attributes)
+        described = _described(element)
+        self._written += ((element, described, name, np.copy(getattr(element, name))) for name in attributes)
 
     def changed(self) -> list[tuple[str, str]]:
-        """The elements and attributes that somebody else has changed since they were written."""
+        """The elements and attributes that somebody else has changed since they were written.
+
+        Raises:
+            SettingsError: if somebody has removed an element.
+        """
+        for element, described, *_ in self._written:
+            if element.is_removed:
+                raise SettingsError(f"the MJCF tree lacks {described}, which its scene needs: do not remove it")
         return [
-            ("an element", name) if element.is_removed else (_described(element), name)
-            for element, name, value in self._written
-            if element.is_removed or not np.array_equal(getattr(element, name), value)
+            (described, name)
+            for element, described, name, value in self._written
+            if not np.array_equal(getattr(element, name), value)
         ]
 
 
