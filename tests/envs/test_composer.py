@@ -301,7 +301,7 @@ def test_arenas_show_one_scene_after_another() -> None:
 
 
 def test_copies_go_on_exactly_alike() -> None:
-    with magical_mj.load("FindDupe", "All", seed=3, observations=("state",)) as env:
+    with magical_mj.load("FixColour", "All", seed=3, observations=("state",)) as env:
         env.reset()
         env.step(5)
         twins = env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)
