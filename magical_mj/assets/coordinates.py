@@ -1,7 +1,7 @@
-"""Where a scene's coordinates and controls are in MuJoCo's vectors `qpos`, `qvel` and `ctrl`.
+"""The indices of a scene's coordinates and controls in MuJoCo's vectors `qpos`, `qvel` and `ctrl`.
 
-A model that this package compiles lists them in one order, in which demonstrations are recorded, too. In a composer
-environment users' joints and actuators may come before or between them, so there they are looked up by name.
+Models that this package compiles list them in one order, and demonstrations are recorded in that order. The model of a
+composer environment may hold joints and actuators of users between them. There, indices are looked up by name.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Coordinates(NamedTuple):
     qpos: Indices
     """x, y and angle of the robot, and then of each block. Shape (1 + blocks, 3)."""
     qvel: Indices
-    """Their velocities, likewise."""
+    """Their velocities. Shape (1 + blocks, 3)."""
     fingers: Indices
     """In `qpos`: the left and the right finger. Shape (2,), without fingers (0,)."""
     pebbles: Indices
