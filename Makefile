@@ -9,6 +9,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3 p
 	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
+METHODS := --editable methods/relational --editable methods/goals
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
@@ -23,10 +24,10 @@ fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processe
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" tests/scene tests/variants tests/tasks tests/engine $(ARGS)
 
 bench: $(VENV)/.installed-dev  ## measure speed
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/python -m tools.benchmarks $(ARGS)
 
 peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in an environment of its own
-	.venv-peers/bin/python benchmarks/peers.py --picture docs/speed.png $(ARGS)
+	.venv-peers/bin/python tools/benchmarks/peers.py --picture docs/speed.png $(ARGS)
 
 .venv-peers/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-peers
@@ -69,7 +70,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python -m tools.architecture_picture
 	$(BIN)/python tools/shifts.py picture
-	$(BIN)/python research/physics_picture.py
+	$(BIN)/python tools/research/physics_picture.py
 	$(BIN)/python tools/tables.py
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
@@ -155,10 +156,10 @@ $(VENV)/.installed-all: pyproject.toml constraints.txt magical_mj/_version.py $(
 	@$(INSTALL) --editable '.[all]'
 	@touch $@
 
-$(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
+$(VENV)/.installed-%: pyproject.toml constraints.txt $(wildcard methods/*/pyproject.toml) magical_mj/_version.py $(BIN)/python | system
 	@echo "installing magical-mj for $* into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1' # the first with --group
-	@$(INSTALL) --editable . --group $*
+	@$(INSTALL) --editable . $(if $(filter dev,$*),$(METHODS)) --group $*
 	@touch $@ $(if $(filter dev,$*),$(VENV)/.installed-all)
 
 $(BIN)/python: | system

@@ -29,7 +29,6 @@ FOLDER: Final = ROOT / "out" / "site"
 PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others|home): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
 BELOW: Final = {
-    "results": ("results-pictures", "results-states", "results-tried"),
     "demonstrations": ("experts",),
     "environments": ("pictures",),
     "adding-a-task": ("trust",),

@@ -18,7 +18,6 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
 
 ROOT: Final = Path(__file__).parent.parent
-BUILT_IN: Final = {"random": "random", "noop": "noop"}
 HEADLINE: Final = {
     "state-goals": "Goals and planning",
     "state-bc": "BC from states",
@@ -99,20 +98,11 @@ def _details(name: str, method: Standing) -> str:
         rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{variant}</th>' for variant in ("Task", *VARIANTS))
     about = "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>"
-    command = _command(name)
+    command = "" if method.kind == "published" else "\n".join(method.entry.card.commands or ())
     repeat = f"<p>Repeat it:</p><div class='highlight'><pre>{escape(command)}</pre></div>" if command else ""
     watch = f"<p>Mean scores{'; each opens the first episode there' if method.entry.episodes else ''}.</p>"
     table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f"{about}{watch}{table}{repeat}"
-
-
-def _command(name: str) -> str:
-    """How an entry is made again; "" if that takes more than a command."""
-    if name in BUILT_IN:
-        return f"magical-mj evaluate --policy {BUILT_IN[name]} --out runs/{name}"
-    if (ROOT / "experiments" / f"{name}.toml").exists():
-        return f"magical-mj experiment experiments/{name}.toml --out runs/{name}"
-    return ""
 
 
 def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:

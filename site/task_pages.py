@@ -119,5 +119,5 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
         "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
         + "\n".join(lines)
         + "\n\nWhat the scripted expert scores: [The experts](experts.md). "
-        "How ours were trained: [from pictures](results-pictures.md), [from states](results-states.md)."
+        "The [leaderboard](standings.html) has the commands that repeat ours."
     )

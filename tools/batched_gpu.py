@@ -42,7 +42,7 @@ ROOT: Final = Path(__file__).parent.parent
 COMMAND: Final = [sys.executable, "-m", "magical_mj"]
 FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
 """The environment in which `benchmarks` is found from any folder."""
-FIDELITY: Final = [sys.executable, str(ROOT / "research" / "batched_fidelity.py")]
+FIDELITY: Final = [sys.executable, str(ROOT / "tools" / "research" / "batched_fidelity.py")]
 
 
 TRAININGS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -68,7 +68,14 @@ def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
     for (task, variant), preset in product(environments, ("LoRes4E",) if rehearse else ("State", "LoRes4E")):
         options = ["--tasks", task, "--variants", variant, "--presets", preset]
         options += ["--num-envs", "2" if rehearse else "256,1024,4096,16384"]
-        commands[f"speed-{task}-{variant}-{preset}"] = [sys.executable, "-m", "benchmarks", "--batched", *on, *options]
+        commands[f"speed-{task}-{variant}-{preset}"] = [
+            sys.executable,
+            "-m",
+            "tools.benchmarks",
+            "--batched",
+            *on,
+            *options,
+        ]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in (REHEARSED if rehearse else TRAININGS).items():
         run, scores = str(out / name), str(out / f"{name}-scores")

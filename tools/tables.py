@@ -1,4 +1,4 @@
-"""Writes tables between their markers, from the registry and, on the pages of results, from the entries in results/.
+"""Writes tables between their markers, from the registry and, on the page of results, from the entries in results/.
 
 `make docs` runs this.
 """
@@ -11,9 +11,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.envs.presets import PRESETS
@@ -173,19 +170,6 @@ def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
     return table(("", *VARIANTS, "Rank correlation"), rows)
 
 
-def environments(standing: Standing) -> str:
-    """A method's mean scores, and the standard deviations of its runs if there are several."""
-    played = [task for task in TASKS if any(pair[0] == task for pair in standing.means)]
-    rows = [(task, *(_cell(standing.means.get((task, variant))) for variant in VARIANTS)) for task in played]
-    return table(("", *VARIANTS), rows)
-
-
-def _cell(means: NDArray[np.float64] | None) -> str:
-    if means is None:
-        return ""
-    return f"{means.mean():.2f}" + (f" ± {means.std():.2f}" if len(means) > 1 else "")
-
-
 def _sentence(words: str) -> str:
     return words[:1].upper() + words[1:]
 
@@ -210,12 +194,6 @@ def results() -> dict[str, str]:
         "agreement": agreement(learnt, paper),
         "ablations": ablations(learnt.values(), published()),
     }
-
-
-def results_from(*, states: bool) -> dict[str, str]:
-    """Of each entry that learnt from states, or from pictures, by the name of its file: its scores in environments."""
-    learnt = _results()[0].items()
-    return {name: environments(method) for name, method in learnt if (method.entry.observations == "State") == states}
 
 
 def shifts() -> dict[str, str]:
@@ -261,8 +239,6 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "README.md": readme,
     "docs/environments.md": lambda: {"presets": presets()},
     "docs/results.md": results,
-    "docs/results-pictures.md": lambda: results_from(states=False),
-    "docs/results-states.md": lambda: results_from(states=True),
     "docs/shifts.md": shifts,
 }
 """The pages that have such tables."""

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import _signal as signal  # type: ignore[import]  without the enumerations around it, which take longer than all else here
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+import signal
+from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0, or 2 for wrong use, 1 for a failure, 130 after Ctrl-C.
 
-    While modules are imported, Ctrl-C ends the process by the signal, which shells show as 130, too. Before that, in
-    Python's own start and in the first two milliseconds of this package's import, it is a traceback.
+    While the modules of a command are imported, Ctrl-C ends the process by the signal, which shells show as 130.
     """
     if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -28,7 +28,7 @@ from magical_mj.cli.console import (
 from magical_mj.cli.film import film
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
-from magical_mj.tasks.registry import SPLITS, Pair, environments, score, task_spec
+from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError, counted
 from magical_mj.utils.parallel import map_unordered
@@ -314,9 +314,9 @@ def video(
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
             frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size, renderer)
-            for step, (pictures, scene) in enumerate(zip(frames, demo.scenes(), strict=True)):
+            for step, pictures in enumerate(frames):
                 views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
-                reached = score(demo.task, demo.scene, scene)
+                reached = demo.rescored(step)
                 if step == 0:
                     movie.begin(title, views, reached)
                 else:

@@ -8,11 +8,9 @@ The ids of a task given as ``"package.module:SPEC"`` are registered when `env_id
 from __future__ import annotations
 
 import itertools
-import re
 from typing import Final
 
 import gymnasium
-from gymnasium.envs import registration
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
@@ -65,7 +63,7 @@ AT_THE_END: Final = SingleWrappers((WrapperSpec("ScoreAtTheEnd", "magical_mj.env
 
 
 def register_all() -> None:
-    """Registers every environment that is not registered yet. Importing this module does this."""
+    """Registers every environment that is not registered yet. `import magical_mj` calls it."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
         _register(task, task, variant, preset, task_spec(task).horizon())
     for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
@@ -76,18 +74,11 @@ def register_all() -> None:
 def suite_id(body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo") -> str:
     """The id of SweepToTop in the suite xmagical, with these arguments of `magical_mj.envs.xmagical.XMagicalEnv`."""
     test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
-    return f"magical_mj/xmagical/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
+    return f"magical_mj/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
 
 
 def _register_xmagical() -> None:
-    """Registers the 96 ids of the suite xmagical: those of x-magical behind ``magical_mj/xmagical/``.
-
-    Gymnasium's pattern for ids knows one slash only, so that it is widened to further ones in the namespace. All ids
-    that it matched before it matches as before.
-    """
-    registration.ENV_ID_RE = re.compile(
-        registration.ENV_ID_RE.pattern.replace(r"(?P<namespace>[\w:-]+)", r"(?P<namespace>[\w:-]+(?:/[\w:-]+)*)")
-    )
+    """Registers the 96 ids of the suite xmagical."""
     spec = SUITES["xmagical"]["SweepToTop"]
     for body, observation, view in itertools.product(spec.bodies, ("State", "Pixels"), ("Allo", "Ego")):
         for variant in variants_of(spec):
@@ -121,6 +112,3 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
     elif steps is not None:
         registry[id_].max_episode_steps = steps  # of a task that was edited and reloaded
     return id_
-
-
-register_all()

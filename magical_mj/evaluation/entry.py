@@ -106,6 +106,8 @@ class Card(Struct, forbid_unknown_fields=True):
     training: Training = msgspec.field(default_factory=Training)
     hardware: Line | None = None
     privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
+    commands: Annotated[list[Annotated[str, Meta(max_length=500)]], Meta(max_length=20)] | None = None
+    """The commands that repeat it, from a checkout of this repository or of the method's."""
 
 
 class Versions(Struct, forbid_unknown_fields=True):

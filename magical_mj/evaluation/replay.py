@@ -87,7 +87,7 @@ def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tupl
         for number, action in enumerate(actions_of(episode.actions), start=1):
             engine.step(action)
             if number == steps and rules is not None:
-                score = spec.checked_score(engine.initial_scene, engine.scene, rules)
+                score = spec.checked_score(engine.scored_scenes, rules)
                 rescored = changed(rescored, score=score, steps=steps, actions=episode.actions[:steps])
     except PhysicsError as error:
         return episode, f"it cannot be replayed: {error}"

@@ -155,7 +155,7 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     Raises:
         RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
             or an invalid score, which is not the policy's fault.
-        EvaluationError: if it is no environment of this package.
+        EvaluationError: if it is no environment of this package, or a wrapper ends the episode too early.
         Exception: whatever else the environment raises.
     """
     engine, over = engine_of(env), False
@@ -169,6 +169,7 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
             result = env.step(action)
             outcome.actions.append(action)
             observation, over = _observation(result), is_over(result)
+        _check_whole(outcome.actions, env)
         outcome.score = engine.score()
     return outcome
 
@@ -192,6 +193,7 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
             whole.actions.append(actions)
             observations, over = result[0], is_over(result)
             scores = _scores(*result[3:])
+        _check_whole(whole.actions, envs)
     whole.seconds /= count
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
 
@@ -225,6 +227,17 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
     if "eval_score" not in info:
         raise EvaluationError(NO_SCORE)
     return info["eval_score"]
+
+
+def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
+    """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, without its score."""
+    inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
+    limits = inside.get_attr("limit") if hasattr(inside, "get_attr") else [getattr(inside, "limit", 0)]
+    if len(actions) < min(limits):
+        raise EvaluationError(
+            f"a wrapper ended the episode after {len(actions)} of {min(limits)} steps: leave it out, or give "
+            "max_episode_steps to gymnasium.make for shorter episodes"
+        )
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:

@@ -143,7 +143,8 @@ def _card(method: Standing) -> str:
     }
     items = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
     text = html(card.description or "")
-    return f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{items}</dl></article>"
+    repeat = f"<p>Repeat it:</p><pre>{html(lines)}</pre>" if (lines := "\n".join(card.commands or ())) else ""
+    return f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{items}</dl>{repeat}</article>"
 
 
 def intervals(methods: Sequence[Standing]) -> str:

@@ -23,8 +23,8 @@ GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point", "redraw"),
-    "precision": ("bc", "redraw"),
+    "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point"),
+    "precision": ("bc",),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
 """Setting -> the methods that use it, where these are not all that use its part."""
@@ -94,15 +94,6 @@ SHORT_AL: Final[Mapping[str, Any]] = {
 }
 """The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
 
-REDRAWN: Final[Mapping[str, Any]] = {
-    "network.frames": 1,
-    "bc.batch_size": 64,
-    "bc.optimizer": "adam",
-    "bc.final_learning_rate": 1e-5,
-    "bc.heads": "uniform",
-}
-"""The changes for `redraw`, which the paper does not have: what learns best from samples of which none comes twice."""
-
 
 def load_settings(
     method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
@@ -120,16 +111,16 @@ def load_settings(
         SettingsError: if a value is invalid, or `quick` is asked for with the preset State.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    settings, short = TrainingSettings(method, tasks), QUICK if quick else {}
+    settings = settings_type(method)(method, tasks)
+    short = QUICK if quick else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
-    if method == "redraw":
-        short = {**short, **REDRAWN}
-    return changed(settings, {**short, **changes})
+    defaults = load_method(method).defaults if method in announced_methods() else {}
+    return changed(settings, {**short, **defaults, **changes})
 
 
 def announced_methods() -> Mapping[str, EntryPoint]:
@@ -144,6 +135,11 @@ def load_method(name: str) -> Any:
         return resolve_installed("".join(point.value.split()))
     except Exception as error:
         raise SettingsError(f"the method {name!r} ({point.value}) cannot be imported: {with_place(error)}") from error
+
+
+def settings_type(method: str) -> type[TrainingSettings]:
+    """The class of a method's settings, which announced methods may extend by settings of their own."""
+    return load_method(method).settings_type if method in announced_methods() else TrainingSettings
 
 
 def parts_of(method: str) -> tuple[str, ...]:
@@ -216,7 +212,7 @@ def from_toml(path: Path) -> TrainingSettings:
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
     for task in tasks:
         check_named(task, path)
-    return changed(TrainingSettings(method, tasks), flattened(table))
+    return changed(settings_type(method)(method, tasks), flattened(table))
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal
 
 import torch
@@ -15,7 +16,6 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
-from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
@@ -38,6 +38,10 @@ class Method(ABC):
 
     parts: ClassVar[tuple[str, ...]] = ALL_PARTS
     """The parts of the settings that it uses: only these are written into config.toml, and may be changed."""
+    settings_type: ClassVar[type[TrainingSettings]] = TrainingSettings
+    """The class of its settings: a subclass if it has settings of its own, as a part that `parts` names."""
+    defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Setting -> the method's own default, instead of the paper's."""
     observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
     """What it can learn from."""
     updates: int
@@ -117,7 +121,7 @@ class Learner(Method):
 
     @property
     @abstractmethod
-    def actor(self) -> Actor | Ensemble:
+    def actor(self) -> Actor:
         """The policy that is evaluated and saved; updated in place."""
 
     def policy(self) -> TrainedPolicy:

@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
-from magical_mj.learners.relational_network import Ensemble
-from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
+from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.policies.interface import HISTORY, Episode
+from magical_mj.policies.loading import loader_in
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
@@ -28,8 +28,6 @@ from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
 """In a run's folder."""
-PLAYED: Final = ("hidden", "networks", "sharpness")
-"""The settings of `relational` that its policy needs; files of earlier versions have others, too."""
 OPSET: Final = 18
 EXAMPLES: Final = 2
 """The batch by which the network is traced; one of 1 would be taken for a constant."""
@@ -39,12 +37,12 @@ class TrainedPolicy(Model):
     """A trained policy: samples actions from the network's probabilities with the episode's generator.
 
     Attributes:
-        actor: the network.
+        actor: the network, which returns logits (n, 18) for observations and tasks, as `networks.Actor`.
         tasks: those on which it was trained, in the order of its heads.
         preset: of the observations on which it was trained.
     """
 
-    def __init__(self, actor: Actor | Ensemble, tasks: Sequence[str], preset: str) -> None:
+    def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str) -> None:
         super().__init__(self._drawn, remembers=preset == STATE)
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
@@ -78,14 +76,11 @@ class TrainedPolicy(Model):
         return np.minimum((shares < points[:, None]).sum(axis=1), shares.shape[1] - 1)
 
 
-def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSettings) -> None:
+def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
     """Writes the policy into a run's folder, with everything that is needed to use it."""
-    if isinstance(actor, Ensemble):
-        kind = {"relational": {name: getattr(settings.relational, name) for name in PLAYED}}
-    else:
-        kind = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
+    how = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
     of = {"tasks": list(settings.tasks), "preset": settings.preset}
-    checkpoint.write(folder / POLICY, {"weights": actor.state_dict(), **kind, **of})
+    checkpoint.write(folder / POLICY, {"weights": actor.state_dict(), **how, **of})
 
 
 @torch_settings()
@@ -102,12 +97,8 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         if not tasks or not all(isinstance(task, str) for task in tasks):
             raise TypeError(f"tasks are names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
-        if "relational" in contents:
-            chosen = {name: contents["relational"][name] for name in PLAYED}
-            actor = Ensemble(changed(RelationalSettings(), chosen))
-        else:
-            network = changed(NetworkSettings(), contents["network"])
-            actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
+        network = changed(NetworkSettings(), contents["network"])
+        actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} holds something else than a policy: {error}") from error
@@ -142,19 +133,18 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         overwrite: replace an existing file.
 
     Raises:
-        SettingsError: if the folder has no policy of ours, or the task is not one of its.
+        SettingsError: if the folder holds no trained network, or the task is not one of its.
         TrainingError: if the policy is damaged.
         MissingExtraError: without the extra `onnx`.
     """
     folder, out = files.to_path(folder), files.to_path(out)
     check_extra("exported policies", "onnx")
-    if not (folder / POLICY).is_file():
-        raise SettingsError(
-            f"{folder} has no {POLICY}: only what magical-mj train left, of its own methods, can be exported"
-        )
+    loader = loader_in(folder)
+    policy = None if loader is None else loader.load()(str(folder))
+    if not isinstance(policy, TrainedPolicy):
+        raise SettingsError(f"{folder} holds no trained network: only what magical-mj train left can be exported")
     if out.suffix != ".onnx":
         raise SettingsError(f"the file must end in .onnx, not {out.name!r}")
-    policy = load_policy(folder)
     if not task:
         task, *others = policy.tasks
         if others:

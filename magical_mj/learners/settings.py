@@ -11,8 +11,8 @@ from msgspec import Meta
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.rendering.backend import RendererName
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import SettingsError, check_name
-from magical_mj.utils.settings import Count, Names, Natural, Settings
+from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.settings import Count, Natural, Settings
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -26,10 +26,6 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
-ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace")
-"""What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
-PREMISES: Final = {"mirror": "egocentric"}
-"""Assumptions that are tried only where another one was kept."""
 
 Amount = Annotated[int, Meta(ge=1)]
 """An integer of at least 1, however large."""
@@ -175,41 +171,6 @@ class FeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
-class RelationalSettings(Settings):
-    """Behavioural cloning with assumptions that the demo scene must bear out; not in the paper."""
-
-    part: ClassVar[str] = "relational"
-
-    assumptions: Annotated[Names, Meta(description="those that are tried, together or in this order")] = ASSUMPTIONS
-    hidden: Count = 64
-    networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 2
-    trial: Annotated[Count, Meta(description="updates, of 16 batches each, after which the demo scene judges")] = 200
-    batch_size: Count = 64
-    learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
-    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge")] = 80
-    loss: Annotated[
-        Share,
-        Meta(description="of score in the demo scene that an assumption may cost (1: all are kept)"),
-    ] = 0.15
-    ways: Annotated[Count, Meta(description="samples by hindsight")] = 30_000
-    grips: Annotated[Count, Meta(description="samples of taking a block from close by")] = 5_000
-    plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each block it moves")] = 8
-    sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 2.0
-
-    def __post_init__(self) -> None:
-        """Checks the names."""
-        super().__post_init__()
-        names = self.assumptions.split(",") if isinstance(self.assumptions, str) else self.assumptions
-        names = tuple(name.strip() for name in names if name.strip())
-        for name in names:
-            check_name("assumption", name, ASSUMPTIONS)
-        for number, name in enumerate(names):
-            if name in PREMISES and PREMISES[name] not in names[:number]:
-                raise SettingsError(f"{name} is tried where {PREMISES[name]} was kept: name {PREMISES[name]} before it")
-        object.__setattr__(self, "assumptions", names)
-
-
-@dataclass(frozen=True)
 class TrainingSettings(Settings):
     """One training run, completely.
 
@@ -250,7 +211,6 @@ class TrainingSettings(Settings):
     ppo: PPOSettings = field(default_factory=PPOSettings)
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
-    relational: RelationalSettings = field(default_factory=RelationalSettings)
 
     def __post_init__(self) -> None:
         """Checks each setting, and what must fit together."""
@@ -310,7 +270,5 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "wgail-gp": ("network", "ppo", "discriminator"),
     "airl": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
-    "relational": ("relational",),
-    "redraw": ("network", "bc", "relational"),
 }
 """Method of this package -> the parts of the settings that it uses."""

@@ -24,8 +24,6 @@ from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method
 from magical_mj.learners.point import Point
-from magical_mj.learners.redraw import Redraw
-from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
@@ -46,8 +44,6 @@ class _Methods(Mapping[str, type[Method]]):
             "al": Apprenticeship,
             "iq-learn": IQLearn,
             "point": Point,
-            "relational": Relational,
-            "redraw": Redraw,
         }
     )
 

@@ -1,4 +1,4 @@
-"""What `python -m benchmarks --batched` counts, not how fast anything is."""
+"""What `python -m tools.benchmarks --batched` counts, not how fast anything is."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import torch
 import warp as wp
 
 import magical_mj
-from benchmarks.__main__ import _batched_lines
-from benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
 from magical_mj.batched.observations import Painter
 from magical_mj.batched.scenes import Capacity, WorldScenes
+from tools.benchmarks.__main__ import _batched_lines
+from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 

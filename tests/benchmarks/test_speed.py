@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: that it measures what it says, not how fast anything is."""
+"""`python -m tools.benchmarks`: that it measures what it says, not how fast anything is."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main
-from benchmarks.single import RESETS, BareLoop, Measurement, measure
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import preset_named
+from tools.benchmarks.__main__ import main
+from tools.benchmarks.single import RESETS, BareLoop, Measurement, measure
 
 SHORT = ("--tasks", "MoveToRegion", "--variants", "Demo", "--presets", "State", "--steps", "30")
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import onnxruntime
 import pytest
+import torch
 
-from magical_mj.learners import Progress, TrainingSettings, checkpoint, load_settings, train
+from magical_mj.learners import METHODS, Progress, TrainingSettings, checkpoint, load_settings, train
+from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import CHECKPOINT
 
@@ -35,15 +40,6 @@ def from_states(**changes: Any) -> TrainingSettings:
     return tiny(preset="State", **changes)
 
 
-RELATIONAL = {
-    "relational.hidden": 8,
-    "relational.trial": 1,
-    "relational.batch_size": 8,
-    "relational.rollouts": 2,
-    "relational.ways": 100,
-    "relational.plays": 1,
-    "relational.grips": 50,
-}
 PLAYING = {
     "ppo.environments": 4,
     "ppo.steps": 4,
@@ -80,3 +76,62 @@ def stopped(folder: Path, settings: TrainingSettings | None = None) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         train(settings or tiny(), folder, watch=stop)
+
+
+def made(method: str, changes: dict[str, Any], seed: int = 0) -> Any:
+    """A learner whose training takes a second; also where weights and optimizers differ in their memory layout."""
+    changes = {"tasks": "MoveToRegion", **TINY, **PLAYING, "bc.batches": 4, "bc.batch_size": 4, **changes}
+    quick = changes.get("preset") != "State"
+    return METHODS[method](load_settings(method, seed=seed, quick=quick, **changes))
+
+
+def weights(learner: Any) -> torch.Tensor:
+    return torch.cat([values.detach().flatten() for values in learner.actor.parameters()])
+
+
+def check_resumes(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
+    """By way of a file, three updates before the end: in the middle of the episodes that are played.
+
+    Nothing is drawn from global generators; metrics always have the same names, and are numbers.
+    """
+    whole, resumed = made(method, changes), made(method, changes)
+    before = torch.get_rng_state(), np.random.get_state()[1]  # noqa: NPY002
+    metrics: list[dict[str, float]] = []
+    while len(metrics) < whole.updates:
+        checkpoint.write(tmp_path / f"{len(metrics)}.safetensors", whole.get_state())
+        metrics.append(whole.update())
+    resumed.set_state(checkpoint.read(tmp_path / f"{len(metrics) - 3}.safetensors"))
+    assert [resumed.update() for _ in range(3)] == metrics[-3:]
+    for learner in (whole, resumed):
+        checkpoint.write(tmp_path / f"{learner is whole}.safetensors", learner.get_state())
+        learner.close()
+    assert (tmp_path / "True.safetensors").read_bytes() == (tmp_path / "False.safetensors").read_bytes()
+    assert torch.equal(torch.get_rng_state(), before[0])
+    np.testing.assert_array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
+    assert len({tuple(row) for row in metrics}) == 1
+    assert all(isinstance(value, float) and math.isfinite(value) for row in metrics for value in row.values())
+
+
+def check_seeds(method: str, changes: dict[str, Any]) -> None:
+    """Equal seeds give equal weights, and others do not."""
+
+    def trained(seed: int) -> torch.Tensor:
+        learner = made(method, changes, seed)
+        for _ in range(2):
+            learner.update()
+        learner.close()
+        return weights(learner)
+
+    first = trained(0)
+    assert torch.equal(first, trained(0))
+    assert not torch.equal(first, trained(1))
+
+
+def compare_exported(actor: torch.nn.Module, file: Path, seen: np.ndarray, head: int = 0) -> None:
+    """The ONNX file prefers the network's actions; each observation is alone in its batch, as in an episode."""
+    actor.eval()
+    with torch.inference_mode():
+        ours = [actor(as_input(one[None], torch.device("cpu")), torch.tensor([head]))[0].numpy() for one in seen]
+    (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+    np.testing.assert_allclose(logits, ours, rtol=1e-3, atol=1e-3)
+    np.testing.assert_array_equal(np.argmax(logits, 1), np.argmax(ours, 1))

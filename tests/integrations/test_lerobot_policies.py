@@ -1,4 +1,4 @@
-"""Policies that lerobot trains: their checkpoints are evaluated like any policy; the configurations in experiments/."""
+"""Policies that lerobot trains: their checkpoints are evaluated like any policy; the configurations in results/."""
 
 from __future__ import annotations
 
@@ -121,7 +121,11 @@ def test_checkpoints_of_other_observations_are_refused(tmp_path: Path) -> None:
             plugin.load_checkpoint(folder)
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.glob("experiments/lerobot-*.json")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    sorted([*ROOT.glob("results/*/train.json"), *ROOT.glob("tools/full_size/*.json")]),
+    ids=lambda path: path.parent.name,
+)
 def test_lerobot_understands_the_experiments(path: Path) -> None:
     import draccus
     from lerobot.configs.train import TrainPipelineConfig
@@ -131,4 +135,4 @@ def test_lerobot_understands_the_experiments(path: Path) -> None:
     assert config.policy is not None
     assert get_policy_class(config.policy.type).config_class is type(config.policy)
     assert config.policy.device == "cpu"
-    assert path.stem.endswith("-state") or config.policy.pretrained_backbone_weights is None
+    assert path.parent.name.endswith("-state") or config.policy.pretrained_backbone_weights is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -208,6 +209,18 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     assert html.count("<svg") == 1
     assert "Näme ★</text>" in html
     assert ET.fromstring(re.sub("<!doctype html>|<meta[^>]*>", "", html)).tag == "html"  # all is closed
+
+
+def test_each_of_our_entries_holds_what_repeats_it() -> None:
+    """Commands, and the files that they name."""
+    root = Path(__file__).parents[2]
+    for folder in sorted(path for path in (root / "results").iterdir() if path.is_dir()):
+        commands = tomllib.loads((folder / "card.toml").read_text())["commands"]
+        assert commands[0], folder.name
+        named = re.findall(r"(?:results|methods|tools)/[\w./-]+", " ".join(commands))
+        assert all((root / name).exists() for name in named), folder.name
+        trained = {path.name for path in folder.glob("*")} & {"experiment.toml", "train.json"}
+        assert trained or "evaluate --policy" in commands[0], folder.name
 
 
 def test_our_own_entries_take_less_than_thirty_megabytes() -> None:

@@ -55,13 +55,13 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         ),
         (
             ["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"],
-            "precision is for bc, redraw, and of no use",
+            "precision is for bc, and of no use",
         ),
         (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc"),
         (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc plays in no simulator"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
-        (["train", "redraw", "--tasks", "FindDupe", "--set", "network.frames=5"], "an integer of at most 4, not '5'"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "network.frames=5"], "an integer of at most 4, not '5'"),
     ],
 )
 def test_mistakes_are_one_line(

@@ -25,7 +25,8 @@ from magical_mj.learners.run_folder import METRICS
 from magical_mj.utils.errors import MagicalError, SettingsError, UnknownNameError
 from magical_mj.utils.files import read_toml
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+ROOT = Path(__file__).parents[2]
+EXPERIMENTS = sorted([*ROOT.glob("results/*/experiment.toml"), *ROOT.glob("tools/full_size/*.toml")])
 EXPERIMENT = """
 methods = ["bc"]
 tasks = ["MoveToRegion", "FixColour"]
@@ -200,10 +201,10 @@ def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
     assert {run.method for run in plan_experiment(file, tmp_path)} == {f"BC (ST, State), ours, {changed}"}
 
 
-@pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: str(file.relative_to(ROOT)))
 def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None:
     """Each says how, and plans as many runs as it has methods, groups of tasks and seeds."""
-    assert f"magical-mj experiment experiments/{file.name} --out runs/{file.stem}" in file.read_text()
+    assert f"magical-mj experiment {file.relative_to(ROOT)} --out runs/" in file.read_text()
     planned, table = plan_experiment(file, tmp_path), read_toml(file)
     tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
     groups = 1 if table.get("multi_task") else len(tasks)

@@ -8,22 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.learners import checkpoint, load_policy, train
-from magical_mj.learners.networks import as_input
+from magical_mj.learners import load_policy, train
 from magical_mj.learners.policy import POLICY, export_policy
-from magical_mj.learners.relational_network import Ensemble
-from magical_mj.learners.settings import RelationalSettings
 from magical_mj.policies.interface import Episode, histories
 from magical_mj.policies.models import load_onnx
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import tiny
+from tests.helpers.learners import compare_exported, tiny
 
 
 def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
@@ -104,20 +100,10 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def compare(folder: Path, file: Path, seen: np.ndarray, head: int = 0) -> None:
-    """The file prefers the network's actions; each observation is alone in its batch, as in an episode."""
-    actor = load_policy(folder).actor.eval()
-    with torch.inference_mode():
-        ours = [actor(as_input(one[None], torch.device("cpu")), torch.tensor([head]))[0].numpy() for one in seen]
-    (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
-    np.testing.assert_allclose(logits, ours, rtol=1e-3, atol=1e-3)
-    np.testing.assert_array_equal(np.argmax(logits, 1), np.argmax(ours, 1))
-
-
 @pytest.mark.slow
 def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path: Path) -> None:
     file = export_policy(both, tmp_path / "line.onnx", "MakeLine")
-    compare(both, file, states, head=1)
+    compare_exported(load_policy(both).actor, file, states, head=1)
     assert b"/home" not in file.read_bytes()
     assert str(Path(magical_mj.__file__).parent).encode() not in file.read_bytes()
     actor, loaded = load_policy(both).actor.eval(), load_onnx(file)
@@ -141,28 +127,11 @@ def test_pictures(tmp_path: Path) -> None:
     train(tiny(), tmp_path / "run")
     file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
     seen = np.random.default_rng(0).integers(0, 256, (SEEN, 96, 96, 12)).astype(np.uint8)
-    compare(tmp_path / "run", file, seen)
-
-
-@pytest.mark.slow
-def test_relational(states: np.ndarray, tmp_path: Path) -> None:
-    small = {"hidden": 8, "trial": 1, "batch_size": 8, "rollouts": 2, "ways": 100, "plays": 1}
-    settings = tiny("relational", preset="State", **{f"relational.{name}": value for name, value in small.items()})
-    train(settings, tmp_path / "run")
-    compare(tmp_path / "run", export_policy(tmp_path / "run", tmp_path / "policy.onnx"), states)
-
-
-def test_policies_of_versions_with_other_settings_of_training_load(tmp_path: Path) -> None:
-    settings = RelationalSettings(hidden=8, networks=3, sharpness=1.5)
-    kept = {"hidden": 8, "networks": 3, "sharpness": 1.5, "patience": 6}
-    weights = Ensemble(settings).state_dict()
-    contents = {"weights": weights, "relational": kept, "tasks": ["FindDupe"], "preset": "State"}
-    checkpoint.write(tmp_path / POLICY, contents)
-    assert load_policy(tmp_path).actor.settings == settings
+    compare_exported(load_policy(tmp_path / "run").actor, file, seen)
 
 
 def test_what_cannot_be_exported(both: Path, tmp_path: Path, shell: Shell) -> None:
-    assert "only what magical-mj train left" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
+    assert "holds no trained network" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
     assert "choose one of MoveToRegion, MakeLine (--task)" in shell.fails(
         2, "export-policy", both, "--out", tmp_path / "a.onnx"
     )

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, tostring
 from dm_control import composer, mjcf
 
 from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
-from magical_mj.assets.contacts import SETTINGS, TIMESTEP, geom_classes
+from magical_mj.assets.contacts import SETTINGS, TIMESTEP, default_classes
 from magical_mj.assets.coordinates import FINGERS
 from magical_mj.assets.mjcf import elements
 from magical_mj.assets.region import regions_mjcf
@@ -105,7 +105,7 @@ class Thing(PlanarEntity):
         tendons = "".join(tostring(part, "unicode") for part in others)
         return mjcf.from_xml_string(
             f'<mujoco model="{self.name}"><compiler angle="radian" autolimits="true"/>'
-            f"<default>{geom_classes()}</default><worldbody>{content}</worldbody><tendon>{tendons}</tendon>"
+            f"<default>{default_classes()}</default><worldbody>{content}</worldbody><tendon>{tendons}</tendon>"
             f"{self._more}</mujoco>"
         )
 
@@ -149,7 +149,7 @@ class Thing(PlanarEntity):
 
     def _join_first(self, arena: Arena, scene: Scene, pairs: Pairs, frame: Any) -> None:
         body, others = self._elements(scene)
-        joints = {part.get("name"): frame.add("joint", **part.attrib) for part in body.findall("joint")}
+        joints = {part.get("name"): frame.add("joint", **_attributes(part)) for part in body.findall("joint")}
         for part in body.findall("inertial"):
             frame.add("inertial", **part.attrib)
         for tendon in others:  # those of the frame's joints would be searched in the tree
@@ -412,7 +412,7 @@ def _block(index: int, scene: Scene) -> str:
 
 
 def _pebble(index: int, scene: Scene) -> str:
-    return pebble_mjcf(index, scene.pebbles[index], SETTINGS)
+    return pebble_mjcf(index, scene.pebbles[index])
 
 
 def _pairs(scene: Scene) -> Pairs:
@@ -420,7 +420,12 @@ def _pairs(scene: Scene) -> Pairs:
     feet = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
     feet += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
     feet += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))
-    return {pair.attrib["name"]: pair.attrib for pair in _without_comments(feet)}
+    return {pair.attrib["name"]: _attributes(pair) for pair in _without_comments(feet)}
+
+
+def _attributes(element: Element) -> dict[str, str]:
+    """Those of an element, by dm_control's names."""
+    return {"dclass" if name == "class" else name: value for name, value in element.attrib.items()}
 
 
 def _without_comments(text: str) -> list[Element]:

@@ -202,6 +202,7 @@ class Environment(composer.Environment):
         """
         physics = self._opened()
         check_state(state)
+        self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)

@@ -90,7 +90,7 @@ class SceneTask(composer.Task):
 
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
         self.settings, self.setup = settings, settings.setup
-        self.steps = 0
+        self.steps, self._trajectory = 0, list[Scene]()
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
@@ -123,7 +123,7 @@ class SceneTask(composer.Task):
     def state(self, physics: Any) -> State:
         """The present state of the episode, with the frames of stacks."""
         frames = {name: stack for it in self._stacks() for name, stack in it.save(physics).items()}
-        return replace(self.simulation(physics).state(self.steps), frames=frames)
+        return replace(self.simulation(physics).state(self.steps, self._trajectory), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode in composer's model and data."""
@@ -229,7 +229,7 @@ class SceneTask(composer.Task):
         self.world.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.steps = 0
+        self.steps, self._trajectory = 0, [self.world.scene] if self.setup.trajectory else []
         if self._state is not None:
             self.resume(physics, self._state)
         for stack in self._stacks():
@@ -238,7 +238,7 @@ class SceneTask(composer.Task):
     def resume(self, physics: Any, state: State) -> None:
         """Restores a state of an episode that started in this scene."""
         self.simulation(physics).restore(state.simulation)
-        self.steps = int(state.steps)
+        self.steps, self._trajectory = int(state.steps), self.setup.trajectory_of(state)
         if self.shifts is not None:
             self.shifts.resume(self.steps, state.commands)
 
@@ -261,8 +261,10 @@ class SceneTask(composer.Task):
             raise PhysicsError(str(error)) from None
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Frames are due: they are drawn after all hooks."""
-        del physics, random_state
+        """Notes the scene, if the score depends on the scenes of all steps. Frames are due, drawn after all hooks."""
+        del random_state
+        if self._trajectory:
+            self._trajectory.append(self.simulation(physics).scene)
         for stack in self._stacks():
             stack.after_action()
 
@@ -279,7 +281,7 @@ class SceneTask(composer.Task):
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self.world.scene, self.simulation(physics).scene)
+        return self.setup.score(self._trajectory or (self.world.scene, self.simulation(physics).scene))
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The 18 actions."""

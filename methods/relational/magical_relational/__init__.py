@@ -1,0 +1,1 @@
+"""`relational`, which clones from states under tested assumptions, and `redraw`, its student that sees pictures."""

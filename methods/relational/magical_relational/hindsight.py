@@ -1,0 +1,263 @@
+"""Samples by hindsight: every way that was driven is a way to where it ended.
+
+The robot plays in the demo scene, free or with the block that it carries in a demonstration, by random pieces of
+driving and turning that touch nothing else. The end of such a way is then laid on a moment shortly before the
+demonstration takes or leaves something, and what the robot did before becomes what it should do from there, as in
+goal-conditioned supervised learning (Ghosh et al. 2021, arXiv:1912.06088). This holds because a robot that touches
+nothing moves alike everywhere. Ways that would cross other blocks, or that are much longer than need be, are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from magical_mj.engine import Engine
+from magical_mj.learners.networks import blocks_of
+from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
+from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
+from magical_mj.utils.errors import PhysicsError
+from magical_relational.samples import WAY, Replay, Samples, front, in_hand
+
+Floats = NDArray[np.floating[Any]]
+
+LENGTH: Final = 34
+"""The greatest number of steps of a play, which is half a turn and 2.4 units."""
+PIECES: Final = (
+    (True, Drive.NONE, 10),
+    (False, Drive.FORWARD, 10),
+    (True, Drive.FORWARD, 6),
+    (False, Drive.FORWARD, 5),
+)
+"""Of a play: whether it turns, how it drives, and for how many steps at most."""
+BUMPS: Final = 40
+"""How often a play may touch something and go on from `BACK` steps earlier."""
+BACK: Final = 3
+TOUCHED: Final = 0.01
+"""Units that a block may move in a play that does not touch it."""
+SLIPPED: Final = 0.08
+"""Units that a carried block may move in the robot's hand."""
+BLOCKED: Final = 0.02
+"""Units below which a step forward after another one met a wall."""
+BEFORE: Final = 8
+"""Steps before the end of a motion, or before a grip and its `MARGIN`, on which a way's end may be laid."""
+MARGIN: Final = 3
+APART: Final = (0.36, 0.3)
+"""Units that a way keeps from other blocks: the robot's middle, and that of the block that it carries."""
+ROOM: Final = 0.45
+"""Units to the nearest block where a free play begins."""
+SPEED: Final = (0.1, 0.3125)
+"""The robot's, in units and rad a step."""
+LONGER: Final = (1.5, 3)
+"""How much longer a way may be than the shortest: times, and steps."""
+CLOSE: Final = 0.08
+"""Units from its end, within which a way only turns."""
+
+
+class _Play(NamedTuple):
+    """States (steps + 1, names), and the actions between them (steps,)."""
+
+    states: NDArray[np.float32]
+    actions: NDArray[np.int64]
+
+
+class _Moment(NamedTuple):
+    """A step of a demonstration, and the block that moves with the robot there."""
+
+    step: int
+    held: int | None
+
+
+def by_hindsight(
+    engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator
+) -> list[Samples]:
+    """At least `count` samples, from so many plays of each kind; fewer if hardly any way can be laid anywhere."""
+    moments = [_moments(replay) for replay in replays]
+    library: dict[tuple[int, int | None], list[_Play]] = {}
+    for number, replay in enumerate(replays):
+        for begins in [[_Moment(step, None) for step in _free_steps(replay)], *_held(replay).values()]:
+            for _ in range(plays):
+                moment = begins[rng.integers(len(begins))]
+                play = _play(engine, replay, moment, rng)
+                if len(play.actions) > BACK:
+                    library.setdefault(_kind(number, moment), []).append(play)
+    parts: list[Samples] = []
+    found = 0
+    for _ in range(3 * count):
+        if found >= count:
+            break
+        number = int(rng.integers(len(replays)))
+        if not moments[number]:
+            continue
+        group = moments[number][rng.integers(len(moments[number]))]
+        moment = group[rng.integers(len(group))]
+        chosen = library.get(_kind(number, moment))
+        part = _laid(chosen[rng.integers(len(chosen))], replays[number], moment, rng) if chosen else None
+        if part is not None:
+            parts.append(part)
+            found += len(part.way)
+    return parts
+
+
+def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
+    """Free ways are alike in all demonstrations; a block is held in another way in each."""
+    return (-1, None) if moment.held is None else (number, moment.held)
+
+
+def _held(replay: Replay) -> dict[int, list[_Moment]]:
+    """For each block, the moments at which it alone moves."""
+    moving, begun = (np.zeros((replay.never, MAX_BLOCKS), bool) for _ in range(2))
+    for motion in replay.motions():
+        moving[motion.begin : motion.end, motion.block] = begun[motion.begin, motion.block] = True
+    alone = moving & ~begun & (moving.sum(1, keepdims=True) == 1)
+    steps = {block: np.flatnonzero(alone[:, block]).tolist() for block in range(MAX_BLOCKS) if alone[:, block].any()}
+    return {block: [_Moment(step, block) for step in at] for block, at in steps.items()}
+
+
+def _moments(replay: Replay) -> list[list[_Moment]]:
+    """Those shortly before each grip, before each end of a motion, and, where no block moves, before the end."""
+    held = {moment.step: moment for group in _held(replay).values() for moment in group}
+    moving = {step for motion in replay.motions() for step in range(motion.begin, motion.end)}
+    found = []
+    for motion in replay.motions():
+        grip = motion.begin - MARGIN
+        found.append([_Moment(step, None) for step in range(max(0, grip - BEFORE), grip) if step not in moving])
+        leaves = range(max(motion.begin + 1, motion.end - BEFORE), motion.end)
+        found.append([held[step] for step in leaves if step in held and held[step].held == motion.block])
+    if not moving:
+        last = int(np.flatnonzero(replay.actions != NOOP).max(initial=0))
+        found.append([_Moment(step, None) for step in range(max(0, last - BEFORE), last + 1)])
+    return [group for group in found if group]
+
+
+def _free_steps(replay: Replay) -> list[int]:
+    """Steps at which the robot is not near any block; the one at which it is farthest from all, if there are none."""
+    there = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
+    gaps = np.linalg.norm(replay.places - replay.states[:, None, :2], axis=2)
+    gaps = np.where(there, gaps, np.inf).min(1)[:-1]
+    still = ~replay.moving[:-1].any(1)
+    return np.flatnonzero(still & (gaps > ROOM)).tolist() or [int(gaps.argmax())]
+
+
+def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Generator) -> _Play:
+    """Random pieces of driving and turning from a moment on, which touch nothing but what is held."""
+    engine.set_state(replay.saved[moment.step])
+    gripper = Gripper.OPEN if moment.held is None else Gripper.CLOSE
+    states, saved, actions = [engine.state_vector()], [engine.get_state()], []
+    bumps, piece = 0, []
+    try:
+        while len(actions) < LENGTH and bumps < BUMPS:
+            piece = piece or _piece(gripper, rng)
+            action = piece.pop()
+            engine.step(action)
+            state = engine.state_vector()
+            pushing = len(actions) > 1 and action == actions[-1] and action % 3 == Drive.FORWARD
+            if _touches(states[0], state, moment.held) or (pushing and _distance(states[-1], state) < BLOCKED):
+                left = max(1, len(states) - BACK)
+                del states[left:], saved[left:], actions[left - 1 :]
+                engine.set_state(saved[-1])
+                bumps, piece = bumps + 1, []
+            else:
+                states.append(state)
+                saved.append(engine.get_state())
+                actions.append(action)
+    except PhysicsError:
+        pass  # what was played until then is as good
+    return _Play(np.array(states), np.array(actions, dtype=np.int64))
+
+
+def _piece(gripper: Gripper, rng: np.random.Generator) -> list[int]:
+    """One action a few times: a turn, a drive, or both."""
+    turn, drive, most = PIECES[rng.integers(len(PIECES))]
+    action = Action(gripper, Turn(int(rng.integers(1, 3))) if turn else Turn.NONE, drive)
+    return [action.number] * int(rng.integers(1, most + 1))
+
+
+def _distance(state: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(state[:2] - other[:2]))
+
+
+def _touches(start: NDArray[np.float32], state: NDArray[np.float32], held: int | None) -> bool:
+    """Whether anything else has moved since the start, or what is held has slipped."""
+    before, now = (blocks_of(torch.from_numpy(values[None]))[0, :, 1:3].numpy() for values in (start, state))
+    moved = np.linalg.norm(now - before, axis=1)
+    if held is not None:
+        if np.linalg.norm(in_hand(state, held) - in_hand(start, held)) > SLIPPED:
+            return True
+        moved[held] = 0.0
+    return bool(moved.max() > TOUCHED)
+
+
+def _turn(angle: Any) -> Floats:
+    """The matrix that turns columns by an angle; rows, back."""
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def _laid(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
+    """A piece of a play from its start on, with its end laid on a moment: what of it is a good way there."""
+    end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
+    context, last = replay.states[moment.step], play.states[end]
+    angle = float(context[2] - last[2])
+    turn = _turn(angle)
+
+    def laid(places: NDArray[Any]) -> Floats:
+        return context[:2] + (places - last[:2]) @ turn.T
+
+    blocks = blocks_of(torch.from_numpy(play.states)).numpy()
+    poses = np.concatenate([laid(play.states[:, :2]), play.states[:, 2:3].astype(float) + angle], 1)
+    ahead = front(poses) if moment.held is None else laid(blocks[:, moment.held, 1:3])
+    steps = np.arange(end)
+    good = _clear(poses[:end], ahead[:end], replay, moment) & _direct(poses[:end], context[:3], end - steps)
+    steps = steps[good]
+    if not len(steps):
+        return None
+    states = torch.from_numpy(np.repeat(context[None], len(steps), 0))
+    states[:, :3] = torch.from_numpy(poses[steps])
+    states[:, FINGERS] = torch.from_numpy(play.states[steps][:, FINGERS])
+    if moment.held is not None:
+        held = blocks_of(states)[:, moment.held]
+        held[:, 1:3] = torch.from_numpy(ahead[steps])
+        held[:, 3] = torch.from_numpy(blocks[steps, moment.held, 3] + angle)
+    later = np.linspace(steps, end, WAY // 2, axis=1).round().astype(int)
+    way = torch.from_numpy(np.concatenate([poses[later][..., :2], ahead[later]], 1)).float()
+    here = np.array([moment.step])
+    loose, freedoms = (
+        [part.expand(len(steps), *part.shape[1:]) for part in parts]
+        for parts in (replay.loose(here), replay.freedoms(here))
+    )
+    return Samples._make([states, torch.from_numpy(play.actions[steps]), *loose, way, *freedoms])
+
+
+def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment) -> NDArray[np.bool_]:
+    """From which steps on the way keeps clear of other blocks, or as clear as the moment at its end does."""
+    blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
+    others = blocks[:, 0] > 0
+    if moment.held is not None:
+        others[moment.held] = False
+    places, clear = blocks[others, 1:3], np.ones(len(poses), bool)
+    ends = [replay.states[moment.step, :2], *(() if moment.held is None else (blocks[moment.held, 1:3],))]
+    for own, end, apart in zip((poses[:, :2], ahead), ends, APART, strict=False):
+        least = np.minimum(apart, np.linalg.norm(places - end, axis=1) - TOUCHED)
+        clear &= (np.linalg.norm(own[:, None] - places, axis=2) > least).all(1)
+    return np.logical_and.accumulate(clear[::-1])[::-1]
+
+
+def _direct(poses: Floats, end: NDArray[Any], steps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the steps that are left are not many more than turning, driving straight and turning would take."""
+    to_end = end[:2] - poses[:, :2]
+    distance = np.linalg.norm(to_end, axis=1)
+    bearing = np.arctan2(to_end[:, 1], to_end[:, 0]) - math.pi / 2 - poses[:, 2]
+    final = end[2] - poses[:, 2]
+    turns = np.where(distance < CLOSE, _size(final), _size(bearing) + _size(final - bearing))
+    shortest = distance / SPEED[0] + turns / SPEED[1]
+    return steps <= LONGER[0] * shortest + LONGER[1]
+
+
+def _size(angles: Floats) -> Floats:
+    """Of angles, at most pi."""
+    return np.abs((angles + math.pi) % math.tau - math.pi)

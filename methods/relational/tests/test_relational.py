@@ -1,0 +1,376 @@
+"""`relational`: its view of the world, its assumptions, the rule that keeps them; `redraw`, which learns from it."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from magical_relational import redraw
+from magical_relational.grips import gripped
+from magical_relational.method import REPORT, Relational, demonstrated
+from magical_relational.network import STANDING, Ensemble, graph
+from magical_relational.policy import POLICY, load_policy
+from magical_relational.redraw import Redraw, Redrawer, scenes_of
+from magical_relational.samples import WAY, Freedom, Replay, Samples, displace, in_hand, mirror, rename
+from magical_relational.settings import RelationalSettings
+
+from magical_mj import TASKS, demos
+from magical_mj.engine import Engine
+from magical_mj.evaluation import evaluate
+from magical_mj.learners import checkpoint, load_settings, train
+from magical_mj.learners.data import shipped
+from magical_mj.learners.networks import blocks_of, regions_of
+from magical_mj.learners.policy import export_policy
+from magical_mj.learners.run_folder import RunFolder
+from magical_mj.policies.interface import histories
+from magical_mj.scene import GoalRegion, Scene
+from magical_mj.scene.state_vector import MAX_REGIONS
+from magical_mj.utils.errors import SettingsError, UnknownNameError
+from tests.helpers.learners import TINY, check_resumes, check_seeds, compare_exported
+
+RELATIONAL = {
+    "relational.hidden": 8,
+    "relational.trial": 1,
+    "relational.batch_size": 8,
+    "relational.rollouts": 2,
+    "relational.ways": 100,
+    "relational.plays": 1,
+    "relational.grips": 50,
+}
+NOTHING_TRIED = RelationalSettings(assumptions=())
+CLOSED, PULL = 9, 11
+EGOCENTRIC, ARENA = torch.zeros(()), torch.ones(())
+SMALL = {"preset": "State", "device": "cpu", "evaluations": 0, "demonstrations": 2, **RELATIONAL}
+
+
+def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
+    demonstration = shipped(task)[0]
+    way = Replay(Engine.of_scene(demonstration.scene), demonstration)
+    return torch.from_numpy(way.states[:steps].copy()), torch.from_numpy(way.actions[:steps].copy())
+
+
+def turned(states: torch.Tensor, x: float, y: float) -> torch.Tensor:
+    """The same states in an arena that is turned by 90 degrees and shifted."""
+    states = states.clone()
+    blocks, regions = blocks_of(states), regions_of(states)
+    for rows in (states, blocks[..., 1:]):
+        rows[..., 0], rows[..., 1] = x - rows[..., 1], y + rows[..., 0].clone()
+        rows[..., 2] += np.pi / 2
+    corners = regions[..., 1:5].clone()
+    regions[..., 1], regions[..., 3] = x - corners[..., 3], x - corners[..., 1]
+    regions[..., 2], regions[..., 4] = y + corners[..., 0], y + corners[..., 2]
+    return states
+
+
+def test_without_the_arena_only_the_view_of_the_robot_counts() -> None:
+    states, _ = states_of("FindDupe")
+    for before, after in zip(graph(states, EGOCENTRIC), graph(turned(states, 0.3, -0.2), EGOCENTRIC), strict=True):
+        torch.testing.assert_close(before, after, atol=1e-5, rtol=1e-4)
+    assert not torch.allclose(graph(states, ARENA)[0], graph(turned(states, 0.3, -0.2), ARENA)[0])
+
+
+def test_the_order_of_blocks_changes_nothing() -> None:
+    states = states_of("ClusterShape")[0]
+    ensemble = Ensemble(RelationalSettings(networks=2))
+    other = states.clone()
+    blocks_of(other).copy_(blocks_of(states).flip(1))
+    torch.testing.assert_close(ensemble.logits(states), ensemble.logits(other))
+
+
+def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
+    """What `mirror` makes of a state and an action is what physics makes of the mirrored scene."""
+    demonstration = shipped("MatchRegions")[0]
+    scene = demonstration.scene
+    poses = [(-block.x, block.y, -block.angle) for block in scene.blocks]
+    other = scene.moved(robot=(-scene.robot.x, scene.robot.y, -scene.robot.angle), blocks=poses)
+    regions = [GoalRegion(r.colour, -r.x_max, r.y_min, -r.x_min, r.y_max) for r in scene.regions]
+    engines = Engine.of_scene(scene), Engine.of_scene(Scene(other.robot, other.blocks, regions, scene.dynamics))
+    always = torch.Generator().manual_seed(2)
+    for action in demonstration.actions[:25].tolist():
+        states = torch.from_numpy(engines[0].state_vector()).repeat(20, 1)
+        actions = mirror(states, torch.full((20,), action), always)
+        mirrored = states[:, 0] != engines[0].state_vector()[0]
+        assert 0 < mirrored.sum() < 20
+        expected = torch.from_numpy(engines[1].state_vector())
+        seen, wanted = (graph(rows, EGOCENTRIC)[0] for rows in (states[mirrored][:1], expected[None]))
+        torch.testing.assert_close(seen, wanted, atol=2e-2, rtol=0)
+        engines[0].step(action)
+        engines[1].step(int(actions[mirrored][0]))
+
+
+def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
+    states, _ = states_of("FindDupe")
+    other = states.clone()
+    rename(other, torch.Generator().manual_seed(0))
+    assert not torch.equal(blocks_of(states), blocks_of(other))
+    torch.testing.assert_close(graph(states, ARENA)[1], graph(other, ARENA)[1])
+    assert torch.equal(states[:, :8], other[:, :8])
+
+
+def displaced(samples: Samples, *, pairs: bool) -> Samples:
+    other = Samples(*(part.clone() for part in samples))
+    displace(other, torch.Generator().manual_seed(0), pairs=pairs)
+    return other
+
+
+def test_only_what_does_not_matter_now_is_displaced() -> None:
+    """Never the block that the robot is heading for; others are, and regions with what is in them."""
+    samples = demonstrated([shipped("FixColour")[0]], NOTHING_TRIED, 0).shown
+    other = displaced(samples, pairs=False)
+    assert torch.equal(samples.states[:, :8], other.states[:, :8])
+    shift = blocks_of(other.states)[..., 1:3] - blocks_of(samples.states)[..., 1:3]
+    assert (shift != 0).any()
+    for number, (group, moved) in enumerate(zip(samples.groups.T, shift.norm(dim=2).T, strict=True)):
+        rows = (moved > 0).nonzero()[:, 0]
+        assert samples.movable[rows, group[rows]].all()
+        inside = rows[group[rows] < MAX_REGIONS]
+        middles = [regions_of(states)[inside, group[inside], 1:3] for states in (other.states, samples.states)]
+        torch.testing.assert_close(middles[0] - middles[1], shift[inside, number])
+
+
+def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -> None:
+    """Elsewhere on its way to the block, and with the block in it about a region's middle."""
+    samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0).shown
+    samples = samples._replace(movable=torch.zeros_like(samples.movable))
+    other = displaced(samples, pairs=True)
+    moved = (other.states[:, :2] != samples.states[:, :2]).any(1)
+    assert {Freedom.TURNS, Freedom.ANYWHERE} == set(samples.freedom[moved].tolist())
+    rest = ~samples.pair[moved]
+    assert torch.equal(blocks_of(other.states)[moved][rest], blocks_of(samples.states)[moved][rest])
+    views = []
+    for states in (samples.states[moved], other.states[moved]):
+        block, sin, cos = blocks_of(states)[~rest], states[:, 2].sin(), states[:, 2].cos()
+        x, y = (block[:, 1:3] - states[:, :2]).T
+        heading = block[:, 3] - states[:, 2]
+        views.append(torch.stack([cos * x + sin * y, cos * y - sin * x, heading.sin(), heading.cos()]))
+    torch.testing.assert_close(*views, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("task", ["MoveToRegion", "FixColour"])
+def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
+    chosen = RelationalSettings(assumptions=("hindsight",), ways=200, plays=2)
+    shown, ways, _ = demonstrated([shipped(task)[0]], chosen, 0)
+    assert len(ways.way) >= 200
+    ends = ways.way[:, WAY // 2 - 1]
+    assert torch.cdist(ends, shown.states[:, :2]).amin(1).max() < 0.03  # steps without action are not shown
+    assert (ways.states[:, :2] - ends).norm(dim=1).max() > 0.5
+
+
+def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
+    """Mostly, from a standing start, too; that block may have been pushed, and all others are where they were."""
+    demonstration = shipped("MatchRegions")[0]
+    with closing(Engine.of_scene(demonstration.scene)) as engine:
+        replay = Replay(engine, demonstration)
+        ways = gripped(engine, [replay], 200, np.random.default_rng(0))
+    assert sum(len(way.actions) for way in ways) >= 200
+    held, pushed = [], []
+    for way in ways:
+        (block,) = way.pair[0].nonzero()[:, 0].tolist()
+        first = way.states[0]
+        places = blocks_of(first[None])[0, :, 1:3].numpy()
+        moved = np.linalg.norm(blocks_of(way.states)[..., 1:3].numpy() - replay.places[0], axis=2).max(0)
+        pushed.append(moved[block] > 0.1)
+        others = np.linalg.norm(places - replay.places, axis=2).min(0)  # each is where it was at some time
+        assert np.delete(others, block).max() < 0.03
+        (scene,) = scenes_of(first[None])
+        number = [np.allclose((other.x, other.y), places[block]) for other in scene.blocks].index(True)
+        with closing(Engine.of_scene(scene)) as engine:
+            for action in [*way.actions.tolist(), *[CLOSED] * 2]:
+                engine.step(action)
+            before = in_hand(engine.state_vector(), number)
+            for action in [PULL] * 3:
+                engine.step(action)
+            held.append(np.linalg.norm(in_hand(engine.state_vector(), number) - before) < 0.05)
+    assert np.mean(held) > 0.6
+    assert any(pushed)
+
+
+def test_a_robot_that_is_stuck_acts_less_sharply() -> None:
+    actor = Ensemble(RelationalSettings(hidden=8))
+    state = torch.from_numpy(Engine.of_scene(shipped("FixColour")[0].scene).state_vector())
+    histories = state.expand(3, 4, -1).clone()
+    histories[1, -2, 0] += 0.02  # drives
+    histories[2, -2, 6] += 0.05  # closes the hand
+    logits = actor(histories, torch.zeros(3, dtype=torch.int64)).detach()
+    expected = actor.logits(state[None]).detach() * torch.tensor([[STANDING], [1.0], [1.0]])
+    torch.testing.assert_close(logits, expected)
+
+
+class Judged(Relational):
+    """What its policies score in the demo scene is given."""
+
+    given: tuple[float, ...]
+
+    def demo_scores(self, episodes: int) -> dict[str, float]:
+        del episodes
+        return {self.settings.tasks[0]: self.given[len(self._report)]}
+
+
+LETTERS = dict(zip("emrhgd", RelationalSettings().assumptions, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("scores", "assumed", "best"),
+    [
+        ((0.9, 0.7, 0.1, 0.2, 0.3, 0.4, 0.5), ["", "emrhgd", "e", "r", "h", "g", "d"], 0),
+        ((0.9, 0.8), ["", "emrhgd"], 1),
+        ((0.9, 0.2, 0.7, 0.8, 1.0, 0.7, 0.9), ["", "emrhgd", "e", "r", "rh", "rhg", "rhd"], 6),
+        ((0.9, 0.2, 0.9, 0.8, 0.6, 0.9, 0.9, 0.9), ["", "emrhgd", "e", "em", "emr", "emh", "emhg", "emhgd"], 7),
+    ],
+)
+def test_the_rule_keeps_what_the_demo_scene_bears(
+    scores: tuple[float, ...], assumed: list[str], best: int, tmp_path: Path
+) -> None:
+    """All together, or one after the other; the policy is that of the last trial that was kept."""
+    learner = Judged(load_settings("relational", "MoveToRegion", **SMALL))
+    learner.given, weights = scores, []
+    while not learner.finished:
+        learner.update()
+        weights.append(learner.get_state()["best"]["networks.0.share.weight"])
+    learner.write_report(tmp_path)
+    report = json.loads((tmp_path / REPORT).read_text())
+    assert [trial["assumed"] for trial in report] == [[LETTERS[letter] for letter in names] for names in assumed]
+    assert [trial["score"] for trial in report] == list(scores)
+    assert learner.updates == len(scores)
+    last = max(number for number, trial in enumerate(report) if trial["kept"])
+    assert last == best
+    torch.testing.assert_close(learner.get_state()["actor"]["networks.0.share.weight"], weights[best])
+
+
+def test_some_samples_keep_everything_in_its_place() -> None:
+    learner = Judged(load_settings("relational", "FixColour", **SMALL, **{"relational.assumptions": "displace"}))
+    learner.given = (0.9, 0.9)
+    while not learner.finished:
+        learner.update()
+
+    def places(changed: bool) -> torch.Tensor:
+        blocks = blocks_of(learner.samples(2000, changed=changed)[0])
+        return blocks[..., :3].flatten(1)
+
+    shown, samples = places(False).unique(dim=0), places(True)
+    in_place = (samples[:, None] == shown).all(2).any(1).float().mean()
+    assert 0.45 <= in_place <= 0.57
+
+
+def test_a_training_keeps_all_that_may_cost_everything(tmp_path: Path) -> None:
+    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": 1.0})
+    train(settings, tmp_path)
+    trials = json.loads((tmp_path / REPORT).read_text())
+    every = list(settings.relational.assumptions)
+    assert [trial["assumed"] for trial in trials] == [[], every]
+    assert RunFolder(tmp_path, settings, resume=True).last_checkpoint().update == 2
+    frame = evaluate(tmp_path, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
+    assert len(frame) == 2
+    assert load_policy(tmp_path).preset == "State"
+
+
+def test_it_learns_the_demonstrations() -> None:
+    settings = load_settings("relational", "MoveToRegion", **{**SMALL, "relational.trial": 12, "relational.hidden": 32})
+    learner = Relational(settings)
+    metrics = [learner.update() for _ in range(12)]
+    assert metrics[-1]["accuracy"] > 0.5 > metrics[0]["accuracy"]
+    assert metrics[-1]["loss"] < 0.7 * metrics[0]["loss"]
+
+
+@pytest.mark.parametrize(
+    ("tasks", "changes", "error", "message"),
+    [
+        ("MoveToRegion,FixColour", {"preset": "State"}, SettingsError, "one task"),
+        ("MoveToRegion", {}, SettingsError, "preset State"),
+        ("MoveToRegion", {"preset": "State", "relational.assumptions": "mirrors"}, UnknownNameError, "mirror"),
+        ("MoveToRegion", {"preset": "State", "relational.assumptions": "mirror"}, SettingsError, "egocentric before"),
+    ],
+)
+def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
+    with pytest.raises(error, match=message):
+        train(load_settings("relational", tasks, **changes), tmp_path / "run")
+
+
+PICTURES: dict[str, Any] = {**TINY, **RELATIONAL, "network.channels": 8, "bc.batches": 3, "bc.batch_size": 8}
+
+
+def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:
+    pictures = np.empty((len(states), 96, 96, 3), np.uint8)
+    Redrawer(view, "software").draw(states, pictures)
+    return pictures
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_what_was_seen_is_seen_again(task: str) -> None:
+    demonstration = shipped(task)[0]
+    states = np.asarray(demos.transitions([demonstration], preset="State")[0])
+    seen = np.asarray(demos.transitions([demonstration], preset="LoRes4E", renderer="software")[0])
+    steps = np.linspace(0, len(states) - 1, 5).astype(int)
+    again = drawn(torch.from_numpy(states[steps]))
+    assert (again != seen[steps][..., 9:]).mean() < 1e-3  # states are rounded to single precision
+
+
+def test_what_is_missing_is_not_seen() -> None:
+    scene = shipped("FixColour")[0].scene
+    states = torch.from_numpy(Engine.of_scene(scene).state_vector()[None].copy())
+    blocks_of(states)[0, 1, 0] = regions_of(states)[0, 0, 0] = 0
+    less = replace(scene, blocks=(scene.blocks[0], *scene.blocks[2:]), regions=scene.regions[1:])
+    expected = Engine.of_scene(less, renderer="software").render("allo", 96)
+    assert (drawn(states, "allo")[0] != expected).mean() < 1e-3
+
+
+def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redraw, "POOL", 16)
+    train(load_settings("redraw", "MoveToRegion", quick=True, **PICTURES), tmp_path / "run")
+    assert (tmp_path / "run" / REPORT).is_file()
+    played = evaluate(str(tmp_path / "run"), tasks="MoveToRegion", variants="Demo", episodes=1, renderer="software")
+    assert played["failure"].isna().all()
+
+
+@pytest.mark.parametrize("wrong", [{"preset": "State"}, {"preset": "LoRes3EA"}, {"tasks": "MoveToRegion,FixColour"}])
+def test_it_learns_one_task_from_one_view(wrong: dict[str, str]) -> None:
+    with pytest.raises(SettingsError, match="one task from one view"):
+        Redraw(load_settings("redraw", **{"tasks": "FixColour", **PICTURES, **wrong}))
+
+
+TRAININGS = [
+    ("relational", {"preset": "State", "relational.assumptions": "egocentric,mirror", "relational.trial": 2}),
+    ("redraw", {"relational.assumptions": "egocentric"}),
+]
+
+
+@pytest.fixture
+def small_pools(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redraw, "POOL", 16)
+    monkeypatch.setattr(redraw, "BATCHES", 2)
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_a_resumed_training_ends_like_an_uninterrupted_one(
+    method: str, changes: dict[str, Any], tmp_path: Path
+) -> None:
+    check_resumes(method, {**RELATIONAL, **changes}, tmp_path)
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) -> None:
+    check_seeds(method, {**RELATIONAL, **changes})
+
+
+@pytest.mark.slow
+def test_the_onnx_file_computes_what_the_networks_compute(tmp_path: Path) -> None:
+    train(load_settings("relational", "MoveToRegion", **SMALL), tmp_path / "run")
+    file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
+    states = histories(states_of("MoveToRegion", 20)[0].numpy())
+    compare_exported(load_policy(tmp_path / "run").actor, file, states)
+
+
+def test_policies_of_versions_with_other_settings_of_training_load(tmp_path: Path) -> None:
+    settings = RelationalSettings(hidden=8, networks=3, sharpness=1.5)
+    kept = {"hidden": 8, "networks": 3, "sharpness": 1.5, "patience": 6}
+    contents = {"weights": Ensemble(settings).state_dict(), "relational": kept, "tasks": ["FindDupe"]}
+    checkpoint.write(tmp_path / POLICY, contents)
+    assert load_policy(tmp_path).actor.settings == settings

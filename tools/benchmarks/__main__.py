@@ -1,0 +1,214 @@
+"""`python -m tools.benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
+
+From the checkout's folder. Single environments are measured in processor time, vectors and batched worlds in wall time.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from magical_mj._version import __version__
+from magical_mj.cli.app import run
+from magical_mj.cli.console import Output, check_fits, console, with_bar
+from magical_mj.cli.option import Renderer, Tasks, Variants, some_of
+from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.rendering.backend import drawn_by
+from magical_mj.tasks.registry import environments, listed
+from magical_mj.utils.extras import check_extra
+from magical_mj.utils.parallel import cores
+
+if TYPE_CHECKING:
+    from tools.benchmarks.batched import BatchedMeasurement
+    from tools.benchmarks.single import Cause, Measurement
+
+RESETS: Final = ("reset, same structure", "reset, new structure")
+HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", "32 worlds", *RESETS)
+NAMES: Final = 2  # columns that hold no numbers
+CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
+WORLDS: Final = "256,1024,4096,16384"
+CPU_INFO: Final = Path("/proc/cpuinfo")
+
+Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
+Steps = Annotated[
+    int, typer.Option(min=1, help="Least number of steps in each environment; whole episodes are played.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds of processor time.")]
+Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
+NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
+Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
+Profile = Annotated[bool, typer.Option("--profile", help="With --batched: print the time of each kernel.")]
+
+
+def bench(
+    context: typer.Context,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    presets: Presets = "LoRes4E",
+    steps: Steps = 1000,
+    renderer: Renderer = None,
+    as_json: Json = False,
+    profile: Profile = False,
+    batched: Batched = False,
+    num_envs: NumEnvs = WORLDS,
+    device: Device = "cuda",
+) -> None:
+    """Measure steps per second of processor time, with resets, beside the bare MuJoCo loop; and the time of resets."""
+    check_fits(context, batched, "with --batched", "num_envs", "device", "profile")
+    check_fits(context, not batched, "without --batched", "steps", "renderer", "as_json")
+    names = listed(presets, PRESETS)
+    for name in names:
+        preset_named(name)  # raises if it is unknown
+    chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
+    if batched:
+        _print_batched(chosen, _counts(num_envs), device, profile)
+        return
+    from tools.benchmarks.single import composer_share, measure
+
+    work = with_bar(Output(stderr=True), "measuring", chosen, len(chosen))
+    measurements = [measure(task, variant, name, steps, renderer) for task, variant, name in work]
+    if as_json:
+        facts = {
+            "machine": machine(),
+            "memory_mb": memory(),
+            "renderer": drawn_by(renderer),
+            "dm_env_share": composer_share(),
+            "environments": [_entry(speed) for speed in measurements],
+        }
+        typer.echo(json.dumps(facts, indent=2))
+    else:
+        typer.echo(markdown_table(measurements, drawn_by(renderer)))
+
+
+def _counts(text: str) -> list[int]:
+    if not re.fullmatch(r"[1-9]\d*(,[1-9]\d*)*", text):
+        raise typer.BadParameter(f"--num-envs takes numbers of at least 1, separated by commas, not {text!r}.")
+    return [int(part) for part in text.split(",")]
+
+
+def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
+    """Prints some lines for each environment and number of worlds as soon as it is measured."""
+    check_extra("batched worlds", "gpu")
+    from magical_mj.batched.physics import check_device
+    from tools.benchmarks.batched import measure_batched, single_rate
+
+    check_device(device)
+    screen = console()
+    for task, variant, name in chosen:
+        single = single_rate(task, variant, name)
+        for worlds in counts:
+            speed = measure_batched(task, variant, worlds, name, device)
+            for line in _batched_lines(speed, single, profile):
+                screen.print(line, soft_wrap=True)
+
+
+def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
+    """What was measured; the launches by part, or with `profile` by kernel."""
+    from tools.benchmarks.batched import by_part
+
+    times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
+    yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.worlds} worlds: {speed.rate:,.0f} steps/s"
+    yield f"  {speed.rate / single:.3g} times as many as single environments make here on all cores"
+    yield f"  {speed.world_bytes / 1000:.0f} kB a world"
+    yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
+    launches = sum(kernel.launches for kernel in speed.kernels)
+    yield f"  a step, on average: {launches:,.0f} kernel launches, {speed.bytes / 1e6:.2f} MB a world"
+    for kernel in speed.kernels if profile else by_part(speed.kernels):
+        called = f"{kernel.part} {kernel.name}".strip()
+        took = f"{1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
+        yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
+
+
+def _milliseconds(speed: Measurement, cause: Cause) -> str:
+    median, most = (speed.reset_quantile(cause, share) for share in (0.5, 0.95))
+    return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
+
+
+def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
+    """The table, and below it what it was measured on. Resets: median (95th percentile), in milliseconds."""
+    rows = [
+        (
+            f"{speed.task} {speed.variant}",
+            speed.preset or "none",
+            f"{speed.rate:,.0f}",
+            f"{speed.bare_rate:,.0f}",
+            f"{speed.share:.0%}",
+            f"{speed.vector_rate:,.0f}",
+            *(_milliseconds(speed, cause) for cause in CAUSES),
+        )
+        for speed in measurements
+    ]
+    lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows]
+    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return f"{table}\n\n{summary(measurements, renderer)}"
+
+
+def summary(measurements: Sequence[Measurement], renderer: str) -> str:
+    """The mean share, the machine, the memory of this process, and the speed of the dm_env door."""
+    from tools.benchmarks.single import composer_share
+
+    here, peak, composer = machine(), memory(), composer_share()
+    drawn = renderer if renderer == "software" else here["opengl"]
+    share = fmean(speed.share for speed in measurements)
+    text = f"on average {share:.0%} of the bare loop; {here['cpu']}, {here['cores']} cores; {drawn}"
+    if peak is not None:
+        text += f"; at most {peak:.0f} MB"
+    return text if composer is None else f"{text}; dm_env without pictures: {composer:.0%} of the bare loop"
+
+
+def _entry(speed: Measurement) -> Mapping[str, Any]:
+    resets = {
+        cause: {
+            "count": len(speed.resets[cause]),
+            "median": speed.reset_quantile(cause, 0.5),
+            "p95": speed.reset_quantile(cause, 0.95),
+        }
+        for cause in CAUSES
+    }
+    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "share", "vector_rate")
+    return {name: getattr(speed, name) for name in names} | {"resets": resets}
+
+
+def machine() -> dict[str, str | int]:
+    """The machine and the versions."""
+    from magical_mj.rendering.canvas import opengl_name
+
+    cpu = platform.processor() or platform.machine()
+    if CPU_INFO.exists():
+        cpu = next((line.split(": ")[1] for line in CPU_INFO.read_text().splitlines() if "model name" in line), cpu)
+    return {
+        "cpu": cpu,
+        "cores": cores(),
+        "opengl": opengl_name(),
+        "python": platform.python_version(),
+        "magical_mj": __version__,
+    }
+
+
+def memory() -> float | None:
+    """The peak memory of this process, in MB; None where the system does not tell, as Windows."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    unit = 1 if sys.platform == "darwin" else 2**10  # bytes per unit that the system reports
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark and return the exit code."""
+    app = typer.Typer(add_completion=False)
+    app.command(context_settings={"help_option_names": ["-h", "--help"]})(bench)
+    return run(arguments, app, "python -m tools.benchmarks")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""Measures batched worlds: steps per second, the time of each part, memory, and single environments to compare with.
+
+Times are wall clock, since the work is an accelerator's. What a step consists of are its kernel launches: how long each
+takes and how much memory it is given. On an accelerator, events on the stream are timed; on the CPU device, where a
+launch returns when it is done, the wall clock. Launches from a captured graph, and those of PyTorch, are not counted.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from magical_mj import batched
+from magical_mj.batched.environment import BatchedEnv
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.parallel import cores, map_unordered
+from tools.benchmarks.single import plans
+
+WARM_UP: Final = 3
+"""Steps before the clock starts: kernels are compiled, the graph is captured."""
+WATCHED: Final = 20
+"""Steps of an episode whose launches are recorded; how many the solver needs differs from step to step."""
+SINGLE_EPISODES: Final = 3
+"""Episodes of the single environment on each core."""
+
+
+@dataclass
+class Kernel:
+    """All launches of one kernel, or their mean over some steps.
+
+    Attributes:
+        part: the module that it is from, such as "solver".
+        name: the function's.
+        launches: how many.
+        seconds: all of them together.
+        bytes: of all arrays that they were given, as if each were read or written once as a whole.
+    """
+
+    part: str
+    name: str
+    launches: float = 0
+    seconds: float = 0.0
+    bytes: float = 0
+
+
+@contextmanager
+def recorded_launches(device: str) -> Iterator[list[Kernel]]:
+    """Records what is launched within; the list is filled at its end, the longest first."""
+    marks: list[tuple[Any, Any, Any, int]] = []
+    originals = {name: getattr(wp, name) for name in ("launch", "launch_tiled")}
+    signature = inspect.signature(originals["launch"])
+
+    def recording(launch: Any) -> Any:
+        def recorded(*args: Any, **kwargs: Any) -> Any:
+            arguments = signature.bind_partial(*args, **kwargs).arguments
+            if np.prod(arguments["dim"]) == 0:  # nothing to do: Warp launches nothing
+                return launch(*args, **kwargs)
+            begin = _mark(device)
+            result = launch(*args, **kwargs)
+            arrays = [*arguments.get("inputs", ()), *arguments.get("outputs", ())]
+            marks.append((arguments["kernel"], begin, _mark(device), sum(map(size, arrays))))
+            return result
+
+        return recorded
+
+    kernels: list[Kernel] = []
+    try:
+        for name, launch in originals.items():
+            setattr(wp, name, recording(launch))
+        yield kernels
+    finally:
+        for name, launch in originals.items():
+            setattr(wp, name, launch)
+    wp.synchronize_device(device)
+    kernels += _summed(marks)
+
+
+def _mark(device: str) -> Any:
+    """A moment: an event on the device's stream, or a time in seconds."""
+    return wp.record_event(wp.Event(device, enable_timing=True)) if wp.get_device(device).is_cuda else perf_counter()
+
+
+def _summed(marks: Iterable[tuple[Any, Any, Any, int]]) -> list[Kernel]:
+    kernels: dict[tuple[str, str], Kernel] = {}
+    for launched, begin, end, size_in_bytes in marks:
+        key = launched.func.__module__.rpartition(".")[2], launched.func.__qualname__.partition(".<locals>")[0]
+        kernel = kernels.setdefault(key, Kernel(*key))
+        kernel.launches += 1
+        kernel.seconds += end - begin if isinstance(begin, float) else wp.get_event_elapsed_time(begin, end) / 1000
+        kernel.bytes += size_in_bytes
+    return sorted(kernels.values(), key=lambda kernel: -kernel.seconds)
+
+
+def size(value: Any) -> int:
+    """Bytes of an array, or of those in a struct or a data class."""
+    if isinstance(value, wp.array):
+        return value.capacity
+    return sum(array.capacity for array in getattr(value, "__dict__", {}).values() if isinstance(array, wp.array))
+
+
+def by_part(kernels: Iterable[Kernel]) -> list[Kernel]:
+    """The sums over the kernels of each part, the longest first."""
+    parts: dict[str, list[Kernel]] = defaultdict(list)
+    for kernel in kernels:
+        parts[kernel.part].append(kernel)
+    sums = [
+        Kernel(
+            part, "", *(sum(getattr(kernel, name) for kernel in members) for name in ("launches", "seconds", "bytes"))
+        )
+        for part, members in parts.items()
+    ]
+    return sorted(sums, key=lambda kernel: -kernel.seconds)
+
+
+@dataclass(frozen=True)
+class BatchedMeasurement:
+    """The measurement of one environment with one number of worlds. Times are wall clock, in seconds.
+
+    Attributes:
+        rate: environment steps per second in total, with observations and resets.
+        physics_seconds: time of one control step of all worlds.
+        observation_seconds: time of their observations.
+        reset_seconds: time of a reset of all worlds.
+        kernels: of one control step with its observations, launched one by one: the mean of some steps; see `launches`.
+        bytes: of all arrays that they are given, a world's share.
+        world_bytes: memory of one world's simulation.
+    """
+
+    task: str
+    variant: str
+    preset: str
+    worlds: int
+    rate: float
+    physics_seconds: float
+    observation_seconds: float
+    reset_seconds: float
+    kernels: list[Kernel]
+    bytes: float
+    world_bytes: int
+
+
+def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
+    """Measures one episode of random actions in all worlds, with the reset after it, and then each part separately."""
+    with closing(batched.make(task, variant, worlds, preset=preset, device=device, workers=_workers(worlds))) as env:
+        generator = torch.Generator().manual_seed(0)
+        actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
+        env.reset(seed=0)
+        for step in range(WARM_UP):
+            env.step(actions[step])
+        kernels = _kernels(env, actions[WARM_UP : WARM_UP + WATCHED])
+        env.reset()
+
+        def play() -> None:
+            for row in actions:
+                env.step(row)  # whose observations are not kept: those of a whole episode would fill the accelerator
+
+        seconds = _seconds(device, play)
+        return BatchedMeasurement(
+            task=task,
+            variant=variant,
+            preset=preset,
+            worlds=worlds,
+            rate=worlds * len(actions) / seconds,
+            physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
+            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics)),
+            reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
+            kernels=kernels,
+            bytes=sum(kernel.bytes for kernel in kernels) / worlds,
+            world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
+        )
+
+
+def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
+    """The launches of a control step with its observations, on average over these actions."""
+    with recorded_launches(env.device) as recorded:
+        for row in actions:
+            env.physics.step(row, graph=False)
+            env.observer.observe(env.physics)
+    count = len(actions)
+    return [
+        Kernel(kernel.part, kernel.name, kernel.launches / count, kernel.seconds / count, kernel.bytes / count)
+        for kernel in recorded
+    ]
+
+
+def _workers(worlds: int) -> int:
+    return min(8, max(1, cores() - 1)) if worlds > 64 else 0
+
+
+def _seconds(device: str, work: Callable[[], object]) -> float:
+    wp.synchronize_device(device)
+    start = perf_counter()
+    work()
+    wp.synchronize_device(device)
+    return perf_counter() - start
+
+
+def single_rate(task: str, variant: str, preset: str) -> float:
+    """Steps per second of the single environments, one process on each core, all at once."""
+    return sum(map_unordered(_single, [(task, variant, preset)] * cores()))
+
+
+def _single(environment: tuple[str, str, str]) -> float:
+    with closing(MagicalEnv(*environment)) as env:
+        env.reset(seed=0)  # the first frame starts OpenGL
+        steps, start = 0, perf_counter()
+        for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
+            env.reset(seed=seed)
+            for action in plan:
+                env.step(action)
+            steps += len(plan)
+        return steps / (perf_counter() - start)

@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# Trains and evaluates the full-size tables from pictures, for a limited time. Call it again to go on where it stopped.
+#   tools/full_size/accelerator.sh 580 12 runs    # for so many seconds, so many runs side by side, into this folder
+# Runs side by side share the card: one alone keeps it waiting for its small kernels to be launched.
+set -uo pipefail
+usage="usage: tools/full_size/accelerator.sh SECONDS JOBS FOLDER"
+seconds=${1:?$usage} jobs=${2:?$usage} out=${3:?$usage} status=0
+mkdir -p "$out"
+for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
+    pixels-gail-multi pixels-gail pixels-gail-no-augmentation pixels-gail-allo; do
+  left=$((seconds - SECONDS))
+  [ "$left" -gt 0 ] || break
+  timeout --signal=INT --kill-after=20 "$left" \
+    magical-mj experiment "$(dirname "$0")/$table.toml" --jobs "$jobs" --out "$out/$table"
+  code=$?
+  case $code in 124 | 137) [ "$SECONDS" -lt "$seconds" ] || break ;; esac  # timeout's codes, if the time is over
+  [ "$code" -eq 0 ] || status=$code
+done
+cd "$out" && find . -path '*/evaluations/*' -type f | tar -czf evaluations.tar.gz -T -  # all that tables are made of
+exit "$status"

@@ -1,0 +1,160 @@
+"""Compares sets of demonstrations: how they were made, and what a learner makes of them.
+
+    python tools/research/demonstration_statistics.py [FOLDER ...] [--people human_replays.npz] [--learn] [--tasks A,B]
+
+The shipped set comes first, then folders of demonstrations, then episodes of people in the original simulation: a file
+of arrays ``<Task>/<number>/{actions, poses, fingers, score}``, poses of shape (steps + 1, 1 + blocks, 3), robot first.
+
+The table of statistics takes seconds. ``--learn`` adds a second one: behavioural cloning from states, from 10
+demonstrations of each task, played in our world. A training and its episodes take about a minute of one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj import TASKS, demos, sample_scene
+from magical_mj.assets.robot import JOINTS
+from magical_mj.assets.world import World
+from magical_mj.demos import Demonstration
+from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
+from magical_mj.scene.constants import CONTROL_RATE
+
+Demonstrations = list[Demonstration]
+Floats = NDArray[np.float64]
+
+CELL: Final = 0.1  # world units, side of the cells that are counted
+CLOSED: Final = np.array([action.gripper == Gripper.CLOSE for action in ACTIONS])
+LEARNT_FROM: Final = 10  # demonstrations
+
+
+def people(path: Path, task: str) -> Demonstrations:
+    """The recorded episodes of people in a task. Velocities are the differences of the recorded poses."""
+    scene = sample_scene(task, "Demo", 0)
+    world, size = World(scene), 3 * len(scene.blocks) + len(JOINTS)
+    columns = np.arange(float(size))
+    places, fingers = world.poses(columns).astype(int), world.fingers(columns).astype(int)
+    found = []
+    with np.load(path) as data:
+        for key in sorted(name.removesuffix("/actions") for name in data if name.endswith("/actions")):
+            if not key.startswith(f"{task}/"):
+                continue
+            poses = data[f"{key}/poses"]
+            qpos = np.zeros((len(poses), size))
+            qpos[:, places] = poses
+            qpos[:, fingers] = data[f"{key}/fingers"]
+            qvel = np.diff(qpos, axis=0, prepend=qpos[:1]) * CONTROL_RATE
+            actions, score = data[f"{key}/actions"].astype(np.uint8), float(data[f"{key}/score"])
+            found.append(Demonstration(task, "Demo", 0, "human", 0, scene, actions, qpos, qvel, score))
+    return found
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
+
+
+def _path(demo: Demonstration) -> Floats:
+    """The places of the robot. Shape (steps + 1, 2)."""
+    world = World(demo.scene)
+    return np.array([world.poses(qpos)[0, :2] for qpos in demo.qpos])
+
+
+def _entropy(chosen: Demonstrations) -> float:
+    pairs = np.zeros((len(ACTIONS), len(ACTIONS)))
+    for demo in chosen:
+        np.add.at(pairs, (demo.actions[:-1], demo.actions[1:]), 1)
+    shares = pairs / pairs.sum()
+    given = pairs.sum(axis=1, keepdims=True) / pairs.sum()
+    return float(-(shares * np.log2(np.divide(shares, given, out=np.ones_like(shares), where=shares > 0))).sum())
+
+
+STATISTICS: Final[Mapping[str, Callable[[Demonstrations], float]]] = {
+    "steps": lambda chosen: _mean(len(demo.actions) for demo in chosen),
+    "of them until the last action": lambda chosen: _mean(
+        1 + np.flatnonzero(demo.actions != NOOP)[-1] for demo in chosen
+    ),
+    "entropy of an action given the one before, bits": _entropy,
+    "switches of action per step": lambda chosen: _mean(
+        np.sum(demo.actions[1:] != demo.actions[:-1]) / len(demo.actions) for demo in chosen
+    ),
+    "share of no-ops": lambda chosen: _mean(np.concatenate([demo.actions for demo in chosen]) == NOOP),
+    "share of closed fingers": lambda chosen: _mean(CLOSED[np.concatenate([demo.actions for demo in chosen])]),
+    "length of the robot's path": lambda chosen: _mean(
+        np.hypot(*np.diff(_path(demo), axis=0).T).sum() for demo in chosen
+    ),
+    "cells visited": lambda chosen: _mean(len(np.unique(_path(demo) // CELL, axis=0)) for demo in chosen),
+}
+"""What is computed from the demonstrations of a task."""
+
+
+def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[float, float, float]:
+    """Mean scores in Demo and in Jitter after behavioural cloning from states, and the loss on held-out episodes."""
+    import torch
+    from torch.nn.functional import cross_entropy
+
+    from magical_mj.evaluation import evaluate
+    from magical_mj.learners import load_settings
+    from magical_mj.learners.bc import BehaviouralCloning
+    from magical_mj.learners.data import Dataset, drawn
+    from magical_mj.learners.networks import as_input
+    from magical_mj.learners.policy import TrainedPolicy
+
+    torch.set_num_threads(1)
+    settings = load_settings("bc", task, preset="State", seed=seed, demonstrations=LEARNT_FROM)
+    learner = BehaviouralCloning(settings, {task: chosen})
+    for _ in range(learner.updates):
+        learner.update()
+    policy = TrainedPolicy(learner.actor, settings.tasks, settings.preset)
+    played = {"tasks": task, "variants": "Demo,Jitter", "split": "dev", "episodes": episodes, "preset": "State"}
+    frame = evaluate(policy, jobs=1, **played)
+    scores = frame.groupby("variant")["score"].mean()
+    seen = drawn(task, seed, LEARNT_FROM, len(chosen))
+    rest = [demo for number, demo in enumerate(chosen) if number not in seen]
+    held_out = Dataset(
+        load_settings("bc", task, preset="State", demonstrations=len(rest)), drop_noop=True, demonstrations={task: rest}
+    )
+    batch = held_out.rows([torch.arange(held_out.sizes[0])])
+    with torch.no_grad():
+        logits = learner.actor.eval()(as_input(batch.observations, torch.device("cpu")), batch.tasks)
+    return float(scores["Demo"]), float(scores["Jitter"]), float(cross_entropy(logits, batch.actions))
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description="Compares sets of demonstrations.")
+    parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
+    parser.add_argument("--people", type=Path, help="recorded episodes of people")
+    parser.add_argument("--tasks", default=",".join(TASKS))
+    parser.add_argument("--learn", action="store_true", help="train and play, too")
+    parser.add_argument("--seeds", type=int, default=5, help="trainings for each task")
+    parser.add_argument("--episodes", type=int, default=100, help="after each training, in Demo and in Jitter")
+    arguments = parser.parse_args()
+    tasks = arguments.tasks.split(",")
+    sets = {"shipped": {task: demos.load(task) for task in tasks}}
+    sets |= {str(folder): {task: demos.load(task, folder) for task in tasks} for folder in arguments.folders}
+    if arguments.people:
+        sets["people"] = {task: people(arguments.people, task) for task in tasks}
+
+    print(f"| Means over tasks | {' | '.join(sets)} |\n| --- |{' ---: |' * len(sets)}")
+    for name, statistic in STATISTICS.items():
+        means = [_mean(statistic(chosen) for chosen in by_task.values()) for by_task in sets.values()]
+        print(f"| {name} | {' | '.join(f'{mean:.2f}' for mean in means)} |", flush=True)
+    if not arguments.learn:
+        return
+    print(f"\n| Demo / Jitter / held-out loss | {' | '.join(sets)} |\n| --- |{' ---: |' * len(sets)}")
+    for task in tasks:
+        cells = []
+        for by_task in sets.values():
+            runs = [learn(by_task[task], task, seed, arguments.episodes) for seed in range(arguments.seeds)]
+            cells.append(" / ".join(f"{mean:.2f}" for mean in np.mean(runs, axis=0)))
+        print(f"| {task} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
