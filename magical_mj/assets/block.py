@@ -21,7 +21,7 @@ from magical_mj.assets.contacts import (
     vertex,
 )
 from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
-from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
+from magical_mj.assets.mjcf import comment, index_of, move_body, numbers, planar_body, planar_name
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.scene import Block, Dynamics, Pebble
 from magical_mj.scene import constants as c
@@ -73,15 +73,15 @@ def block_pair(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
     """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_joint`.
+    `scope` is that of `planar_name`.
     """
     name = f"block{index}"
     move_body(model, name, block.pose, scope)
     outline, fill = style.levels(BLOCK_OUTLINE[block.colour]), style.levels(BLOCK_FILL[block.colour])
     for part, colour in (("outline", outline), ("fill", fill), ("sides", outline)):
-        model.geom_rgba[model.geom(f"{scope}{name}_{part}").id] = colour
-    model.pair_friction[model.pair(f"{name}_foot").id, :2] = foot_friction(dynamics.block_friction_force)
-    spin = model.jnt_dofadr[planar_joint(model, f"{name}_angle", scope)]
+        model.geom_rgba[index_of(model, "geom", f"{scope}{name}_{part}")] = colour
+    model.pair_friction[index_of(model, "pair", f"{name}_foot"), :2] = foot_friction(dynamics.block_friction_force)
+    spin = model.jnt_dofadr[index_of(model, "joint", planar_name(f"{name}_angle", scope))]
     model.dof_frictionloss[spin] = dynamics.block_friction_torque
 
 

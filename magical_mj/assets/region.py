@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import Faces, mesh_mjcf
-from magical_mj.assets.mjcf import numbers, single
+from magical_mj.assets.mjcf import index_of, numbers, single
 from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
 from magical_mj.scene import GoalRegion
 
@@ -112,7 +112,8 @@ def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> Non
     Raises:
         ValueError: if the model was compiled for fewer dashes than the region needs.
     """
-    for skin, palette in ((2 * index, REGION_FILL), (2 * index + 1, REGION_BORDER)):
+    for part, palette in (("fill", REGION_FILL), ("border", REGION_BORDER)):
+        skin = index_of(model, "skin", f"region{index}_{part}")
         model.skin_rgba[skin] = style.levels(palette[region.colour])
         first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
         model.skin_vert[first : first + count] = _corners(region, index, count // 4)

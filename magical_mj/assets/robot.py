@@ -37,7 +37,7 @@ from magical_mj.assets.contacts import (
     foot_friction,
     vertex,
 )
-from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import bend_body, comment, index_of, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, Gripper
@@ -59,6 +59,11 @@ JOINTS: Final = (*_PLANAR, "castor", *WHEELS, *ROTORS, *MOTORS.values(), "left_f
 def joints(body: str) -> tuple[str, ...]:
     """The joints of a robot with this body, likewise."""
     return JOINTS if body_named(body).fingers else JOINTS[: JOINTS.index(MOTORS["left"])]
+
+
+def actuators(body: str) -> tuple[str, ...]:
+    """The actuators of a robot with this body, in the order of the model's controls."""
+    return (*WHEELS, *ROTORS, *(MOTORS.values() if body_named(body).fingers else ()))
 
 
 CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
@@ -230,7 +235,7 @@ def actuators_mjcf(body: str = GRIPPER) -> str:
 def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope: str = "") -> None:
     """Changes pose and force caps of the robot in a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_joint`.
+    `scope` is that of `planar_name`.
     """
     move_body(model, "robot", robot.pose, scope)
     fingers = body_named(robot.body).fingers
@@ -238,11 +243,11 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
         for side, angle in zip(MOTORS, robot.fingers, strict=True):
             bend_body(model, f"{scope}{side}_finger", angle)
     for wheel, force in wheel_caps(dynamics.drive_force).items():
-        model.pair_friction[model.pair(wheel).id, :2] = foot_friction(force)
+        model.pair_friction[index_of(model, "pair", wheel), :2] = foot_friction(force)
     for motor, torque in torque_caps(dynamics.turn_torque, dynamics.finger_torque).items():
         if not fingers and motor in MOTORS.values():
             continue
-        model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
+        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = torque
 
 
 @lru_cache(16)

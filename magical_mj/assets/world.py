@@ -31,10 +31,11 @@ from magical_mj.assets.block import (
     rewrite_block,
 )
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, default_classes
+from magical_mj.assets.coordinates import find_coordinates, own_coordinates
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import move_body, numbers
 from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
-from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
+from magical_mj.assets.robot import actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
@@ -215,12 +216,6 @@ def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     return tuple((geom.classname.name, own_attributes(geom)) for geom in spec.geoms)
 
 
-def planar(blocks: int) -> NDArray[np.int64]:
-    """Where x, y and angle of the robot, and then of each block, stand in `qpos` and `qvel`. Shape (1 + blocks, 3)."""
-    first = 3 * blocks
-    return np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
-
-
 class World:
     """A scene in the simulator: its model, rewritten from another one, and the scene that `qpos` describes.
 
@@ -230,6 +225,7 @@ class World:
     Attributes:
         structure: worlds with the same structure share a compiled model, apart from its numbers.
         has_fingers: whether the robot has any.
+        coordinates: where everything is in MuJoCo's vectors: at first, in those of the package's own models.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -242,9 +238,20 @@ class World:
             scene.half_width,
             len(scene.pebbles),
         )
-        self._planar = planar(len(scene.blocks))
         self.has_fingers = body_named(scene.robot.body).fingers
-        self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
+        self.coordinates = own_coordinates(*self._counts)
+
+    @property
+    def _counts(self) -> tuple[int, str, int]:
+        return len(self.scene.blocks), self.scene.robot.body, len(self.scene.pebbles)
+
+    def find_in(self, model: mujoco.MjModel) -> None:
+        """Looks up the coordinates in the compiled model of a composer environment, which may hold more.
+
+        Raises:
+            SettingsError: if the model lacks something of the scene.
+        """
+        self.coordinates = find_coordinates(model, *self._counts)
 
     def rewrite(
         self,
@@ -278,19 +285,19 @@ class World:
             change(model)
         mujoco.mj_setConst(model, data)
 
-    def poses(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The planar coordinates (or velocities) of the robot and then of each block. Shape (1 + blocks, 3).
+    def poses(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
+        """x, y (world units) and angle (rad) of the robot and then of each block. Shape (1 + blocks, 3)."""
+        return qpos[self.coordinates.qpos]
 
-        Args:
-            values: MuJoCo's `qpos` (or `qvel`).
-        """
-        return values[self._planar]
+    def velocities(self, qvel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Their velocities, in units/s and rad/s. Shape (1 + blocks, 3)."""
+        return qvel[self.coordinates.qvel]
 
     def fingers(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
         """The angles of the left and the right finger; those of the scene, of a body without. Shape (2,)."""
         if not self.has_fingers:
             return np.array(self.scene.robot.fingers)
-        return qpos[self._fingers : self._fingers + 2]
+        return qpos[self.coordinates.fingers]
 
     def read(self, qpos: NDArray[np.float64]) -> Scene:
         """The scene as it is now."""
@@ -300,6 +307,6 @@ class World:
             fingers = tuple(self.fingers(qpos).tolist())
             now = dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))
         if self.scene.pebbles:
-            places = qpos[-3 * len(self.scene.pebbles) :].reshape(-1, 3)[:, :2].tolist()
+            places = qpos[self.coordinates.pebbles[:, :2]].tolist()
             now = dataclasses.replace(now, pebbles=tuple(Pebble(x, y) for x, y in places))
         return now

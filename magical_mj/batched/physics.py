@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
+from magical_mj.assets.coordinates import own_coordinates
 from magical_mj.assets.robot import controls, torque_caps, wheel_caps
-from magical_mj.assets.world import planar, world_mjcf
+from magical_mj.assets.world import world_mjcf
 from magical_mj.batched.scenes import ABSENT, WorldScenes
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES, Shape
@@ -105,7 +106,7 @@ class Physics:
         self._overflow = wp.to_torch(self.data.overflow)
         self._lasting = {**self._state, "overflow": self._overflow}
         self._controls = torch.tensor(controls(), dtype=torch.float32, device=device)
-        self._planar = torch.from_numpy(planar(self.blocks)).to(device)
+        self._planar = torch.from_numpy(own_coordinates(self.blocks).qpos).to(device)
         self._columns = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
         self._fingers = torch.tensor(self._columns, device=device)
         self._graph: Any = None
@@ -170,7 +171,7 @@ class Physics:
         waiting = np.stack([OUTSIDE + 2.0 * numbers, np.full(len(numbers), OUTSIDE), 0.0 * numbers], axis=-1)
         poses = scenes.poses.copy()
         poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
-        qpos[:, planar(len(numbers))] = poses
+        qpos[:, own_coordinates(len(numbers)).qpos] = poses
         qpos[:, self._columns] = scenes.fingers
         return qpos
 

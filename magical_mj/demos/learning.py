@@ -76,7 +76,7 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         if how.layout == "state":
             encode, states = StateEncoder(demo.scene), zip(demo.qpos, demo.qvel, strict=True)
             return np.array(
-                [encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states]
+                [encode(world.poses(qpos), world.velocities(qvel), world.fingers(qpos)) for qpos, qvel in states]
             )
         stacks = Stacks(how, how.image_size)
         rows: dict[str, NDArray[Any]] = {

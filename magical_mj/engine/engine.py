@@ -419,7 +419,7 @@ class Engine:
 
     def clone(self) -> Engine:
         """A copy in the same state, in as long as a new one takes. Both go on alike."""
-        return _restored(*self.__reduce__()[1])
+        return restored(*self.__reduce__()[1])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Engine:
         return self.clone()
@@ -427,7 +427,7 @@ class Engine:
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: what it was made of, and its state."""
         state = self.get_state()
-        return _restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
+        return restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -436,7 +436,7 @@ class Engine:
         self._simulation = None
 
 
-def _restored(
+def restored(
     setup: Setup, shifts: dict[str, int], seed: int | None, state: State, broken: bool, renderer: str | None
 ) -> Engine:
     """A copy of an engine, as `Engine.__reduce__` describes it."""

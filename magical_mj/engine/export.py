@@ -6,6 +6,7 @@ scene, the task and its rules, the horizon and the values of `ctrl` for each of 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ from magical_mj.shifts.registry import shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import InvalidSceneError, short_repr
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, as_integer, short_repr
 
 HEADER: Final = """<!--
   {what}, as a MuJoCo model. Written by magical-mj {version}.
@@ -53,30 +54,34 @@ BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
 
 
-def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+def export_mjcf(source: Any, path: str | os.PathLike[str], *, overwrite: bool = False, index: int = 0) -> Path:
     """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
 
-    The reference pose of the model is the scene (for an engine: the one in which its episode started), and the
-    keyframe "now" is the present state with velocities. From the start of an episode, the model moves exactly as the
-    engine does if it is played as the file's header says; from later states, up to rounding.
+    The reference pose of the model is the scene (for an episode: the one in which it started), and the keyframe "now"
+    is the present state with velocities. From the start of an episode, the model moves exactly as the engine does if it
+    is played as the file's header says; from later states, up to rounding.
 
     Args:
-        source: a scene, or an engine at any point of an episode. For an engine, the file also holds task,
-            rules and horizon, and variant and seed if the scene was drawn from a seed.
+        source: a scene; or an engine or an environment at any point of an episode: Gymnasium's, wrapped or not, a
+            composer environment, or a vector environment. For an episode, the file also holds task, rules and horizon,
+            and variant and seed if the scene was drawn from a seed.
         path: the file to write; its folder is made if missing.
         overwrite: whether an existing file may be replaced.
+        index: which environment of a vector environment.
 
     Returns:
         The path written.
 
     Raises:
         InvalidSceneError: if the scene is not legal, or the source is something else.
-        ClosedError: if the engine is closed.
+        SettingsError: if users have changed the model of a composer environment, whose tree dm_control can write; if a
+            vector environment has no environment of this index.
+        ClosedError: if the engine or environment is closed.
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
     path = files.to_path(path)
-    text = mjcf_text(source)
+    text = mjcf_text(_scene_or_engine(source, index))
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write(path, text, overwrite=overwrite)
     return path
@@ -97,11 +102,6 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
     if isinstance(source, Scene):
         check_scene(source)
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
-    elif not isinstance(source, Engine):
-        raise InvalidSceneError(
-            f"a file is made of a Scene or a magical_mj.Engine, not of {short_repr(source)}; "
-            "in Gymnasium's environments that is env.unwrapped.engine"
-        )
     else:
         scene, data = source.initial_scene, source.data
         drawn = source.seed is not None  # else the scene may be of no variant, or of another one
@@ -110,6 +110,30 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
     return _header(about, 2 * scene.half_width) + readable.indented(_model(scene, about, data, rounded=rounded))
+
+
+def _scene_or_engine(source: Any, index: int) -> Scene | Engine:
+    """A scene or an engine itself, or the engine of an environment, or of one of a vector environment."""
+    if isinstance(source, Scene | Engine):
+        return source
+    env = getattr(source, "unwrapped", source)
+    if hasattr(env, "num_envs"):
+        number = as_integer(index, 0, env.num_envs - 1)
+        if number is None:
+            raise SettingsError(
+                f"index is one of the {env.num_envs} environments, 0 to {env.num_envs - 1}, not {index}"
+            )
+        with contextlib.suppress(AttributeError):
+            env = env.get_attr("engine")[number]
+    elif hasattr(env, "to_engine"):
+        env = env.to_engine()
+    engine = env if isinstance(env, Engine) else getattr(env, "engine", None)
+    if not isinstance(engine, Engine):
+        raise InvalidSceneError(
+            "a file is made of a magical_mj.Scene, a magical_mj.Engine, or an environment that runs one, not of "
+            f"{short_repr(source)}"
+        )
+    return engine
 
 
 def _header(about: Mapping[str, Any], side: float) -> str:

@@ -199,7 +199,7 @@ class Simulation:
         number, scene = action_number(action), self.world.scene
         if self.shifts is not None:
             number = self.shifts.action(number)
-        self.data.ctrl[:] = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        self.data.ctrl[self.world.coordinates.ctrl] = control_signal(number, scene.robot.body, scene.dynamics.veer)
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions: full speed, or none."""
@@ -211,7 +211,8 @@ class Simulation:
         else:
             vector = as_speeds(action, size)
         fingers = world.fingers(data.qpos) if world.has_fingers else None
-        data.ctrl[:] = speed_signal(vector, fingers, data.ctrl)
+        controls = world.coordinates.ctrl
+        data.ctrl[controls] = speed_signal(vector, fingers, data.ctrl[controls])
 
     def advance(self, steps: int) -> None:
         """Takes some steps of MuJoCo.
@@ -238,7 +239,7 @@ class Simulation:
         world, data = self.world, self.data
         if self._encoder is None or self._encoder[0] is not world.scene:
             self._encoder = world.scene, StateEncoder(world.scene)
-        return self._encoder[1](world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
+        return self._encoder[1](world.poses(data.qpos), world.velocities(data.qvel), world.fingers(data.qpos))
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A view of the present state, fresh or in `out`, top row first: see `rendering.renderer.Views.draw`."""
@@ -333,6 +334,14 @@ def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
             getattr(model, name)[...] = values
     for name in options:
         setattr(model.opt, name, getattr(other.opt, name))
+
+
+def different_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
+    """The names of arrays and options in which two models differ, such as "geom_rgba", apart from names."""
+    arrays, options = _fields()
+    pairs = {name: (getattr(model, name), getattr(other, name)) for name in arrays if not name.startswith("name")}
+    pairs |= {name: (getattr(model.opt, name), getattr(other.opt, name)) for name in options}
+    return [name for name, values in pairs.items() if not np.array_equal(*values, equal_nan=True)]
 
 
 @cache

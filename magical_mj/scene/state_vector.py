@@ -40,7 +40,7 @@ SEGMENTATIONS: Final = tuple(f"{view}-segmentation" for view in VIEWS)
 CAMERAS: Final = (*VIEWS, SOLID_VIEW)
 """The views in colours that `render` draws."""
 
-OBSERVATIONS: Final = (*VIEWS, "state")
+OBSERVATIONS: Final = (*VIEWS, "ego_stack", "allo_stack", "state")
 """The names that `magical_mj.load(observations=...)` accepts."""
 
 MAX_BLOCKS: Final = 10

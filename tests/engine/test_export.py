@@ -428,8 +428,8 @@ def test_files_are_not_overwritten_without_a_word(tmp_path: Path) -> None:
 
 
 def test_only_scenes_and_environments_are_exported(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSceneError, match=r"env\.unwrapped\.engine"):
-        magical_mj.export_mjcf(magical_mj.MagicalEnv("MoveToRegion"), tmp_path / "scene.xml")  # type: ignore[arg-type]
+    with pytest.raises(InvalidSceneError, match="or an environment that runs one, not of 3"):
+        magical_mj.export_mjcf(3, tmp_path / "scene.xml")
 
 
 def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:

@@ -115,8 +115,8 @@ def test_the_tree_is_one_of_entities_and_compiles_to_the_engines_model() -> None
     arena = env.task.root_entity
     assert [entity.mjcf_model.model for entity in arena.iter_entities()] == [
         "magical_mj",
-        *(f"block{index}" for index in range(len(scene.blocks))),
         "robot",
+        *(f"block{index}" for index in range(len(scene.blocks))),
     ]
     model, ours = mjcf.Physics.from_mjcf_model(arena.mjcf_model).model.ptr, Engine.of_scene(scene).model
     for name in ("body_pos", "geom_size", "dof_invweight0", "pair_friction", "tendon_frictionloss", "skin_vert"):
@@ -173,14 +173,15 @@ def test_hooks_run_and_change_nothing_by_themselves() -> None:
             env.step(action)
             twin.step(action)
         assert env.get_state() == twin.get_state()
-    step = ["before_step", "before_substep", "after_substep", "after_step"]
+    step = ["before_step", *["before_substep", "after_substep"] * env.task.physics_steps_per_control_step, "after_step"]
+    assert len(step) == 22
     assert calls == ["initialize_episode", *step, *step] * 2
 
 
 def test_observables_have_buffers_and_delays() -> None:
     env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
-    env.task.observables["state"].buffer_size = 3
-    env.task.observables["state"].delay = 1
+    an_action = env.task.physics_steps_per_control_step
+    env.task.observables["state"].configure(buffer_size=3, update_interval=an_action, delay=an_action)
     env.reset()
     buffers = [env.step(1).observation["state"] for _ in range(6)]
     assert buffers[0].shape[0] == 3
@@ -300,7 +301,7 @@ def test_arenas_show_one_scene_after_another() -> None:
 
 
 def test_copies_go_on_exactly_alike() -> None:
-    with magical_mj.load("FindDupe", "All", seed=3, observations=("state",)) as env:
+    with magical_mj.load("FixColour", "All", seed=3, observations=("state",)) as env:
         env.reset()
         env.step(5)
         twins = env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)
@@ -311,16 +312,3 @@ def test_copies_go_on_exactly_alike() -> None:
         for twin in twins:
             twin.reset()
             assert (twin.seed, twin.scene) == (env.seed, env.scene)
-
-
-@pytest.mark.parametrize("change", ["hook", "observable", "tree"])
-def test_what_somebody_changed_is_not_copied_without_a_word(change: str) -> None:
-    with magical_mj.load("MoveToRegion", seed=0) as env:
-        if change == "hook":
-            env.add_extra_hook("before_step", lambda physics, action, random_state: None)
-        elif change == "observable":
-            env.task.observables["ego"].delay = 1
-        else:
-            env.task.root_entity.mjcf_model.worldbody.add("site")
-        with pytest.raises(StateError, match="cannot be copied"):
-            env.clone()

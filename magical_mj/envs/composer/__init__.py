@@ -13,6 +13,7 @@ from magical_mj.utils.errors import MissingExtraError
 
 try:
     prepare_dm_control()  # before it is imported
+    from magical_mj.envs.composer.entities import Arena
     from magical_mj.envs.composer.environment import Environment, load, load_scene
 except (ImportError, AttributeError) as error:  # the latter with versions that do not fit together
     MISSING = (
@@ -27,6 +28,6 @@ except (ImportError, AttributeError) as error:  # the latter with versions that 
         def __init__(self, *_: Any, **__: Any) -> None:
             raise MissingExtraError(MISSING)
 
-    Environment = load = load_scene = _Missing
+    Arena = Environment = load = load_scene = _Missing
 
-__all__ = ["Environment", "State", "load", "load_scene"]
+__all__ = ["Arena", "Environment", "State", "load", "load_scene"]

@@ -5,19 +5,21 @@ It uses composer's public interface only, and steps the same physics as an engin
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import dm_env
 import numpy as np
 from dm_control import composer
+from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
+from magical_mj.assets.world import Structure
 from magical_mj.engine import State
-from magical_mj.engine.engine import Setup
-from magical_mj.engine.simulation import check_state
-from magical_mj.envs.composer.entities import Arena
+from magical_mj.engine.engine import Engine, Setup, restored
+from magical_mj.engine.simulation import Simulation, check_state, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
@@ -33,6 +35,9 @@ from magical_mj.variants import check_seed
 
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
 """Hooks that composer calls only when it compiles the tree."""
+TIMING_OPTIONS: Final = ("update_interval", "buffer_size", "delay")
+"""Options of observables that copies cannot have: they need earlier observations."""
+SUBSTEP_HOOKS: Final = ("before_substep", "after_substep")
 
 
 class Environment(composer.Environment):
@@ -52,20 +57,25 @@ class Environment(composer.Environment):
         """
         self._fixed, self._recompile, self._hooks_added = fixed, recompile, list[tuple[str, Callable[..., Any]]]()
         self._first_seed: int | None = None if fixed else seed
-        self._over, self._closed = True, False
+        self._over, self._closed, self._never_reset = True, False, True
         self.seed = self._first_seed
         """The seed of the present scene; None if it came from elsewhere."""
+        self._attributes = frozenset[str]()
         self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
+        self._attributes = frozenset(vars(self))
 
     def _compile(self, task: SceneTask, random_state: np.random.RandomState) -> None:
         """Makes composer's part anew: that is how it compiles another tree where it does not do so in every episode."""
+        self._structure = None  # until it has succeeded
+        task.compile_next()
         super().__init__(
             task,
             random_state=random_state,
             strip_singleton_obs_buffer_dim=True,
             recompile_mjcf_every_episode=self._recompile,
         )
-        self._structure = task.world.structure
+        task.root_entity.compiled()
+        self._structure: Structure | None = task.world.structure
         for name, hook in self._hooks_added:
             super().add_extra_hook(name, hook)
 
@@ -99,6 +109,8 @@ class Environment(composer.Environment):
         Raises:
             SettingsError: for a hook that is called at compilation only, which episodes mostly do without.
         """
+        if hook_name in SUBSTEP_HOOKS and not (self._over or self.task.stepwise):
+            raise SettingsError(f"add {hook_name} before reset(), or after the last step of an episode")
         if hook_name in AT_COMPILATION and not self._recompile:
             raise SettingsError(
                 f"{hook_name} is called only when the tree is compiled: "
@@ -106,6 +118,7 @@ class Environment(composer.Environment):
             )
         super().add_extra_hook(hook_name, hook_callable)
         self._hooks_added.append((hook_name, hook_callable))
+        self.task.substeps_hooked |= hook_name in SUBSTEP_HOOKS
 
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
@@ -141,10 +154,17 @@ class Environment(composer.Environment):
         task = self.task
         task.start(scene, shifts, state)
         self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
-        if not self._recompile and task.world.structure != self._structure:
-            task.root_entity.show(scene)  # what composer observes now
-            self._compile(task, self.random_state)
+        if self._recompile:
+            if task.root_entity.edited:  # with new entities, whose hooks composer looks for when it compiles
+                self._compile(task, self.random_state)
+        elif self._never_reset or task.world.structure != self._structure or task.outdated:
+            task.root_entity.refuse_variations()
+            if not self._never_reset:  # else composer compiles by itself
+                task.compile_next()
+                task.root_entity.show(scene)  # what composer observes now
+                self._compile(task, self.random_state)
         timestep = super().reset()
+        self._never_reset = False
         if state is not None:
             task.resume(self.physics, state)  # to the bit: composer has solved for accelerations since
         self._over = task.should_terminate_episode(self.physics)
@@ -187,33 +207,104 @@ class Environment(composer.Environment):
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)
 
+    def to_engine(self) -> Engine:
+        """An engine in the same state of the same episode: to export it, or to ask the scripted expert. It is a copy.
+
+        Raises:
+            SettingsError: if users' parts or numbers make the model another one than that of the scene.
+        """
+        state, task = self.get_state(), self.task
+        if changed := ["the MJCF tree"] if task.root_entity.edited else self._foreign_numbers():
+            raise SettingsError(
+                f"users have changed this environment's model ({', '.join(changed[:5])}), and engines hold the scene "
+                "alone. dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder) writes everything"
+            )
+        return restored(task.setup, task.settings.strengths, self.seed, state, False, task.settings.renderer)
+
+    def _foreign_numbers(self) -> list[str]:
+        """In which numbers the compiled model differs from that of the present episode."""
+        task = self.task
+        shifts = None if task.shifts is None or self._never_reset else EpisodeShifts(task.shifts.draws)
+        own = Simulation.of(self.initial_scene, shifts=shifts, speeds=task.setup.speeds)
+        return different_numbers(self.physics.model.ptr, own.model)
+
     def clone(self) -> Environment:
         """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
 
+        Which observables are enabled, with their corruptors, aggregators and sizes, is copied as well. What else users
+        have changed cannot be.
+
         Raises:
-            StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
+            StateError: if users have changed anything else of this environment; it says what.
         """
-        return _copied(*self.__reduce__()[1])
+        return _copied(*self._parts())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Environment:
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For copying and pickling: what it was loaded with, the generator, and the state of the episode."""
+        """For pickling: what `clone` copies, if it can be pickled."""
+        parts = self._parts()
+        for name, options in parts[-1].items():
+            try:
+                pickle.dumps(options)
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                raise StateError(
+                    f"the corruptor or aggregator of observable {name!r} cannot be pickled: {error}"
+                ) from error
+        return _copied, parts
+
+    def _parts(self) -> tuple[Any, ...]:
+        """What it was loaded with, the generators, the state of the episode, and its observables' options.
+
+        Raises:
+            StateError: if there is more to it.
+        """
         self._opened()
-        task, tree = self.task, self.task.root_entity
-        timing = {(it.enabled, it.update_interval, it.buffer_size, it.delay) for it in task.task_observables.values()}
-        tree.show(self.initial_scene)
-        fresh = Arena(self.initial_scene).mjcf_model.to_xml_string()
-        if self._hooks_added or timing - {(True, 1, None, None)} or tree.mjcf_model.to_xml_string() != fresh:
-            raise StateError(
-                "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
-                "load another one, make the same changes, and call its set_state() with this one's get_state()"
-            )
+        task = self.task
         shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
         loaded = task.settings, self.initial_scene, shifts
+        if changes := self._changes(SceneTask(*loaded)):
+            raise StateError(
+                f"users have changed this environment, so that it cannot be copied or pickled: {', '.join(changes)}. "
+                "Load another one, make the same changes, and call its set_state() with this one's get_state()"
+            )
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
-        return _copied, (loaded, seeds, self._fixed, self._recompile, None if self._over else self.get_state())
+        state = None if self._over else self.get_state()
+        options = {name: _options(it) for name, it in task.observables.items()}
+        return loaded, seeds, self._fixed, self._recompile, state, options
+
+    def _changes(self, fresh: SceneTask) -> list[str]:
+        """What users have changed that a copy would not have.
+
+        Args:
+            fresh: a task as this environment's was before.
+        """
+        task = self.task
+        kinds = (self, Environment), (task, SceneTask)
+        changes = [f"the class {type(it).__name__}" for it, kind in kinds if type(it) is not kind]
+        added = (vars(self).keys() - self._attributes) | (vars(task).keys() - vars(fresh).keys())
+        changes += [f"the attribute {name!r}" for name in sorted(added)]
+        changes += [f"a hook {name}" for name, _ in self._hooks_added]
+        known = fresh.observables
+        for name, it in task.observables.items():
+            if type(it) is not type(known.get(name)):
+                changes.append(f"the observable {name!r}")
+            elif any(getattr(it, key) != getattr(known[name], key) for key in TIMING_OPTIONS):
+                changes.append(f"the buffer or delay of the observable {name!r}")
+        changes += [
+            f"the observable '{block.name}/{name}' of a block that this episode lacks"
+            for block in task.root_entity.absent
+            for name, it in block.observables.as_dict(fully_qualified=False).items()
+            if it.enabled
+        ]
+        changes += [f"no observable {name!r}" for name in known.keys() - task.observables.keys()]
+        mine, other = (it.root_entity.mjcf_model.to_xml_string() for it in (task, fresh))
+        if mine != other:
+            changes.append("the MJCF tree")
+        elif numbers := self._foreign_numbers():
+            changes += [f"physics.model.{name}" for name in numbers]
+        return changes
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -229,11 +320,24 @@ class Environment(composer.Environment):
         return self.physics
 
 
+def _options(it: observable.Observable) -> dict[str, Any]:
+    """All that can be set of an observable, such as the size of a camera's pictures, but for its timing."""
+    settable = (name for name in dir(type(it)) if getattr(getattr(type(it), name), "fset", None) is not None)
+    return {name: getattr(it, name) for name in settable if name not in TIMING_OPTIONS}
+
+
 def _copied(
-    loaded: tuple[Any, ...], seeds: tuple[Any, ...], fixed: bool, recompile: bool, state: State | None
+    loaded: tuple[Any, ...],
+    seeds: tuple[Any, ...],
+    fixed: bool,
+    recompile: bool,
+    state: State | None,
+    options: dict[str, dict[str, Any]],
 ) -> Environment:
-    """A copy of an environment, as `Environment.__reduce__` describes it; without a state, at the end of an episode."""
+    """A copy of an environment, from what `Environment._parts` returns; without a state, at the end of an episode."""
     env = Environment(SceneTask(*loaded), 0, fixed=fixed, recompile=recompile)
+    for name, values in options.items():
+        env.task.observables[name].configure(**values)
     if state is not None:
         env.set_state(state)
     generator, env.seed, env._first_seed = seeds
@@ -256,11 +360,12 @@ def load(
     body: str = GRIPPER,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
-    """A dm_env environment of the benchmark, by dm_control's composer.
+    """A dm_env environment of the benchmark, by dm_control's composer: docs/composer.md.
 
-    Its MJCF tree is `env.task.root_entity.mjcf_model`. What is changed there counts from the next compilation: before
-    the first episode, and when an episode has other blocks than the one before. In between, a scene is written into the
-    compiled model, which takes milliseconds.
+    Its MJCF tree is `env.task.root_entity.mjcf_model`. What users change there, or in observables, counts from the next
+    reset; an error names what the scene owns (docs/composer.md). The tree is compiled again where it was changed, and
+    where an episode has other blocks than the one before. In between, a scene is written into the compiled model, which
+    takes a millisecond.
 
     Args:
         task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
@@ -268,14 +373,15 @@ def load(
         seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
             drawn from a generator with this seed. None: seeded from the system's entropy.
         scene: start every episode in this scene instead.
-        observations: any of "ego", "allo" and "state".
+        observations: any of "ego", "allo" and "state", and of "ego_stack" and "allo_stack", the last four frames of a
+            view along the channels, oldest first: the benchmark's LoRes4E and LoRes4A.
         image_size: side of the pictures in pixels.
         reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         renderer: what draws observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or what works.
         body: the robot's body, one that the task offers; see docs/bodies.md.
-        recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
+        recompile_mjcf_every_episode: compile the tree for every episode, as hooks need that change it.
 
     Raises:
         UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.

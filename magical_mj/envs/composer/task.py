@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import mujoco
@@ -21,6 +21,7 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
 from magical_mj.envs.composer.entities import Arena
+from magical_mj.envs.composer.observables import STACKS, CurrentObservable, LatestFrames
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
@@ -33,19 +34,10 @@ from magical_mj.utils.errors import SettingsError, check_name, short_repr
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """The names of cameras in the compiled tree, where they are not those of the views."""
 
-
-class CurrentObservable(observable.Generic):
-    """An observable with a known spec, so that reading the spec draws nothing. It is enabled by default."""
-
-    def __init__(self, function: Callable[[Any], Any], spec: specs.Array) -> None:
-        super().__init__(function)
-        self._own_spec = spec
-        self.enabled = True
-
-    @property
-    def array_spec(self) -> specs.Array:
-        """Shape and type."""
-        return self._own_spec
+FIXED_TIMESTEPS: Final = (
+    f"an action is {SUBSTEPS} physics steps of {TIMESTEP} s, for which motors, friction and contacts are fitted: the "
+    "timesteps cannot be changed. To act less often, repeat actions"
+)
 
 
 @dataclass(frozen=True)
@@ -82,7 +74,8 @@ class Settings:
 class SceneTask(composer.Task):
     """Runs scenes: executes actions, provides observations, and ends and scores episodes if there is a benchmark task.
 
-    All ten of MuJoCo's steps of an action are one substep of composer, whose own loop takes longer than the physics.
+    MuJoCo's ten steps of an action are composer's substeps if somebody looks at them: a hook, or an observable with a
+    buffer or a delay. Otherwise they are one substep, as composer's own loop takes longer than the physics.
 
     Args:
         settings: what the environment is loaded with.
@@ -91,6 +84,8 @@ class SceneTask(composer.Task):
     Attributes:
         world, shifts: of this episode.
         steps: the number of actions since the start of the episode.
+        stepwise: whether composer runs the substeps, as of the last compilation.
+        substeps_hooked: whether somebody has added a hook to them.
     """
 
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
@@ -99,6 +94,8 @@ class SceneTask(composer.Task):
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
+        self.stepwise = self.substeps_hooked = False
+        self._observers = list[int]()
         self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
@@ -106,15 +103,27 @@ class SceneTask(composer.Task):
         """Makes the next episode start in the scene, or in a state of an episode that started in it."""
         if "state" in self.settings.observations:
             StateEncoder(scene)  # raises an error, while the present episode can go on, if the vector is too short
+        self._arena.check(scene)
         self.world, self.shifts, self._state = World(scene), shifts, state
+        self._arena.scene = scene
 
     def _observable(self, name: str) -> CurrentObservable:
         if name == "state":
             vector = specs.Array((len(STATE_NAMES),), np.float32, name)
             return CurrentObservable(lambda physics: self.simulation(physics).state_vector(), vector)
         size = self.settings.image_size
+        if name in STACKS:
+            return LatestFrames(lambda physics, *view: self.simulation(physics).draw(*view), name, size)
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
+
+    def _stacks(self) -> list[LatestFrames]:
+        return [it for it in self._observables.values() if isinstance(it, LatestFrames)]
+
+    def state(self, physics: Any) -> State:
+        """The present state of the episode, with the frames of stacks."""
+        frames = {name: stack for it in self._stacks() for name, stack in it.save(physics).items()}
+        return replace(self.simulation(physics).state(self.steps, self._trajectory), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode in composer's model and data."""
@@ -122,7 +131,9 @@ class SceneTask(composer.Task):
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
             renderer, speeds = self.settings.renderer, self.setup.speeds
+            self.world.find_in(model)
             self._simulation = Simulation(self.world, model, data, renderer, CAMERA_NAMES, speeds=speeds)
+        self.world.coordinates = self._simulation.world.coordinates
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
         return self._simulation
 
@@ -144,28 +155,73 @@ class SceneTask(composer.Task):
 
     @property
     def control_timestep(self) -> float:
-        """Seconds per action."""
+        """Seconds per action. It cannot be set."""
         return 1 / c.CONTROL_RATE
+
+    @control_timestep.setter
+    def control_timestep(self, new_value: float) -> None:
+        del new_value
+        raise SettingsError(FIXED_TIMESTEPS)
 
     @property
     def physics_timestep(self) -> float:
-        """Seconds per step of MuJoCo."""
+        """Seconds per step of MuJoCo. It cannot be set."""
         return TIMESTEP
+
+    @physics_timestep.setter
+    def physics_timestep(self, new_value: float) -> None:
+        del new_value
+        raise SettingsError(FIXED_TIMESTEPS)
+
+    def set_timesteps(self, control_timestep: float, physics_timestep: float) -> None:
+        """Raises a `SettingsError`."""
+        del control_timestep, physics_timestep
+        raise SettingsError(FIXED_TIMESTEPS)
 
     @property
     def physics_steps_per_control_step(self) -> int:
-        """Composer's substeps per action."""
-        return 1
+        """Steps of MuJoCo per action: ten. To composer, which reads it when it compiles, they may be one."""
+        return 1 if self._arena.compiling and not self.stepwise else SUBSTEPS
+
+    def compile_next(self) -> None:
+        """Prepares for composer to compile the trees, and to read how many substeps it is to call hooks in."""
+        self._arena.compiling = True
+        self.stepwise, self._observers = self._composition()
+
+    @property
+    def outdated(self) -> bool:
+        """Whether users have changed what only a compilation notices: trees, observables, or hooks of substeps."""
+        return self._arena.edited or self._composition() != (self.stepwise, self._observers)
+
+    def _composition(self) -> tuple[bool, list[int]]:
+        """Whether somebody wants to see every substep, and the identities of all observables."""
+        watched = self.substeps_hooked or _overrides(self, SceneTask)
+        observers = list(self._observables.values())
+        for entity in self._arena.iter_entities():
+            watched = watched or _overrides(entity, composer.Entity)
+            observers += entity.observables.as_dict(fully_qualified=False).values()
+        watched = watched or any(map(_in_substeps, observers))
+        return watched, list(map(id, observers))
 
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
         """Makes the tree that of the scene."""
         del random_state
+        self.compile_next()
         self._arena.show(self.world.scene)
+
+    def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Raises a `SettingsError` if hooks have changed what the scene determines."""
+        del physics, random_state
+        self._arena.check_owned()
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Writes the scene into the compiled model, and puts everything into its place."""
         del random_state
+        self._arena.compiled()
         model, data = physics.model.ptr, physics.data.ptr
+        if model.opt.timestep != TIMESTEP:
+            model.opt.timestep = TIMESTEP
+            raise SettingsError(FIXED_TIMESTEPS)
         if self._compiled is not None and self._compiled[0] is model:
             write_numbers(model, self._compiled[1])
         elif self.shifts is not None and self.shifts.changes_model:
@@ -176,6 +232,8 @@ class SceneTask(composer.Task):
         self.steps, self._trajectory = 0, [self.world.scene] if self.setup.trajectory else []
         if self._state is not None:
             self.resume(physics, self._state)
+        for stack in self._stacks():
+            stack.begin({} if self._state is None else self._state.frames)
 
     def resume(self, physics: Any, state: State) -> None:
         """Restores a state of an episode that started in this scene."""
@@ -187,22 +245,28 @@ class SceneTask(composer.Task):
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
         del random_state
+        for stack in self._stacks():
+            stack.catch_up(physics)
         self.simulation(physics).command(action)
         self.steps += 1
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Takes MuJoCo's other steps: composer has taken the first."""
+        """Takes MuJoCo's other steps if nobody wants to see them: composer has taken the first."""
         del random_state
+        if self.stepwise:
+            return
         try:
             self.simulation(physics).advance(SUBSTEPS - 1)
         except errors.PhysicsError as error:
             raise PhysicsError(str(error)) from None
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Notes the scene, if the score depends on the scenes of all steps."""
+        """Notes the scene, if the score depends on the scenes of all steps. Frames are due, drawn after all hooks."""
         del random_state
         if self._trajectory:
             self._trajectory.append(self.simulation(physics).scene)
+        for stack in self._stacks():
+            stack.after_action()
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the horizon is reached."""
@@ -219,11 +283,20 @@ class SceneTask(composer.Task):
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
         return self.setup.score(self._trajectory or (self.world.scene, self.simulation(physics).scene))
 
-    def state(self, physics: Any) -> State:
-        """The state of the episode."""
-        return self.simulation(physics).state(self.steps, self._trajectory)
-
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The 18 actions."""
         del physics
         return specs.DiscreteArray(len(ACTIONS), name="action")
+
+
+def _overrides(thing: SceneTask | composer.Entity, base: type) -> bool:
+    """Whether a task or an entity has hooks of its own for substeps."""
+    return any(
+        getattr(getattr(thing, name), "__func__", None) is not getattr(base, name)
+        for name in ("before_substep", "after_substep")
+    )
+
+
+def _in_substeps(it: observable.Observable) -> bool:
+    """Whether what an observable returns depends on more than the state after the last substep."""
+    return it.enabled and (it.update_interval, it.delay or 0, it.buffer_size or 1) != (1, 0, 1)

@@ -156,7 +156,7 @@ class Lookahead:
     @property
     def speed(self) -> tuple[float, float]:
         """The robot's speed forwards (units/s) and its turning speed to the left (rad/s)."""
-        vx, vy, spin = self._world.poses(self._simulation.data.qvel)[0].tolist()
+        vx, vy, spin = self._world.velocities(self._simulation.data.qvel)[0].tolist()
         angle = self.robot[2]
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
 

@@ -1,0 +1,98 @@
+"""Entities that move in the plane, by joints x, y and angle that their frames have. Composer's own know free joints."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from dm_control import composer
+from numpy.typing import NDArray
+
+from magical_mj.utils.errors import SettingsError
+
+Rows = NDArray[np.float64]
+
+_FLAT: Final = 1e-9
+"""How far from the plane poses may be, by rounding."""
+
+
+class PlanarEntity(composer.Entity):
+    """A body with joints x, y and angle, whose values are world coordinates.
+
+    Attributes:
+        name: of its tree; those of its joints begin with it.
+    """
+
+    name: str
+
+    @property
+    @abc.abstractmethod
+    def frame(self) -> Any:
+        """The body by which it is attached: `root_body`, as it is, without a look at the tree."""
+
+    @property
+    def joints(self) -> list[Any]:
+        """Its joints x, y and angle."""
+        joints = {joint.name: joint for joint in self.frame.find_all("joint", immediate_children_only=True)}
+        return [joints[f"{self.name}_{coordinate}"] for coordinate in ("x", "y", "angle")]
+
+    def get_pose(self, physics: Any) -> tuple[Rows, Rows]:
+        """The present position, shape (3,), and the orientation as a quaternion, shape (4,), in the world."""
+        x, y, angle = physics.bind(self.joints).qpos
+        return np.array((x, y, 0.0)), np.array((math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)))
+
+    def set_pose(
+        self, physics: Any, position: Sequence[float] | None = None, quaternion: Sequence[float] | None = None
+    ) -> None:
+        """Puts it elsewhere. What follows from positions is as before until the next step, or `physics.forward()`.
+
+        Args:
+            physics: the physics.
+            position: x, y and 0 in the world.
+            quaternion: a rotation about z.
+
+        Raises:
+            SettingsError: if the pose is not in the plane.
+        """
+        joints = physics.bind(self.joints)
+        if position is not None:
+            x, y = self._in_plane(position, 2, "a position is (x, y, 0)")
+            joints.qpos[:2] = x, y
+        if quaternion is not None:
+            w, _, _, z = np.asarray(quaternion, np.float64)
+            self._in_plane((quaternion[1], quaternion[2]), 0, "an orientation is a rotation about z, (w, 0, 0, z)")
+            joints.qpos[2] = 2 * math.atan2(z, w)
+
+    def get_velocity(self, physics: Any) -> tuple[Rows, Rows]:
+        """The linear and the angular velocity, in units/s and rad/s. Shapes (3,)."""
+        x, y, angle = physics.bind(self.joints).qvel
+        return np.array((x, y, 0.0)), np.array((0.0, 0.0, angle))
+
+    def set_velocity(
+        self, physics: Any, velocity: Sequence[float] | None = None, angular_velocity: Sequence[float] | None = None
+    ) -> None:
+        """Gives it another velocity.
+
+        Args:
+            physics: the physics.
+            velocity: in x, y, and 0; units/s.
+            angular_velocity: 0, 0, and that about z; rad/s.
+
+        Raises:
+            SettingsError: if the velocity is not one in the plane.
+        """
+        joints = physics.bind(self.joints)
+        if velocity is not None:
+            joints.qvel[:2] = self._in_plane(velocity, 2, "a velocity is (x, y, 0)")
+        if angular_velocity is not None:
+            self._in_plane(angular_velocity[:2], 0, "an angular velocity is (0, 0, z)")
+            joints.qvel[2] = angular_velocity[2]
+
+    def _in_plane(self, values: Sequence[float], count: int, form: str) -> Sequence[float]:
+        """The first of these values; the others must be 0."""
+        if any(abs(value) > _FLAT for value in values[count:]):
+            raise SettingsError(f"{self.name} moves in the plane, so {form}, and not {tuple(map(float, values))}")
+        return values[:count]
