@@ -12,6 +12,7 @@ from PIL import Image
 
 import magical_mj
 from magical_mj.assets import style
+from magical_mj.engine.export import mjcf_text
 from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.canvas import DRAWN_GROUPS, KEPT
 from magical_mj.rendering.canvases import CANVASES
@@ -104,11 +105,15 @@ def test_later_things_hide_earlier_ones() -> None:
     assert tuple(picture[allo_pixel(-0.3, 0.1, 96)]) == style.REGION_FILL["green"]
 
 
+@pytest.mark.parametrize("rounded", [False, True])
 @pytest.mark.parametrize("task", ["FixColour", "FindDupe", "ClusterShape"])
-def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
-    """MuJoCo's own renderer, with a depth buffer, if told to show what the task cameras see and to light it evenly."""
+def test_any_mujoco_viewer_shows_the_same(task: str, rounded: bool) -> None:
+    """MuJoCo's own renderer, with a depth buffer, if told to show what the task cameras see and to light it evenly.
+
+    Rounded coordinates, as files have them, are seen in at most one of 10,000 pixels.
+    """
     scene = magical_mj.sample_scene(task, "Demo", 0)
-    model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(scene, tmp_path / "scene.xml")))
+    model = mujoco.MjModel.from_xml_string(mjcf_text(scene, rounded=rounded))
     model.vis.global_.offwidth = model.vis.global_.offheight = 768
     model.vis.quality.offsamples = 0
     model.light_active[:] = 0
@@ -122,7 +127,7 @@ def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
     for view in VIEWS:
         renderer.update_scene(data, view, option)
         theirs = renderer.render().astype(float).reshape(384, 2, 384, 2, 3).mean(axis=(1, 3))
-        assert difference(theirs, draw(scene, view, 384)).max() <= 1.0
+        assert (difference(theirs, draw(scene, view, 384)) > 1.0).mean() <= (1e-4 if rounded else 0)
     renderer.close()
 
 
