@@ -109,10 +109,11 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), **options)
-    first = SPLITS[settings.split] + seed
     shift = shift_label(parse_shifts(shifts, pair[0]))
+    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
+    first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
+    settings.shift_labels(pair[0], listed)  # an error if a policy does not notice the shifts
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0

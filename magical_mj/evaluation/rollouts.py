@@ -35,7 +35,7 @@ from magical_mj.policies.interface import (
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
-from magical_mj.tasks.registry import task_name
+from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
     EvaluationError,
@@ -162,7 +162,8 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     with _attempt() as outcome:
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
-            begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
+            told = replace(episode, instruction=engine.instruction)
+            begin(policy, replace(told, env=engine) if uses_simulation(policy) else told)
         while not over:
             with policy_errors():
                 action = action_number(policy(observation))
@@ -181,8 +182,10 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
     scores, over = np.zeros(count), False
     with _attempt() as whole:
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
+        sentences = _instructions(envs, episodes)
+        told = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
         with policy_errors():
-            batch.reset_batch(episodes)
+            batch.reset_batch(told)
         while not over:
             with policy_errors():
                 actions = np.array([action_number(action) for action in batch.act_batch(observations)])
@@ -194,6 +197,17 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
             scores = _scores(*result[3:])
     whole.seconds /= count
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
+
+
+def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
+    """The sentence of each environment that says what is to be done in the episode that it is in."""
+    worlds: Any = envs.unwrapped
+    if not hasattr(worlds, "get_attr"):  # batched worlds, which have no shifts
+        return [task_spec(episode.task).summary for episode in episodes]
+    try:
+        return worlds.get_attr("instruction")
+    except AttributeError:
+        raise EvaluationError(NO_SCORE) from None
 
 
 @contextmanager

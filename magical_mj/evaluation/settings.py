@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -15,8 +16,8 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.shifts.registry import BODY
+from magical_mj.shifts import expand_shifts, shift_class, shift_label
+from magical_mj.shifts.registry import BODY, Effect, effects
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
@@ -131,10 +132,31 @@ class EvaluationSettings(Settings):
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
 
-    def shift_labels(self, task: str) -> list[str]:
-        """What is shifted in a task, one setting after another, as in rows; the first one is nothing."""
-        labels = dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))])
+    def shift_labels(self, task: str, policies: Sequence[Source] = ()) -> list[str]:
+        """What is shifted in a task, one setting after another, as in rows; the first one is nothing.
+
+        "all" leaves out what one of the policies does not notice, whose score would show a robustness that it lacks.
+
+        Raises:
+            SettingsError: if an axis is named that one of the policies does not notice.
+        """
+        unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
+        settings = expand_shifts(self.shifts, task, unnoticed)
+        for policy, setting in product(policies, settings):
+            for name in setting.keys() - {BODY}:
+                if effects(shift_class(name)) <= policy.unnoticed:
+                    raise SettingsError(f"{policy.name} does not notice the shift {name}: {self._why_not(name)}")
+        labels = dict.fromkeys(["", *map(shift_label, settings)])
         return [label for label in labels if label != shift_label({BODY: self.body})]
+
+    def _why_not(self, name: str) -> str:
+        """Why a policy does not notice a shift, and what to do."""
+        if "pictures" in effects(shift_class(name)):
+            return f"it changes pictures, and the preset {self.preset} has none: leave it out, or give another preset"
+        return (
+            "it changes the sentence that says what is to be done, and only policies with the attribute "
+            "uses_instruction = True read it (docs/evaluation.md): leave it out"
+        )
 
     @cached_property
     def seeds(self) -> range:
@@ -157,7 +179,9 @@ class EvaluationSettings(Settings):
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": drawn_by(self.renderer),
-            "shifts": list(dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task))),
+            "shifts": list(
+                dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task, policies))
+            ),
             "wrap": self.wrap,
             "like": self.like,
             "body": self.body,

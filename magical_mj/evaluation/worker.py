@@ -22,7 +22,16 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, BatchPolicy, Episode, PolicyError, reason, told_task, uses_simulation
+from magical_mj.policies.interface import (
+    Act,
+    BatchPolicy,
+    Episode,
+    PolicyError,
+    reason,
+    told_task,
+    uses_instruction,
+    uses_simulation,
+)
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -71,7 +80,7 @@ def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collect
     size = SEEDS_PER_UNIT[settings.simulator]
     evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
-        for source, shift in product(policies, settings.shift_labels(task)):
+        for source, shift in product(policies, settings.shift_labels(task, policies)):
             every = Unit(source, task, variant, tuple(settings.seeds), settings, evaluation, shift)
             left = tuple(seed for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done)
             units += [replace(every, seeds=left[start : start + size]) for start in range(0, len(left), size)]
@@ -154,12 +163,15 @@ class Player:
     def _play(self, unit: Unit, episodes: list[Episode], *, in_vector: bool) -> list[Outcome]:
         """The outcomes of the episodes, which all failed if playing them takes too long."""
         policy, place = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
+        reads = uses_instruction(policy)
         if in_vector:
-            envs = lambda: self._keep("vector", (*place, len(unit.seeds)), lambda: _vector_env(unit))  # noqa: E731
+            key = (*place, len(unit.seeds), reads)
+            envs = lambda: self._keep("vector", key, lambda: _vector_env(unit, reads))  # noqa: E731
             playing = lambda: play_side_by_side(envs(), policy, episodes)  # noqa: E731
         else:
             observed = bool(unit.settings.wrap) or not uses_simulation(policy)
-            env = self._keep("environment", (*place, observed), lambda: single_env(unit, observed))
+            key = (*place, observed, reads)
+            env = self._keep("environment", key, lambda: single_env(unit, observed, reads))
             playing = lambda: [play(env, policy, episode) for episode in episodes]  # noqa: E731
         seconds = unit.settings.time_limit * len(episodes)
         try:
@@ -197,14 +209,16 @@ def arguments(unit: Unit) -> dict[str, Any]:
     return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
-def single_env(unit: Unit, observed: bool) -> Env:
+def single_env(unit: Unit, observed: bool, instruction: bool = False) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
+    With `instruction`, observations that are dicts hold the sentence that says what is to be done.
     The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
     """
     settings, how = unit.settings, arguments(unit)
     if observed:
-        env = gymnasium.make(env_id(unit.task, unit.variant, settings.preset), **how).unwrapped
+        name = env_id(unit.task, unit.variant, settings.preset)
+        env = gymnasium.make(name, instruction=instruction, **how).unwrapped
         return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
 
@@ -241,14 +255,15 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     return outer
 
 
-def _vector_env(unit: Unit) -> Envs:
+def _vector_env(unit: Unit, instruction: bool) -> Envs:
     settings, number = unit.settings, len(unit.seeds)
     how: dict[str, Any] = {"preset": settings.preset, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores
-        return make_vec(unit.task, number, variant=unit.variant, threads=threads, **how, **arguments(unit))
+        how |= {"threads": threads, "instruction": instruction, **arguments(unit)}
+        return make_vec(unit.task, number, variant=unit.variant, **how)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 

@@ -13,8 +13,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.envs.presets import PRESETS, Stacks, observation_space
-from magical_mj.policies.interface import AGENTS, Act, policy_name, reason, told_task, uses_simulation
+from magical_mj.policies.interface import (
+    AGENTS,
+    Act,
+    policy_name,
+    reason,
+    told_task,
+    uses_instruction,
+    uses_simulation,
+)
 from magical_mj.policies.models import LOADERS, Shape
+from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
 from magical_mj.utils.imports import resolve, source_of
@@ -37,6 +46,7 @@ class Source:
         trust: whether files that hold code may be loaded.
         digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
             if there is no file, or any will do.
+        unnoticed: which effects of shifts the policy does not notice; see `playable`, which finds out.
     """
 
     name: str
@@ -44,6 +54,7 @@ class Source:
     origin: Any
     trust: bool = False
     digest: Mapping[str, str] = field(default_factory=dict)
+    unnoticed: frozenset[Effect] = frozenset()
 
     def load(self) -> Act:
         """The policy.
@@ -144,8 +155,17 @@ def playable(
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
-        checked.append(replace(source, digest=source._hash()))
+        checked.append(replace(source, digest=source._hash(), unnoticed=_unnoticed(policy, preset)))
     return checked
+
+
+def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
+    """Which effects of shifts a policy does not notice; one that uses no observations counts as seeing."""
+    missing: dict[Effect, bool] = {
+        "pictures": PRESETS[preset].layout == "state" and not uses_simulation(policy),
+        "sentence": not uses_instruction(policy),
+    }
+    return frozenset(effect for effect, is_missing in missing.items() if is_missing)
 
 
 def _parse_policies(policies: Any) -> Iterator[Source]:
