@@ -107,6 +107,7 @@ class MagicalBenchmark(StepBenchmark):
 
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
         """The pictures, and the sentence of the episode that has begun."""
+        del task
         if self._env is None:
             raise ResetNeeded("no episode has begun")
         return {"images": raw_obs, "task_description": self._env.instruction}

@@ -69,9 +69,9 @@ class Policy(Protocol):
     A class attribute `uses_simulation = True` means that the policy does not use observations: none are made, which is
     much faster, and `reset` gets the environment instead. `uses_instruction = True` means that it reads the sentence
     that says what is to be done, `episode.instruction`: observations that are dicts then hold it, too, as
-    "instruction", and the policy can be evaluated under the shift "words". Attributes `preset`, `tasks` and `observation_shapes` (a list
-    of those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
-    error.
+    "instruction", and the policy can be evaluated under the shift "words". Attributes `preset`, `tasks` and
+    `observation_shapes` (a list of those that it accepts, with None for any size) say what it was trained on;
+    evaluations of anything else raise an error.
     """
 
     def reset(self, episode: Episode) -> None:
