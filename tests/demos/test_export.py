@@ -95,6 +95,13 @@ def test_an_environment_with_data_for_training_and_validation() -> None:
     assert (training["terminals"].sum(), validation["terminals"].sum()) == (20, 5)
     assert env.observation_space.contains(training["next_observations"][0])
     assert len(training["observations"]) == len(training["actions"]) == len(training["terminals"])
+    for options in ({"action": "continuous"}, {"image_size": 48}):
+        with pytest.raises(SettingsError, match=r"of this environment are .*: leave out the options that change them"):
+            magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-LoRes4E-v0", **options)
+    with pytest.raises(SettingsError, match="CartPole-v1 is not the id of a task's environment"):
+        magical_mj.datasets.make_env_and_datasets("CartPole-v1")
+    with pytest.raises(DemonstrationError, match="of MoveToRegion with the body 'shortstick'"):
+        magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", body="shortstick")
     with pytest.raises(SettingsError, match="several parts"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
 
@@ -213,8 +220,9 @@ def test_what_are_no_demonstrations_is_said(given: Any, demo: Demonstration, tmp
         for call in (demos.to_npz, to_robomimic):
             with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
                 call(one, tmp_path / "set")
+    if given != "FixColour":  # a task
         with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
-            demos.transitions(one)
+            demos.transitions(given)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import itertools
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import gymnasium
 import numpy as np
@@ -177,10 +177,15 @@ class MagicalConfig(EnvConfig):
         return suites
 
 
+NO_READERS: Final = ("act", "diffusion", "gaussian_actor", "tdmpc", "vqbet")
+"""The kinds of lerobot's policies that do not read the task's sentence, though each gets it."""
+
+
 class LeRobotPolicy:
     """A LeRobot checkpoint as `magical_mj.evaluate` plays policies; action chunks start anew with each episode.
 
     Attributes:
+        uses_instruction: whether it reads the sentence that says what is to be done.
         preset: the preset whose newest frames, or whose vectors, the checkpoint sees.
     """
 
@@ -188,6 +193,7 @@ class LeRobotPolicy:
         config = PreTrainedConfig.from_pretrained(folder)
         self._views, self._fingers = _observed(folder, config)
         config.device = "cpu"
+        self.uses_instruction = config.type not in NO_READERS
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = make_pre_post_processors(
             config, str(folder), preprocessor_overrides={"device_processor": {"device": "cpu"}}
