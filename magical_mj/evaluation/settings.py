@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from msgspec import Meta
 
 from magical_mj._version import __version__
-from magical_mj.envs.presets import preset_named
+from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_class, shift_label
@@ -66,7 +66,13 @@ class EvaluationSettings(Settings):
         Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: others, to look at and tune."),
     ] = "test"
     first_seed: Annotated[Natural, Meta(description="The number of the first scene in its split.")] = 0
-    preset: Annotated[str, Meta(description="The observations: a preset's name, or an empty one.")] = "LoRes4E"
+    preset: Annotated[
+        str | None,
+        Meta(
+            description="The observations: a preset's name, or an empty one; by default the one that the policies say "
+            "they were trained on, or LoRes4E."
+        ),
+    ] = None
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | None, Meta(description="The folder for the scores.")] = None
     resume: Annotated[bool, Meta(description="Go on with what is in the folder.")] = False
@@ -109,7 +115,7 @@ class EvaluationSettings(Settings):
         for task, _ in self.environments:
             self.shift_labels(task)
             task_spec(task).check_body(self.body)
-        preset_named(self.preset)
+        preset_named(self.observed)
         check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
             raise SettingsError(f"device is that of MuJoCo Warp, not {short_repr(self.device)}: give --simulator warp")
@@ -121,6 +127,11 @@ class EvaluationSettings(Settings):
             raise SettingsError(
                 "batched worlds have neither shifts nor wrappers nor other bodies: leave them out, or --simulator warp"
             )
+
+    @property
+    def observed(self) -> str:
+        """The preset of the observations; until policies are known, the default."""
+        return DEFAULT_PRESET if self.preset is None else self.preset
 
     @cached_property
     def batched(self) -> bool:
@@ -152,7 +163,7 @@ class EvaluationSettings(Settings):
     def _why_not(self, name: str) -> str:
         """Why a policy does not notice a shift, and what to do."""
         if "pictures" in effects(shift_class(name)):
-            return f"it changes pictures, and the preset {self.preset} has none: leave it out, or give another preset"
+            return f"it changes pictures, and the preset {self.observed} has none: leave it out, or give another preset"
         return (
             "it changes the sentence that says what is to be done, and only policies with the attribute "
             "uses_instruction = True read it (docs/evaluation.md): leave it out"
@@ -171,7 +182,8 @@ class EvaluationSettings(Settings):
             **({"policies": [policy.described() for policy in policies]} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
-            **{name: getattr(self, name) for name in ("preset", "rules", "time_limit")},
+            "preset": self.observed,
+            **{name: getattr(self, name) for name in ("rules", "time_limit")},
             "worlds": WORLDS[self.simulator],
             "protocol": PROTOCOL,
             "shift_protocol": SHIFT_PROTOCOL,

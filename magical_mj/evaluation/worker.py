@@ -133,7 +133,7 @@ class Player:
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": source.name,
-            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
+            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.observed,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
@@ -217,7 +217,7 @@ def single_env(unit: Unit, observed: bool, instruction: bool = False) -> Env:
     """
     settings, how = unit.settings, arguments(unit)
     if observed:
-        name = env_id(unit.task, unit.variant, settings.preset)
+        name = env_id(unit.task, unit.variant, settings.observed)
         env = gymnasium.make(name, instruction=instruction, **how).unwrapped
         return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
@@ -257,7 +257,7 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
 
 def _vector_env(unit: Unit, instruction: bool) -> Envs:
     settings, number = unit.settings, len(unit.seeds)
-    how: dict[str, Any] = {"preset": settings.preset, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
+    how: dict[str, Any] = {"preset": settings.observed, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
