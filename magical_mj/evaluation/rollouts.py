@@ -32,9 +32,11 @@ from magical_mj.policies.interface import (
     policy_name,
     reason,
     told_task,
+    uses_instruction,
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
+from magical_mj.shifts.registry import check_noticed, parse_shifts
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
@@ -95,10 +97,11 @@ def rollouts(
     Raises:
         EvaluationError: if the environment has other actions, or is not that of the episodes.
         RenderingError, TaskError, EvaluationError, Exception: see `play`.
-        SettingsError: if the policy must be copied, and cannot be.
+        SettingsError: if the policy must be copied, and cannot be; if shifts change the sentence that says what is to
+            be done, and the policy does not read it.
     """
     episodes = list(episodes)
-    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, "rules": _check_fits(env, episodes)}
+    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, "rules": _check_fits(env, policy, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
@@ -114,17 +117,22 @@ def rollouts(
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
 
 
-def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> Rules:
-    """The rules of an environment; raises an `EvaluationError` unless it is that of the episodes."""
+def _check_fits(env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> Rules:
+    """The rules of an environment; raises an `EvaluationError` unless it is that of the episodes.
+
+    Raises a `SettingsError` if it changes the sentence, and the policy does not read it.
+    """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
         if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
             spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
         arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
+        shifts = parse_shifts(arguments.get("shifts"))
     else:
         space, engine = env.action_space, engine_of(env)
-        task, variant, rules = engine.task, engine.variant, engine.rules
+        task, variant, rules, shifts = engine.task, engine.variant, engine.rules, engine.shifts
+    check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"sentence"}))
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "

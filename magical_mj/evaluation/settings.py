@@ -16,8 +16,8 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.shifts import expand_shifts, shift_class, shift_label
-from magical_mj.shifts.registry import BODY, Effect, effects
+from magical_mj.shifts import expand_shifts, shift_label
+from magical_mj.shifts.registry import BODY, Effect, check_noticed
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
@@ -154,20 +154,9 @@ class EvaluationSettings(Settings):
         unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
         settings = expand_shifts(self.shifts, task, unnoticed)
         for policy, setting in product(policies, settings):
-            for name in setting.keys() - {BODY}:
-                if effects(shift_class(name)) <= policy.unnoticed:
-                    raise SettingsError(f"{policy.name} does not notice the shift {name}: {self._why_not(name)}")
+            check_noticed(setting, policy.name, policy.unnoticed)
         labels = dict.fromkeys(["", *map(shift_label, settings)])
         return [label for label in labels if label != shift_label({BODY: self.body})]
-
-    def _why_not(self, name: str) -> str:
-        """Why a policy does not notice a shift, and what to do."""
-        if "pictures" in effects(shift_class(name)):
-            return f"it changes pictures, and the preset {self.observed} has none: leave it out, or give another preset"
-        return (
-            "it changes the sentence that says what is to be done, and only policies with the attribute "
-            "uses_instruction = True read it (docs/evaluation.md): leave it out"
-        )
 
     @cached_property
     def seeds(self) -> range:

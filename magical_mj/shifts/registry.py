@@ -221,6 +221,25 @@ def expand_shifts(
     return _unique(settings)
 
 
+UNNOTICED: Final[Mapping[Effect, str]] = MappingProxyType(
+    {
+        "pictures": "it changes pictures, and the observations have none: leave it out, or give another preset",
+        "sentence": "it changes the sentence that says what is to be done, and only policies with the attribute "
+        "uses_instruction = True read it (docs/evaluation.md): leave it out",
+    }
+)
+"""Why a policy does not notice a shift, and what to do."""
+
+
+def check_noticed(shifts: Iterable[str], who: str, unnoticed: frozenset[Effect]) -> None:
+    """Raises a `SettingsError` if one of the shifts changes nothing but what the policy `who` does not notice."""
+    for name in shifts:
+        changed = frozenset() if name == BODY else effects(shift_class(name))
+        if changed and changed <= unnoticed:
+            why = UNNOTICED["pictures" if "pictures" in changed else "sentence"]
+            raise SettingsError(f"{who} does not notice the shift {name}: {why}")
+
+
 def named_in(part: str) -> str:
     """What a part of a label names: a body, or the shift whose strength it gives."""
     axis, _, level = part.partition(":")

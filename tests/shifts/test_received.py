@@ -165,9 +165,14 @@ def test_a_shift_that_a_policy_does_not_notice_is_refused(tmp_path: Path) -> Non
                 magical_mj.evaluate({"it": policy}, shifts=shifts, out=tmp_path / "out", **few)
     with pytest.raises(SettingsError, match="blind does not notice the shift words"):
         magical_mj.evaluate({"reader": Reader(), "blind": blind}, shifts="words:5", **few, **STACKED)
-    with pytest.raises(SettingsError, match=r"notice the shift camera: it changes pictures, .* State has none"):
+    with pytest.raises(SettingsError, match="notice the shift camera: it changes pictures, and the observations have"):
         magical_mj.evaluate(blind, shifts="camera:2+latency:1", preset="State", **few)
     assert not (tmp_path / "out").exists()
+    name, episodes = f"magical_mj/{TASK}-Demo-LoRes4E-v0", [Episode(TASK, "Demo", 0)]
+    for env in (gymnasium.make(name, shifts="words:5"), gymnasium.make_vec(name, 1, "sync", shifts="words:5")):
+        with pytest.raises(SettingsError, match="blind does not notice the shift words"):
+            list(rollouts(env, blind, episodes))
+        env.close()
 
 
 def test_all_shifts_are_those_that_the_policies_notice(tmp_path: Path) -> None:
