@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
+from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import Stacks, copying, preset_named
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
@@ -73,8 +74,6 @@ def stream(
         UnknownNameError: if there is no such task, or no such preset.
     """
     if isinstance(demos, str):
-        from magical_mj.demos import load  # imported late: it imports this module
-
         demos = load(demos)
     for demo in checked(demos):
         rows = observations(demo, preset, renderer)
