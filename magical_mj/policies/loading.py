@@ -290,8 +290,8 @@ def check_policy(policy: Any, name: str) -> None:
         raise SettingsError(f"{name} is a network, and takes tensors. {TORCH}")
     if not callable(policy):
         raise SettingsError(
-            f"{name} is not a policy: it is of the type {type(policy).__name__}, and cannot be called; give a function, "
-            f"or one of {ACCEPTED_POLICIES}"
+            f"{name} is not a policy: it is of the type {type(policy).__name__}, and cannot be called; give one "
+            f"of {ACCEPTED_POLICIES}, or a function"
         )
 
 

@@ -218,6 +218,17 @@ def test_onnx_files_need_onnx_runtime_alone_and_write_nothing_at_home(tmp_path: 
     assert [str(path) for path in home.rglob("*") if path.is_file() and "matplotlib" not in str(path)] == []
 
 
+def test_onnx_runtime_is_imported_in_one_place_that_turns_its_telemetry_off() -> None:
+    folders = ("magical_mj", "methods", "examples", "site", "tests", "tools")
+    importing = [
+        str(path.relative_to(ROOT))
+        for folder in folders
+        for path in (ROOT / folder).rglob("*.py")
+        if re.search(r"^\s*(import|from) onnxruntime", path.read_text("utf-8"), re.MULTILINE)
+    ]
+    assert importing == ["magical_mj/policies/models.py"]
+
+
 def test_an_onnx_input_needs_a_batch_axis(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     size = len(magical_mj.scene.state_vector.STATE_NAMES)
