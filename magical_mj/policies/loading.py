@@ -14,7 +14,7 @@ from inspect import ismethod
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, Stacks, observation_space
+from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, Stacks, observation_space, preset_named
 from magical_mj.policies.interface import (
     AGENTS,
     Act,
@@ -195,7 +195,7 @@ def statistics_beside(origin: object) -> Path | None:
     if path.suffix != ".zip":
         return None
     found = (file for folder in (path.parent, path.with_suffix("")) for file in folder.glob("*vecnormalize*.pkl"))
-    return next(found, None)
+    return min(found, default=None)
 
 
 def _own_preset(policy: object) -> str:
@@ -209,7 +209,7 @@ def _own_preset(policy: object) -> str:
 def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
     """Which effects of shifts a policy does not notice; one that uses no observations counts as seeing."""
     missing: dict[Effect, bool] = {
-        "pictures": PRESETS[preset].layout == "state" and not uses_simulation(policy),
+        "pictures": preset_named(preset).layout == "state" and not uses_simulation(policy),
         "sentence": not uses_instruction(policy),
     }
     return frozenset(effect for effect, is_missing in missing.items() if is_missing)
@@ -278,9 +278,10 @@ def _imported(origin: str) -> Act:
 def check_policy(policy: Any, name: str) -> None:
     """Raises a `SettingsError` unless a policy can be called with an observation, as far as its type says."""
     model = policy.__self__ if getattr(policy, "__name__", "") == "predict" and ismethod(policy) else policy
-    kinds = [kind for kind in type(model).__mro__ if not kind.__module__.startswith("torch.")]
-    acts = any("__call__" in vars(kind) for kind in kinds)  # a class of one's own, derived from one of theirs
-    modules = {kind.__module__ for kind in type(model).__mro__} if not acts else set[str]()
+    kinds = type(model).__mro__
+    if any("__call__" in vars(kind) and not kind.__module__.startswith("torch.") for kind in kinds):
+        return  # a function, or of a class of one's own, which may be derived from one of theirs
+    modules = {kind.__module__ for kind in kinds}
     if any(module.startswith(("stable_baselines3.", "sb3_contrib.")) for module in modules):
         raise SettingsError(
             f"{name} is of stable-baselines3, whose models answer with an action and a state: give the file that "

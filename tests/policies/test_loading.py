@@ -42,6 +42,7 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::FutureWarning")  # of PyTorch's export
 def test_a_network_is_evaluated_as_the_page_says(example: Callable[[str], None]) -> None:
     torch = pytest.importorskip("torch")

@@ -177,7 +177,7 @@ class MagicalConfig(EnvConfig):
         return suites
 
 
-NO_READERS: Final = ("act", "diffusion", "gaussian_actor", "tdmpc", "vqbet")
+WITHOUT_LANGUAGE: Final = ("act", "diffusion", "gaussian_actor", "tdmpc", "vqbet")
 """The kinds of lerobot's policies that do not read the task's sentence, though each gets it."""
 
 
@@ -193,7 +193,7 @@ class LeRobotPolicy:
         config = PreTrainedConfig.from_pretrained(folder)
         self._views, self._fingers = _observed(folder, config)
         config.device = "cpu"
-        self.uses_instruction = config.type not in NO_READERS
+        self.uses_instruction = config.type not in WITHOUT_LANGUAGE
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = make_pre_post_processors(
             config, str(folder), preprocessor_overrides={"device_processor": {"device": "cpu"}}
