@@ -94,11 +94,13 @@ def test_a_reader_is_evaluated_as_the_page_says(example: Callable[[str], None]) 
 
 def test_a_policy_of_vecnormalize_is_evaluated_as_the_page_says(example: Callable[[str], None]) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     example("normalised")
     env = VecNormalize(DummyVecEnv([lambda: gymnasium.make("magical_mj/MoveToRegion-TestLayout-State-v0")]))
     model = sb3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, device="cpu", seed=0)
+    model.set_logger(Logger(None, []))  # the usual one makes a folder
     model.learn(128)
     model.save("model.zip")
     env.save("vecnormalize.pkl")
