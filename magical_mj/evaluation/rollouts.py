@@ -170,8 +170,8 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     with _attempt() as outcome:
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
-            told = replace(episode, instruction=engine.instruction)
-            begin(policy, replace(told, env=engine) if uses_simulation(policy) else told)
+            episode = replace(episode, instruction=engine.instruction)
+            begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
         while not over:
             with policy_errors():
                 action = action_number(policy(observation))
@@ -191,9 +191,9 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
     with _attempt() as whole:
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
         sentences = _instructions(envs, episodes)
-        told = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
+        begun = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
         with policy_errors():
-            batch.reset_batch(told)
+            batch.reset_batch(begun)
         while not over:
             with policy_errors():
                 actions = np.array([action_number(action) for action in batch.act_batch(observations)])

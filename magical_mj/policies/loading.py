@@ -164,7 +164,7 @@ def playable(
     one on which all policies say that they were trained, or whose observations alone have their shapes, or else
     `DEFAULT_PRESET`.
 
-    Warns of a stable-baselines3 archive beside which there are statistics of VecNormalize: it is played without them.
+    Warns if statistics of VecNormalize are in the folder of a stable-baselines3 archive: it is played without them.
 
     Raises:
         SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
@@ -178,7 +178,7 @@ def playable(
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
-        if statistics := statistics_beside(source.origin):
+        if statistics := statistics_of(source.origin):
             warnings.warn(
                 f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
@@ -189,8 +189,8 @@ def playable(
     return checked
 
 
-def statistics_beside(origin: object) -> Path | None:
-    """The statistics of VecNormalize that were saved beside a stable-baselines3 archive, or in a folder of its name."""
+def statistics_of(origin: object) -> Path | None:
+    """The statistics of VecNormalize in the folder of a stable-baselines3 archive, or in the folder of its name."""
     path = Path(origin) if isinstance(origin, str) else Path()
     if path.suffix != ".zip":
         return None

@@ -319,9 +319,9 @@ def test_the_environment_that_a_data_set_names_observes_what_it_holds(
     for views, preset in (("both", ""), ("ego", ""), ("state", "State")):
         to_robomimic([demo], tmp_path / f"{views}.hdf5", views=views)
         with h5py.File(tmp_path / f"{views}.hdf5") as file:
-            told, group = json.loads(file["data"].attrs["env_args"]), file["data/demo_0"]
+            about, group = json.loads(file["data"].attrs["env_args"]), file["data/demo_0"]
             names = {"": "state"} if preset else {key.removesuffix("_image"): key for key in group["obs"]}
-            made, seed = gymnasium.make(told["env_name"], **told["env_kwargs"]), int(group.attrs["seed"])
+            made, seed = gymnasium.make(about["env_name"], **about["env_kwargs"]), int(group.attrs["seed"])
             check(made, lambda step, g=group, n=names: {k: g["obs"][v][step] for k, v in n.items()}, seed,
                   actions=group["actions"][()])  # fmt: skip
     data = minari.load_dataset(demos.to_minari([demo], preset="LoResFingers"))

@@ -191,9 +191,9 @@ def test_the_card_of_a_data_set_has_the_options_of_its_environment(plugin: Any, 
     demo = magical_mj.demos.demonstrate("MoveToRegion", "Jitter", 5, shifts="clutter:2,slip:3")
     made = to_lerobot([demo], tmp_path / "set", views="both", fingers=True)
     line = next(line for line in (tmp_path / "set" / "README.md").read_text().splitlines() if "--env.type" in line)
-    told = dict(re.findall(r"--env\.(\w+)=([^ `]+)", line))
-    assert told.pop("type") == "magical"
-    options = {**told, "fingers": told["fingers"] == "true"}
+    found = dict(re.findall(r"--env\.(\w+)=([^ `]+)", line))
+    assert found.pop("type") == "magical"
+    options = {**found, "fingers": found["fingers"] == "true"}
     envs = plugin.MagicalConfig(**options).create_envs(1)["MoveToRegion"][0]
     observation, _ = envs.reset(seed=[demo.scene_seed])
     for view, pictures in observation["pixels"].items():

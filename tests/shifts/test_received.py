@@ -48,13 +48,13 @@ class Readers:
     uses_instruction = True
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, ...]] = []
+        self.sentences: list[tuple[str, ...]] = []
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        self.told.append(tuple(episode.instruction for episode in episodes))
+        self.sentences.append(tuple(episode.instruction for episode in episodes))
 
     def act_batch(self, observations: Any) -> list[int]:
-        assert observations["instruction"] == self.told[-1]
+        assert observations["instruction"] == self.sentences[-1]
         return [0] * len(observations["ego"])
 
     def __call__(self, observation: Any) -> int:
@@ -85,8 +85,8 @@ def by_engine(shifts: str) -> Received:
 
 def by_evaluation(shifts: str) -> Received:
     policy = Reader()
-    told = {"tasks": TASK, "variants": "Demo", "first_seed": SEED, "episodes": 1, "jobs": 1, "shifts": shifts}
-    played = magical_mj.evaluate(policy, **told, **STACKED)
+    few = {"tasks": TASK, "variants": "Demo", "first_seed": SEED, "episodes": 1, "jobs": 1, "shifts": shifts}
+    played = magical_mj.evaluate(policy, **few, **STACKED)
     assert played["failure"].isna().all()
     assert list(played["shift"]) == list(dict.fromkeys(["", shifts]))
     return policy.pictures, policy.sentences
@@ -147,7 +147,7 @@ def test_each_of_several_episodes_has_its_own_sentence(kind: str, shift: str) ->
     envs.close()
     wanted = [magical_mj.Engine(TASK, seed=seed, shifts=shift).instruction for seed in (1, 2, 3)]
     assert task_spec(TASK).summary not in wanted
-    assert policy.told == [(wanted[0], wanted[1]), (wanted[2], wanted[2])]
+    assert policy.sentences == [(wanted[0], wanted[1]), (wanted[2], wanted[2])]
     env: Any = gymnasium.make(f"magical_mj/{TASK}-Demo-State-v0", shifts=shift)
     assert str(env.reset(seed=3)[1]["instruction"]) == str(env.step(0)[-1]["instruction"]) == wanted[2]
 
