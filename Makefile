@@ -31,7 +31,7 @@ peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in 
 
 .venv-peers/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-peers
-	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib metaworld minigrid pymunk
+	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib minigrid pymunk
 	@touch $@
 
 mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
@@ -42,7 +42,7 @@ mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the sc
 	$(PYTHON) -m venv .venv-mujoco4
 	grep -v '^mujoco\b\|^mujoco-warp\|^dm_control' constraints.txt > .venv-mujoco4/constraints.txt
 	.venv-mujoco4/bin/python -m pip install --quiet --constraint .venv-mujoco4/constraints.txt 'mujoco>=4,<5' cloudpickle filelock \
-		gymnasium msgspec numba numpy pillow rich shapely typer joblib matplotlib pandas scipy h5py pytest pytest-xdist
+		gymnasium msgspec numba numpy pillow rich shapely typer matplotlib pandas scipy h5py pytest pytest-xdist
 	.venv-mujoco4/bin/python -m pip install --quiet --no-deps --editable .
 	@touch $@
 

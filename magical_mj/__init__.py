@@ -14,7 +14,7 @@ from magical_mj import actions, observations, protocol, shifts
 from magical_mj._version import __version__
 from magical_mj.envs.registration import env_id, register_all
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score, score_trajectory
 
 if TYPE_CHECKING:
     from magical_mj import batched, datasets, demos, evaluation, experts, wrappers
@@ -54,6 +54,7 @@ __all__ = [
     "protocol",
     "sample_scene",
     "score",
+    "score_trajectory",
     "shifts",
     "wrappers",
 ]

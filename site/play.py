@@ -40,7 +40,7 @@ def write_play(folder: Path) -> int:
         models = []
         for entry in data["scenes"]:
             env.reset(seed=entry["seed"])
-            models.append(mjcf_text(env))
+            models.append(mjcf_text(env, rounded=False))
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
     for pair in SUITE:

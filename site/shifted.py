@@ -55,7 +55,7 @@ def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], 
         is_fixed = variant == "Demo" and (not shift or shift.startswith("body:"))
         for seed in SEEDS[: 1 if is_fixed else None]:
             with closing(Engine(task, variant, seed=seed, shifts=shift or None)) as engine:
-                models.append(mjcf_text(engine))
+                models.append(mjcf_text(engine, rounded=False))
                 entries.append({"seed": seed, "shifts": shift, **described(engine), "expert": _expert(engine, seed)})
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" and task != SWEPT else []
     horizon = task_spec(task).horizon("paper")  # of the gripper; entries say their own

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from charts import chart
 
+from magical_mj.evaluation.replay import obstacle
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, OVERALL, Estimate, Standing, own_standings, published
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
@@ -111,7 +112,8 @@ def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
     if method.entry.episodes:
         first = method.entry.runs[0]
         for episode in method.entry.counted:
-            if episode.run == first and episode.seed < SCENES and episode.failure is None:
+            shown = episode.run == first and episode.seed < SCENES and episode.failure is None
+            if shown and obstacle(episode) is None:
                 episodes[episode.task, episode.variant][episode.seed] = episode.actions
     return episodes
 

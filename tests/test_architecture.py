@@ -43,7 +43,7 @@ OUTSIDE = {"__init__": "integrations", "__main__": "cli", "_version": "utils", *
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
 PURE_LAYERS = ("utils", "scene", "variants", "tasks")
-OPTIONAL = {"cloudpickle", "distributed", "filelock", "joblib", "msgspec"}
+OPTIONAL = {"cloudpickle", "distributed", "filelock", "msgspec"}
 """Libraries that `utils` wraps for all layers."""
 TOP = {"learners", "web", "integrations", "cli"}
 """Layers that are commands, or plug into other programs: no other layer imports them, except for the command line."""

@@ -18,7 +18,6 @@ from magical_mj.assets.contacts import (
     floor_pair,
     foot,
     foot_friction,
-    softness,
     vertex,
 )
 from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
@@ -55,10 +54,9 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
         + foot(f"{name}_foot")
         + style.block_sides(f"{name}_sides", block.shape, block.colour)
         # a separate body: collision tests skip visual geoms
-        + f"<body>{collision_geoms(block.shape, block.mass, settings)}</body>"
+        + f'<body name="{name}_collision">{collision_geoms(name, block.shape, block.mass, settings)}</body>'
     )
-    spin = softness("friction", 1, settings.dry_impedance)
-    hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
+    hinge = f'class="spin" frictionloss="{numbers(dynamics.block_friction_torque)}"'
     return comment(f"Block {index}: {block.colour}, {block.shape}") + planar_body(name, block.pose, content, hinge)
 
 
@@ -87,40 +85,45 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     model.dof_frictionloss[spin] = dynamics.block_friction_torque
 
 
-@lru_cache(32)
-def collision_geoms(shape: Shape, mass: float = c.BLOCK_MASS, settings: PhysicsSettings = SETTINGS) -> str:
-    """The collision geoms of a block, as MJCF: a disc, or edges and convex vertices."""
+@lru_cache(128)
+def collision_geoms(name: str, shape: Shape, mass: float = c.BLOCK_MASS, settings: PhysicsSettings = SETTINGS) -> str:
+    """The collision geoms of the block with this name, as MJCF: a disc, or edges and convex vertices."""
     overlap = settings.debris_overlap if mass < DEBRIS_MASS else settings.block_overlap
     if shape == "circle":
-        return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - overlap)}"/>'
+        return f'<geom name="{name}_disc" class="disc" size="{numbers(c.BLOCK_SIZE - overlap)}"/>'
     if shape == "square":
         core = c.SQUARE_SIDE / 2 - overlap
         half = core + c.SQUARE_MARGIN
-        box = f'<geom class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
-        return box + "".join(vertex(x, y, c.SQUARE_MARGIN) for x, y in square(core))
+        box = f'<geom name="{name}_edges" class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
+        return box + _corners(name, square(core), c.SQUARE_MARGIN)
     outline = inset(block_outline(shape), overlap)
     if shape == "star":
         radius = settings.star_tip_radius
         tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - overlap - radius)
-        edges = _edges(outline, settings.star_edge_radius)
-        return edges + "".join(vertex(x, y, radius, "disc") for x, y in tips)  # blunt tips also meet other corners
-    return polygon_geoms(outline, settings)
+        # blunt tips also meet other corners
+        return _edges(name, outline, settings.star_edge_radius) + _corners(name, tips, radius, "disc")
+    return polygon_geoms(name, outline, settings)
 
 
-def polygon_geoms(outline: Points, settings: PhysicsSettings) -> str:
-    """The collision geoms of a convex polygon: its edges and its corners."""
+def polygon_geoms(name: str, outline: Points, settings: PhysicsSettings) -> str:
+    """The collision geoms of a convex polygon: its edges and its corners. Their names begin with `name`."""
     radius = settings.vertex_radius
-    corners = inset(outline, radius)
-    return _edges(outline, settings.edge_radius) + "".join(vertex(x, y, radius) for x, y in corners)
+    return _edges(name, outline, settings.edge_radius) + _corners(name, inset(outline, radius), radius)
 
 
-def _edges(outline: Points, radius: float) -> str:
+def _edges(name: str, outline: Points, radius: float) -> str:
     """Capsules whose outer sides are the edges of the outline."""
     ends = inset(outline, radius)
     return "".join(
-        f'<geom class="edge" type="capsule" size="{numbers(radius)}" fromto="{numbers(*ends[k - 1], 0, *ends[k], 0)}"/>'
+        f'<geom name="{name}_edge{k}" class="edge" type="capsule" size="{numbers(radius)}" '
+        f'fromto="{numbers(*ends[k - 1], 0, *ends[k], 0)}"/>'
         for k in range(len(ends))
     )
+
+
+def _corners(name: str, points: Points, radius: float, kind: str = "vertex") -> str:
+    """Spheres at these points."""
+    return "".join(vertex(f"{name}_corner{k}", x, y, radius, kind) for k, (x, y) in enumerate(points))
 
 
 @cache
@@ -131,18 +134,19 @@ def pebble_library() -> str:
     return mesh_mjcf("pebble_outline", outline) + mesh_mjcf("pebble_fill", fill)
 
 
-def pebble_mjcf(index: int, pebble: Pebble, settings: PhysicsSettings = SETTINGS) -> str:
+def pebble_mjcf(index: int, pebble: Pebble) -> str:
     """The body `pebble<index>`."""
     name, inertia = f"pebble{index}", c.PEBBLE_MASS * c.PEBBLE_RADIUS**2 / 2
+    disc_geom = f'<geom name="{name}_disc" class="disc" size="{numbers(c.PEBBLE_RADIUS)}"/>'
     content = (
         f'<inertial pos="0 0 0" mass="{c.PEBBLE_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", "pebble_outline", style.DARK_GREY)
         + style.visual_geom(f"{name}_fill", "pebble_fill", style.GREY)
         + foot(f"{name}_foot")
         + style.solid(f"{name}_sides", style.cylinder_shape(c.PEBBLE_RADIUS, PEBBLE_HEIGHT), style.DARK_GREY)
-        + f'<body><geom class="disc" size="{numbers(c.PEBBLE_RADIUS)}"/></body>'
+        + f'<body name="{name}_collision">{disc_geom}</body>'
     )
-    hinge = f'frictionloss="{c.PEBBLE_FRICTION_TORQUE}" {softness("friction", 1, settings.dry_impedance)}'
+    hinge = f'class="spin" frictionloss="{c.PEBBLE_FRICTION_TORQUE}"'
     return comment(f"Pebble {index}") + planar_body(name, (pebble.x, pebble.y, 0.0), content, hinge)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.mjcf import comment, numbers
+from magical_mj.assets.mjcf import numbers
 from magical_mj.scene import constants as c
 
 Floats = TypeVar("Floats", float, NDArray[np.float64])
@@ -35,6 +35,10 @@ FINGER_TOUCHES: Final = 2  # vertices of the fingers
 # A foot cannot move vertically, so it always presses on the floor with this force; friction coefficient = cap / PRESS.
 PRESS: Final = 1e4
 FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
+ROTOR_INERTIA: Final = 40.0
+"""Of wheels, rotors and motors: so heavy that friction cannot slow them."""
+CLASS: Final = "magical_mj"
+"""The default class that holds all others."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +113,12 @@ SETTINGS: Final = PhysicsSettings()
 
 def softness(kind: str, stiffness: float, impedance: float, damping: float = 1.0) -> str:
     """`solref` and `solimp` that remove `damping` of a velocity in one substep; kind: "", "friction" or "limit"."""
-    solref = numbers(-stiffness, -damping * impedance / TIMESTEP)
-    return f'solref{kind}="{solref}" solimp{kind}="{numbers(impedance, impedance, 0.001)}"'
+    solimp = numbers(impedance, impedance, 0.001)
+    return f'solref{kind}="{_solref(stiffness, impedance, damping)}" solimp{kind}="{solimp}"'
+
+
+def _solref(stiffness: float, impedance: float, damping: float = 1.0) -> str:
+    return numbers(-stiffness, -damping * impedance / TIMESTEP)
 
 
 def foot(name: str) -> str:
@@ -127,66 +135,88 @@ def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsS
     """The contact of a foot with the floor: it presses with `PRESS`, so friction resists with at most `friction_force`.
 
     Friction is the same in all directions. An explicit pair saves the search for contacts of the foot. `mass` is the
-    mass of the body; MuJoCo's inverse mass of a body is a mean over three directions, of which this body can move in
-    two.
+    mass of the body.
     """
-    stiffness = PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
-    soft = softness("", stiffness, settings.foot_impedance)
     friction = numbers(*[foot_friction(friction_force)] * 2)
-    return f'<pair name="{name}" geom1="floor" geom2="{name}" condim="3" friction="{friction}" {soft}/>'
+    stiffness = _foot_stiffness(mass, settings)
+    own = "" if mass == c.BLOCK_MASS else f'solref="{_solref(stiffness, settings.foot_impedance)}"'
+    return f'<pair name="{name}" class="foot" geom1="floor" geom2="{name}" friction="{friction}" {own}/>'
 
 
-def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
+def _foot_stiffness(mass: float, settings: PhysicsSettings) -> float:
+    """The stiffness with which a foot below this mass presses with `PRESS`.
+
+    MuJoCo's inverse mass of a body is a mean over three directions, of which this body can move in two.
+    """
+    return PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
+
+
+def vertex(name: str, x: float, y: float, radius: float, kind: str = "vertex") -> str:
     """A small sphere that collides with edges, discs and walls."""
-    return f'<geom class="{kind}" size="{numbers(radius)}" pos="{numbers(x, y, 0)}"/>'
+    return f'<geom name="{name}" class="{kind}" size="{numbers(radius)}" pos="{numbers(x, y, 0)}"/>'
 
 
-def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
-    """The defaults of all geoms, and a class of geoms for each purpose."""
+def default_classes(settings: PhysicsSettings = SETTINGS) -> str:
+    """The default classes: one that holds all others, and in it one for each purpose.
+
+    Elements that users add have none of them. So they have MuJoCo's own defaults.
+    """
     soft = softness("", settings.contact_stiffness, settings.contact_impedance, settings.contact_damping)
     finger = softness("", settings.finger_stiffness, settings.finger_impedance, settings.finger_damping)
-    meets_all = TOUCHES | FINGER_TOUCHES
-    classes = (
-        comment("flat polygons, only drawn"),
-        _geom_class("visual", type="mesh", group=style.DRAWN_GROUP),
-        comment("what stands under them, only drawn"),
-        _geom_class("solid", group=style.SOLID_GROUP),
-        comment("the ground: feet press on it, by named pairs"),
-        _geom_class("floor", group=style.SOLID_GROUP, rgba=style.rgba(style.LIGHT_GREY)),
-        comment("round things: meet corners, edges and each other"),
-        _geom_class("disc", friction=settings.friction_block, contype=TOUCHES, conaffinity=meets_all, type="sphere"),
-        comment("a block's corners: meet edges, discs and walls"),
-        _geom_class("vertex", friction=settings.friction_block, contype=TOUCHES, type="sphere"),
-        comment("a block's edges: meet corners and discs"),
-        _geom_class("edge", friction=settings.friction_block, conaffinity=meets_all),
-        comment("a finger's corners"),
-        _geom_class(
-            "finger_vertex",
-            finger,
-            friction=settings.friction_finger_block,
-            contype=FINGER_TOUCHES,
-            type="sphere",
-            priority=1,
-        ),
-        comment("a finger's edges"),
-        _geom_class("finger_edge", finger, friction=settings.friction_finger_block, conaffinity=TOUCHES, priority=1),
-        comment("walls for all but fingers"),
-        _geom_class("wall", friction=settings.friction_wall, conaffinity=TOUCHES),
-        comment("walls for fingers"),
-        _geom_class(
-            "finger_wall", finger, friction=settings.friction_finger_wall, conaffinity=FINGER_TOUCHES, priority=2
-        ),
-        comment("feet of blocks, and the robot's wheels"),
-        _geom_class("foot", type="sphere", size=FOOT_RADIUS),
+    limit = softness("limit", settings.limit_stiffness, settings.limit_impedance)
+    foot_soft = softness("", _foot_stiffness(c.BLOCK_MASS, settings), settings.foot_impedance)
+    dry, motor = (
+        softness("friction", 1, impedance) for impedance in (settings.dry_impedance, settings.motor_impedance)
     )
-    return f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>' + "".join(classes)
-
-
-def _geom_class(name: str, softness: str = "", **attributes: float | str) -> str:
-    """A class of geoms, which have no mass and, but for these attributes, touch nothing."""
-    values: dict[str, float | str] = {"friction": 0, "contype": 0, "conaffinity": 0, "mass": 0}
-    text = " ".join(
-        f'{attribute}="{value if isinstance(value, str) else numbers(value)}"'
-        for attribute, value in (values | attributes).items()
-    )
-    return f'<default class="{name}"><geom {text} {softness}/></default>'
+    block, to_all = f'friction="{numbers(settings.friction_block)}"', TOUCHES | FINGER_TOUCHES
+    gain = ROTOR_INERTIA / TIMESTEP
+    servo = numbers(-gain)
+    rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo places a contact midway between the wheel's rim and the floor
+    return f"""
+<default class="{CLASS}">
+  <geom group="{style.COLLISION_GROUP}" mass="0" contype="0" conaffinity="0" friction="0" {soft}/>
+  <!-- flat polygons, only drawn -->
+  <default class="visual"><geom type="mesh" group="{style.DRAWN_GROUP}"/></default>
+  <!-- what is under them, only drawn -->
+  <default class="solid"><geom group="{style.SOLID_GROUP}"/></default>
+  <!-- the ground: feet press on it, by named pairs -->
+  <default class="floor"><geom group="{style.SOLID_GROUP}" rgba="{style.rgba(style.LIGHT_GREY)}"/></default>
+  <!-- feet of blocks, and the robot's wheels -->
+  <default class="foot">
+    <geom type="sphere" size="{numbers(FOOT_RADIUS)}"/>
+    <pair condim="3" {foot_soft}/>
+  </default>
+  <!-- round things: meet corners, edges and each other -->
+  <default class="disc"><geom type="sphere" {block} contype="{TOUCHES}" conaffinity="{to_all}"/></default>
+  <!-- a block's corners: meet edges, discs and walls -->
+  <default class="vertex"><geom type="sphere" {block} contype="{TOUCHES}"/></default>
+  <!-- a block's edges: meet corners and discs -->
+  <default class="edge"><geom {block} conaffinity="{to_all}"/></default>
+  <!-- walls for all but fingers -->
+  <default class="wall"><geom friction="{numbers(settings.friction_wall)}" conaffinity="{TOUCHES}"/></default>
+  <!-- fingers -->
+  <default class="finger">
+    <geom priority="1" friction="{numbers(settings.friction_finger_block)}" {finger}/>
+    <joint armature="{numbers(settings.finger_armature)}" {limit}/>
+    <!-- a finger's corners -->
+    <default class="finger_vertex"><geom type="sphere" contype="{FINGER_TOUCHES}"/></default>
+    <!-- a finger's edges -->
+    <default class="finger_edge"><geom conaffinity="{TOUCHES}"/></default>
+    <!-- walls for fingers -->
+    <default class="finger_wall">
+      <geom priority="2" friction="{numbers(settings.friction_finger_wall)}" conaffinity="{FINGER_TOUCHES}"/>
+    </default>
+  </default>
+  <!-- a block's rotation, which dry friction slows -->
+  <default class="spin"><joint {dry}/></default>
+  <!-- heavy rotors, each with a servo of its speed, which reaches it in one step -->
+  <default class="rotor">
+    <joint armature="{numbers(ROTOR_INERTIA)}"/>
+    <tendon {dry}/>
+    <general dyntype="filterexact" dynprm="1e-9" gainprm="{servo}" biastype="affine" biasprm="0 0 {servo}"/>
+    <!-- the wheels, in units of the speed of their rims -->
+    <default class="wheel"><general gainprm="{numbers(gain * (1 / rolling))}"/></default>
+    <!-- the motors of fingers -->
+    <default class="motor"><tendon {motor}/><general gainprm="{numbers(gain)}"/></default>
+  </default>
+</default>"""

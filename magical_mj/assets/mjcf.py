@@ -61,7 +61,7 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
         f'<body name="{name}" pos="{numbers(x, y, 0)}" quat="{numbers(*quaternion(angle))}">'
         f'<joint name="{name}_x" type="slide" axis="{numbers(*x_axis)}" ref="{numbers(x)}"/>'
         f'<joint name="{name}_y" type="slide" axis="{numbers(*y_axis)}" ref="{numbers(y)}"/>'
-        f'<joint name="{name}_angle" type="hinge" axis="0 0 1" ref="{numbers(angle)}" {hinge}/>'
+        f'<joint name="{name}_angle" {hinge} type="hinge" axis="0 0 1" ref="{numbers(angle)}"/>'
         f"{content}</body>"
     )
 

@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from magical_mj.assets import style
 from magical_mj.assets.block import polygon_geoms
 from magical_mj.assets.contacts import (
-    FOOT_DEPTH,
-    FOOT_RADIUS,
     SETTINGS,
     SUBSTEPS,
     TIMESTEP,
@@ -37,7 +35,6 @@ from magical_mj.assets.contacts import (
     floor_pair,
     foot,
     foot_friction,
-    softness,
     vertex,
 )
 from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, planar_body, quaternion
@@ -64,7 +61,6 @@ def joints(body: str) -> tuple[str, ...]:
     return JOINTS if body_named(body).fingers else JOINTS[: JOINTS.index(MOTORS["left"])]
 
 
-ROTOR_INERTIA: Final = 40.0  # of wheels, rotors and motors: so heavy that friction cannot slow them
 CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
@@ -72,7 +68,7 @@ LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>
 def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HALF_WIDTH) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera, in an arena of this half width."""
     body = body_named(robot.body)
-    disc = f'<geom name="robot" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
+    disc = f'<geom name="robot_disc" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     fingers = ""
@@ -83,7 +79,7 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
 {_finger("right", robot.fingers[1], settings)}"""
     content = f"""
 <inertial pos="0 0 0" mass="{numbers(body.mass)}" diaginertia="{numbers(*[body.inertia] * 3)}"/>
-{polygon_geoms(body.corners, settings) if body.outline else disc}
+{polygon_geoms("robot", body.corners, settings) if body.outline else disc}
 <!-- What the robot sees: it stands near the bottom and heads up -->
 {style.ego_camera(half)}
 <!-- The drive: wheels that press on the ground with a constant force, too heavy to be slowed. -->
@@ -100,7 +96,7 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
 
 def _spinner(name: str, axis: str, geom: str = "") -> str:
     """The body of a heavy wheel, rotor or motor."""
-    joint = f'<joint name="{name}" type="hinge" axis="{axis}" armature="{numbers(ROTOR_INERTIA)}"/>'
+    joint = f'<joint name="{name}" class="rotor" axis="{axis}"/>'
     return f'<body name="{name}">{joint}{LIGHT}{geom}</body>'
 
 
@@ -140,19 +136,22 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     return (
         f'<body name="{name}" pos="{numbers(sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1], 0)}" '
         f'quat="{numbers(*quaternion(angle))}">'
-        f'<joint name="{name}" type="hinge" axis="0 0 1" ref="{numbers(angle)}" range="{numbers(low, high)}" '
-        f'armature="{numbers(settings.finger_armature)}" '
-        f"{softness('limit', settings.limit_stiffness, settings.limit_impedance)}/>"
+        f'<joint name="{name}" class="finger" axis="0 0 1" ref="{numbers(angle)}" range="{numbers(low, high)}"/>'
         f'<inertial pos="0 0 0" mass="{c.FINGER_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", f"{name}_outline", style.GREY)
         + style.visual_geom(f"{name}_fill", f"{name}_fill", style.LIGHT_GREY)
         + style.solid(f"{name}_upper_sides", upper, style.GREY)
         + style.solid(f"{name}_forearm_sides", lower, style.GREY)
-        + f'<geom class="finger_edge" type="box" size="{numbers(thin, c.FINGER_UPPER_LENGTH / 2, 0.1)}" '
+        + f'<geom name="{name}_upper_edges" class="finger_edge" type="box" '
+        f'size="{numbers(thin, c.FINGER_UPPER_LENGTH / 2, 0.1)}" '
         f'pos="0 {numbers(c.FINGER_UPPER_LENGTH / 2)} 0"/>'
-        f'<geom class="finger_edge" type="box" size="{numbers(thin, length / 2 - settings.finger_overlap, 0.1)}" '
+        f'<geom name="{name}_forearm_edges" class="finger_edge" type="box" '
+        f'size="{numbers(thin, length / 2 - settings.finger_overlap, 0.1)}" '
         f'pos="{numbers(*forearm(half, length / 2), 0)}" quat="{numbers(*quaternion(bend))}"/>'
-        + "".join(vertex(*corner, settings.vertex_radius, "finger_vertex") for corner in corners)
+        + "".join(
+            vertex(f"{name}_corner{k}", *corner, settings.vertex_radius, "finger_vertex")
+            for k, corner in enumerate(corners)
+        )
         + "</body>"
     )
 
@@ -183,9 +182,8 @@ def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) ->
     The damping of the castor makes it lag behind the robot by one substep.
     """
     caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque, settings)
-    soft = softness("friction", 1, settings.dry_impedance)
     turns = "".join(
-        f'<fixed name="{rotor}" frictionloss="{numbers(caps[rotor])}" {soft}>'
+        f'<fixed name="{rotor}" class="rotor" frictionloss="{numbers(caps[rotor])}">'
         f'<joint joint="robot_angle" coef="1"/><joint joint="{rotor}" coef="1"/></fixed>'
         for rotor in ROTORS
     )
@@ -198,9 +196,8 @@ def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) ->
             f"{comment('Dry friction up to the torque cap: rotors with the robot')}{turns}"
             f"{comment('Drag on the castor, which is to lag a step')}{castor}"
         )
-    soft = softness("friction", 1, settings.motor_impedance)
     grips = "".join(
-        f'<fixed name="{motor}" frictionloss="{numbers(caps[motor])}" {soft}>'
+        f'<fixed name="{motor}" class="motor" frictionloss="{numbers(caps[motor])}">'
         f'<joint joint="{side}_finger" coef="1"/><joint joint="{motor}" coef="-1"/></fixed>'
         for side, motor in MOTORS.items()
     )
@@ -218,17 +215,14 @@ def actuators_mjcf(body: str = GRIPPER) -> str:
 
     A body without fingers has the first four.
     """
-    gain = ROTOR_INERTIA / TIMESTEP
-    rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo places a contact midway between the wheel's rim and the floor
-    scales: dict[tuple[str, ...], float] = {WHEELS: 1 / rolling, ROTORS: -1.0}
+    classes: dict[tuple[str, ...], str] = {WHEELS: "wheel", ROTORS: "rotor"}
     what = "Speeds of wheels (units/s) and rotors (rad/s), one step late"
     if body_named(body).fingers:
-        scales[tuple(MOTORS.values())] = 1.0
+        classes[tuple(MOTORS.values())] = "motor"
         what = "Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late"
     return comment(what) + "".join(
-        f'<general name="{joint}" joint="{joint}" dyntype="filterexact" dynprm="1e-9" '
-        f'gainprm="{numbers(gain * scale)}" biastype="affine" biasprm="0 0 {numbers(-gain)}"/>'
-        for joints, scale in scales.items()
+        f'<general name="{joint}" class="{kind}" joint="{joint}"/>'
+        for joints, kind in classes.items()
         for joint in joints
     )
 

@@ -34,6 +34,20 @@ BLOCK_FILL: Final = _palette((245, 129, 165), (195, 208, 130), (135, 185, 211), 
 BLOCK_OUTLINE: Final = _palette((243, 94, 141), (183, 198, 105), (110, 170, 202), (254, 201, 86))
 REGION_FILL: Final = _palette((250, 190, 209), (224, 231, 191), (194, 219, 233), (254, 234, 188))
 REGION_BORDER: Final = BLOCK_FILL
+MATERIALS: Final[Mapping[str, Rgb]] = MappingProxyType(
+    {
+        "white": WHITE,
+        "light_grey": LIGHT_GREY,
+        "wall_grey": ARENA_BORDER,
+        "grey": GREY,
+        "dark_grey": DARK_GREY,
+        "black": BLACK,
+    }
+    | {f"{colour}_outline": rgb for colour, rgb in BLOCK_OUTLINE.items()}
+    | {f"{colour}_fill": rgb for colour, rgb in BLOCK_FILL.items()}
+    | {f"{colour}_region": rgb for colour, rgb in REGION_FILL.items()}
+)
+"""The names of all colours in exported files; borders of regions have those of blocks' fills."""
 
 # Heights (world units). What is drawn later is higher, so that every program shows the same picture from above.
 Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
@@ -97,9 +111,10 @@ itself in speckles. So that half is outside the arena."""
 def lamps_mjcf() -> str:
     """The lamps. They are far away, since close ones make noisy shadows."""
     return "".join(
-        f'<light directional="true" pos="{numbers(round(AIM - 16 * x, 2), round(AIM - 16 * y, 2), 16)}" '
+        f'<light name="lamp{index}" directional="true" '
+        f'pos="{numbers(round(AIM - 16 * x, 2), round(AIM - 16 * y, 2), 16)}" '
         f'dir="{x} {y} -1" ambient="0 0 0" diffuse=".11 .11 .11" specular="0 0 0"/>'
-        for x, y in LAMPS
+        for index, (x, y) in enumerate(LAMPS)
     )
 
 

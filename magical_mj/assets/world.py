@@ -30,7 +30,7 @@ from magical_mj.assets.block import (
     pebble_pair,
     rewrite_block,
 )
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, geom_classes
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, default_classes
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import move_body, numbers
 from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
@@ -73,7 +73,7 @@ def world_mjcf(
         blocks, pebbles = list(enumerate(scene.blocks)), list(enumerate(scene.pebbles))
         bodies = "".join(block_mjcf(index, block, dynamics, settings) for index, block in blocks)
         bodies += robot_mjcf(robot, settings, half)
-        bodies += "".join(pebble_mjcf(index, pebble, settings) for index, pebble in pebbles)
+        bodies += "".join(pebble_mjcf(index, pebble) for index, pebble in pebbles)
         contacts = "".join(block_pair(index, block, dynamics, settings) for index, block in blocks)
         contacts += robot_pairs(robot, dynamics, settings)
         contacts += "".join(pebble_pair(index, settings) for index, _ in pebbles)
@@ -93,9 +93,9 @@ def world_mjcf(
   {MEMORY}
   {style.LOOK}
   <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
-  <default>{geom_classes(settings)}</default>
-  <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
-  <asset>{style.SKY}{library(robot.body, half)}{meshes}</asset>
+  <default>{default_classes(settings)}</default>
+  <!-- What things look like -->
+  <asset>{style.SKY}</asset>
   <!-- The world -->
   <worldbody>{_arena(half)}{bodies}</worldbody>
   <deformable>{regions or ""}</deformable>
@@ -104,6 +104,8 @@ def world_mjcf(
   <!-- Servos -->
   <tendon>{tendons}</tendon>
   <actuator>{actuators}</actuator>
+  <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
+  <asset>{library(robot.body, half)}{meshes}</asset>
 </mujoco>"""
 
 
@@ -123,7 +125,7 @@ def _arena(half: float) -> str:
 {style.visual_geom("surround", "surround", style.LIGHT_GREY, f'group="{style.TASK_GROUP}"')}
 {style.visual_geom("border", "border", style.ARENA_BORDER)}
 {sides}
-<!-- Walls stand twice: of two geoms that touch the larger friction counts, and fingers have their own -->
+<!-- Two walls on each side: of two geoms that touch the larger friction counts, and fingers have their own -->
 {walls}
 <!-- Four lamps, for soft shadows -->
 {style.lamps_mjcf()}
@@ -167,7 +169,7 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
         for body, geoms in (
             (block, style.block_sides(f"block{index}_sides", shape, "red")),
-            (block.first_body(), collision_geoms(shape, mass)),
+            (block.first_body(), collision_geoms(f"block{index}", shape, mass)),
         ):
             for kind, attributes in _parsed(geoms):
                 geom = body.add_geom(find_class(kind))
@@ -203,7 +205,7 @@ def _unshaped(
 def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     """The class of each of these geoms, and the attributes in which it differs from its class."""
     spec = mujoco.MjSpec.from_string(
-        f"<mujoco><default>{geom_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"
+        f"<mujoco><default>{default_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"
     )
 
     def own_attributes(geom: Any) -> tuple[tuple[str, Any], ...]:

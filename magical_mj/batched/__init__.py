@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
-from magical_mj.tasks.registry import environments
+from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.tasks.spec import Reward, Rules
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr
 from magical_mj.utils.extras import check_extra
@@ -58,7 +58,8 @@ def make(
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if there is no such device, or a setting is not possible.
+        SettingsError: if there is no such device, or a setting is not possible; for tasks whose score depends on the
+            scenes of all steps.
         UnknownNameError: if there is no such task, variant or preset.
     """
     check_extra("batched worlds", "gpu")
@@ -68,6 +69,11 @@ def make(
         if as_integer(value, least) is None:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {short_repr(value)}")
     pairs = environments(task, variant)
+    if whole := [name for name in dict.fromkeys(name for name, _ in pairs) if task_spec(name).trajectory]:
+        raise SettingsError(
+            f"batched worlds do not keep the scenes of all steps, on which the score of {whole[0]} depends; "
+            "use gymnasium.make or make_vec"
+        )
     if num_envs < len(pairs):
         raise SettingsError(f"these are {len(pairs)} environments, for which num_envs={num_envs} is too few")
     return BatchedEnv(

@@ -224,7 +224,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         worlds = ended.nonzero()[:, 0]
         for world, poses in zip(worlds.tolist(), self.physics.poses[worlds].cpu().numpy(), strict=True):
             initial, final = self._scenes.scene(world), self._scenes.scene(world, poses)
-            scores[world] = self._specs[world].checked_score(initial, final, self._rules)
+            scores[world] = self._specs[world].checked_score((initial, final), self._rules)
         return scores.to(self.device)
 
     def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Any]:

@@ -26,7 +26,7 @@ COMMANDS: Final = {
     "evaluate": ("evaluate:evaluate", "Evaluate policies on the evaluation scenes."),
     "report": ("results:make_report", "Write a report of one or several evaluations: tables, figures and videos."),
     "compare": ("results:make_comparison", "Compare two policies on the scenes that both have played."),
-    "verify": ("results:verify_folder", "Replay the episodes of an evaluation, and check that it is complete."),
+    "verify": ("results:verify_folders", "Replay the episodes of an evaluation, and check that it is complete."),
     "submit": ("results:make_entry", "Pack the evaluations of one method into an entry for the leaderboard."),
     "leaderboard": ("results:make_leaderboard", "Check all entries in a folder, and write the leaderboard."),
     "demos": ("demos:app", "Make, import, check, show and export demonstrations."),

@@ -58,7 +58,10 @@ class Output(Console):
     """
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """As rich's, through which everything passes that is printed."""
+        """As rich's, through which everything passes that is printed. Narrow terminals fold tables, and cut nothing."""
+        if isinstance(renderable, Table):
+            for column in renderable.columns:
+                column.overflow = "fold"
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=terminal(segment.text))
 

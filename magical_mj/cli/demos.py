@@ -28,7 +28,7 @@ from magical_mj.cli.console import (
 from magical_mj.cli.film import film
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
-from magical_mj.tasks.registry import SPLITS, Pair, environments, score, task_spec
+from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError, counted
 from magical_mj.utils.parallel import map_unordered
@@ -36,8 +36,7 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
-    from magical_mj.evaluation.settings import EvaluationSettings
-    from magical_mj.policies.loading import Source
+    from magical_mj.evaluation.worker import Player
 
 Key = tuple[str, str, int]
 """Task, variant and number."""
@@ -135,6 +134,7 @@ def rollouts(
     They are files as of demonstrations, which `export` takes; their scenes are never those of the tests.
     """
     from magical_mj.evaluation.settings import EvaluationSettings
+    from magical_mj.evaluation.worker import Player
     from magical_mj.policies.loading import playable
 
     pairs = environments(tasks, variants)
@@ -145,18 +145,19 @@ def rollouts(
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    play = partial(roll_out, source, EvaluationSettings(split="dev", preset=source.preset))
+    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=source.preset)))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
     console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)
 
 
-def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: str, seed: int) -> Demonstration:
-    """The episode of a policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
-    from magical_mj.evaluation.worker import Unit, play_unit
+def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
+    """The episode of a player's only policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
+    from magical_mj.evaluation.worker import Unit
     from magical_mj.policies.interface import actions_of
 
-    (result,), _ = play_unit(Unit(source, task, variant, (seed,), settings))
+    (source,) = player.policies.values()
+    (result,) = player.play(Unit(source.name, source.run, task, variant, (seed,)))
     if result.failure is not None:
         raise DemonstrationError(f"{source.name} failed in {task}-{variant}, seed {seed}: {result.failure}")
     who = "random" if source.origin == "random" else "policy"
@@ -320,9 +321,9 @@ def video(
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
             frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size, renderer)
-            for step, (pictures, scene) in enumerate(zip(frames, demo.scenes(), strict=True)):
+            for step, pictures in enumerate(frames):
                 views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
-                reached = score(demo.task, demo.scene, scene)
+                reached = demo.rescored(step)
                 if step == 0:
                     movie.begin(title, views, reached)
                 else:

@@ -124,9 +124,9 @@ def rollout(
     _print_preset(screen, options["preset"], settings.observed)
     showing = nullcontext() if video is None else film(video, size, views=views, overwrite=force)
     try:
-        with showing as movie, closing(Player()) as player:
+        with showing as movie, closing(Player.of(listed, settings)) as player:
             for source in listed:
-                units = [Unit(source, *pair, (first + k,), settings, shift=shift) for k in range(episodes)]
+                units = [Unit(source.name, source.run, *pair, (first + k,), shift) for k in range(episodes)]
                 scores = []
                 for unit in with_bar(screen, f"playing {source.name}", units, episodes):
                     scores += player.play(unit)
@@ -166,8 +166,7 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
     total = done + sum(len(unit.seeds) for unit in evaluation.units)
     shown = TextColumn("{task.fields[shown]}", markup=False)
     with Bars(screen, shown, TimeElapsedColumn(), speed_estimate_period=120) as progress:
-        steps = sum(unit.steps for unit in evaluation.units)
-        bar = progress.add_task("playing", total=steps, shown=f"{done}/{total} episodes")
+        bar = progress.add_task("playing", total=evaluation.steps, shown=f"{done}/{total} episodes")
         start = time.monotonic()
         for count, score in enumerate(evaluation.play(), start=1):
             rate = count / (time.monotonic() - start)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
+from magical_mj.evaluation.replay import obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import actions_of, play
 from magical_mj.scene.actions import ACTIONS
@@ -141,12 +142,20 @@ def film(
 
 
 def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
-    """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`."""
+    """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
+
+    Raises:
+        EvaluationError: if the episode cannot be replayed, or starts or ends otherwise than recorded.
+    """
+    where = " ".join(filter(None, (score.task, score.variant, score.shift)))
+    title = f"{where}, seed {score.seed}: {score.policy}"
+    if problem := obstacle(score):
+        raise EvaluationError(f"{title} cannot be filmed: {problem}")
     rules = check_rules(score.rules)
     how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift, "body": score.body}
     with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
-        where = " ".join(filter(None, (score.task, score.variant, score.shift)))
-        title = f"{where}, seed {score.seed}: {score.policy}"
+        if problem := other_scene(score, env):
+            raise EvaluationError(f"{title} cannot be filmed: {problem}")
         movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())
         for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
             movie.add(side_by_side(env, movie.size, movie.views), step, action, env.score())

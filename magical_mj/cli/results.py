@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -15,10 +16,10 @@ from magical_mj.cli import option
 from magical_mj.cli.console import Bars, check_fits, complain, console, make_writable_folder
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
+from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
-from magical_mj.evaluation.scores import read
-from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.evaluation.scores import EpisodeResult, recorded_settings
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.page import check_free, write_pages
@@ -53,7 +54,6 @@ Videos = Annotated[
 Side = Annotated[
     str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
 ]
-Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 MethodFolders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
 EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, which ends in .json.xz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
@@ -62,7 +62,7 @@ Name = Annotated[
     typer.Option("--policy", help="The method to submit, if the folders hold several."),
 ]
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
-Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
+Pages = Annotated[Path, typer.Option("--out", help="The folder for the pages.")]
 Replay = Annotated[int, typer.Option(min=1, help="The largest number of episodes of an entry that are replayed.")]
 All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
 Sample = Annotated[
@@ -88,14 +88,32 @@ def make_report(
     data = results(folders, published, mixed_presets, rules)  # raises errors before anything is written
     episodes = []
     if videos:
-        if set(data.scores["worlds"]) != {"single"}:
-            raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
         check_extra("videos", "video")
-        episodes = extremes(score for folder in folders for score in episodes_of(folder, rules))
+        episodes, refused = _to_film(folders, rules)
+        if not episodes and refused:
+            raise SettingsError(f"--videos: {refused[0]}")
+        for problem in refused:
+            complain(problem)
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, file_names(episodes))
     page = write_report(data, out, film_episodes(episodes, out))
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
+
+
+def _to_film(folders: list[Path], rules: Rules | None) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:
+    """The episodes for videos; and why there are none of others, a sentence for each method, folder and reason."""
+    refused: dict[str, None] = {}
+
+    def replayable() -> Iterator[EpisodeResult]:
+        for folder in folders:
+            recorded = {} if is_entry(folder) else recorded_settings(folder)
+            for score in episodes_of(folder, rules):
+                if problem := obstacle(score, recorded):
+                    refused[f"{score.policy} in {folder} cannot be filmed: {problem}"] = None
+                else:
+                    yield score
+
+    return extremes(replayable()), list(refused)
 
 
 def make_comparison(a: Side, b: Side) -> None:
@@ -119,14 +137,16 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")
 
 
-def verify_folder(folder: Folder, jobs: option.Jobs = None) -> None:
+def verify_folders(folders: Folders, jobs: option.Jobs = None) -> None:
     """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
-    screen = console()
+    screen, names = console(), ", ".join(map(str, folders))
     with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
-        bar = progress.add_task(f"replaying {folder}", total=len(read(folder)))
-        findings = verify(folder, jobs=jobs, watch=lambda: progress.update(bar, advance=1))
+        bar = progress.add_task(f"replaying {names}", total=None)
+        findings = verify(
+            *folders, jobs=jobs, watch=lambda done, total: progress.update(bar, completed=done, total=total)
+        )
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
-    if _printed_problems(str(folder), findings):
+    if _printed_problems(names, findings):
         raise typer.Exit(1)
     screen.print("everything is there, and is what it says")
 
@@ -153,7 +173,7 @@ def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy
 def make_leaderboard(
     context: typer.Context,
     folder: Entries,
-    out: Pages = None,
+    out: Pages = Path("out/leaderboard"),
     replay: Replay = MOST_REPLAYED,
     everything: All = False,
     seed: Sample = None,
@@ -162,8 +182,8 @@ def make_leaderboard(
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_extra("leaderboards", "eval")
     check_fits(context, not everything, "without --all", "seed", "replay")
-    paths, pages = entry_files(folder), out or (folder.parent if folder.is_file() else folder)
-    check_free(make_writable_folder(pages))
+    paths = entry_files(folder)
+    check_free(make_writable_folder(out))
     screen = console()
     seed = secrets.randbits(32) if seed is None else seed
     if not everything:
@@ -195,7 +215,7 @@ def make_leaderboard(
             complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
         elif not _printed_problems(name, findings[name]):
             good[name] = entry
-    for page in write_pages(standings(list(good.values())), pages):
+    for page in write_pages(standings(list(good.values())), out):
         screen.print(page, soft_wrap=True)
     if bad := len(paths) - len(good):
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")

@@ -32,7 +32,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
-from magical_mj.tasks.registry import announced_name, environment_axes, score, task_spec, variant_name
+from magical_mj.tasks.registry import announced_name, environment_axes, score_trajectory, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, short_repr
 from magical_mj.utils.imports import check_named
@@ -100,9 +100,11 @@ class Demonstration:
         world = World(self.scene)
         return [world.read(qpos) for qpos in self.qpos]
 
-    def rescored(self) -> float:
-        """The score computed from the last state."""
-        return score(self.task, self.scene, World(self.scene).read(self.qpos[-1]))
+    def rescored(self, step: int | None = None) -> float:
+        """The score computed from the states, after so many steps; None: after all of them."""
+        world, last = World(self.scene), len(self.actions) if step is None else step
+        first = 1 if task_spec(self.task).trajectory else last
+        return score_trajectory(self.task, (self.scene, *map(world.read, self.qpos[first : last + 1])))
 
 
 HEADER_FIELDS: Final = {name: kind for name, kind in annotated(Demonstration).items() if name not in (*ARRAYS, "scene")}

@@ -40,7 +40,7 @@ from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.tasks.registry import sample_scene, score, task_name, variant_name
+from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
 
@@ -138,7 +138,7 @@ class Recorder:
             actions=np.array(self._actions, np.float32 if env.setup.speeds else np.uint8),
             qpos=positions,
             qvel=velocities,
-            score=score(task, env.initial_scene, env.scene),
+            score=score_trajectory(task, env.scored_scenes),
             shifts=shifts,
         )
 

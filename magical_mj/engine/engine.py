@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,6 +63,11 @@ class Setup:
         """Whether actions are x-magical's speeds."""
         return self.task is not None and task_spec(self.task).speeds
 
+    @property
+    def trajectory(self) -> bool:
+        """Whether the score depends on the scenes of all steps."""
+        return self.task is not None and task_spec(self.task).trajectory
+
     def check(self, scene: object) -> None:
         """Raises `InvalidSceneError` unless it is a `Scene` in which an episode can start."""
         scene = check_scene_type(scene)
@@ -113,15 +118,15 @@ class Setup:
         return sentence if shifts is None else shifts.instruction(sentence, self.task)
 
     @np.errstate(all="ignore")  # no result depends on the caller's settings
-    def score(self, initial: Scene, final: Scene) -> float:
-        """The score of a final scene in [0, 1].
+    def score(self, scenes: Sequence[Scene]) -> float:
+        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last.
 
         Raises:
             InvalidSceneError: without a task.
         """
         if self.task is None:
             raise InvalidSceneError("a plain scene has no score; name a task, or use magical_mj.score(task, ...)")
-        return task_spec(self.task).checked_score(initial, final, self.rules)
+        return task_spec(self.task).checked_score(scenes, self.rules)
 
     def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
         """Raises an error unless an episode can start here: from one thing at most, and no state that is over.
@@ -135,8 +140,31 @@ class Setup:
             raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(names)}")
         if state is not None:
             check_state(state)
-            if self.horizon is not None and state.steps >= self.horizon:
-                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+            check_goes_on(state, self.horizon)
+            self.trajectory_of(state)
+
+    def trajectory_of(self, state: State) -> list[Scene]:
+        """The scenes of a state's episode, where the score depends on them.
+
+        Raises:
+            StateError: if the state lacks them, as one that another task or a plain scene has given.
+        """
+        if not self.trajectory:
+            return []
+        if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
+            raise StateError(
+                f"the score of {self.task} depends on the scenes of all steps, which this state lacks: "
+                f"give a state that get_state() of an environment of {self.task} returned"
+            )
+        return list(state.trajectory)
+
+
+def check_goes_on(state: State, limit: int | None) -> None:
+    """Raises a `StateError` if a state is that of an episode which has ended after `limit` steps."""
+    if limit is not None and state.steps >= limit:
+        raise StateError(
+            f"the episode of this state is over, after {state.steps} steps: give an earlier state, of less than {limit}"
+        )
 
 
 class Engine:
@@ -222,7 +250,11 @@ class Engine:
         self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, speeds=setup.speeds)
         self.shifts = strengths
         self.seed: int | None = None
+        self._start_counting()
+
+    def _start_counting(self) -> None:
         self.steps, self._broken = 0, False
+        self._trajectory = [self.initial_scene] if self.setup.trajectory else []
 
     @property
     def simulation(self) -> Simulation:
@@ -299,7 +331,8 @@ class Engine:
         start = self.setup.begin(self.shifts, start, draws)
         self._broken = True  # until it has succeeded
         simulation.start(*start)
-        self.seed, self.steps, self._broken = seed, 0, False
+        self.seed = seed
+        self._start_counting()
 
     def step(self, action: Any) -> bool:
         """One action of 1/8 s. Returns whether the episode is over.
@@ -318,7 +351,14 @@ class Engine:
             self._broken = True
             raise
         self.steps += 1
+        if self._trajectory:
+            self._trajectory.append(self.scene)
         return self.over
+
+    @property
+    def scored_scenes(self) -> tuple[Scene, ...]:
+        """What the score depends on: the initial and the present scene, or the scenes of all steps."""
+        return tuple(self._trajectory) or (self.initial_scene, self.scene)
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now.
@@ -326,7 +366,7 @@ class Engine:
         Raises:
             InvalidSceneError: without a task.
         """
-        return self.setup.score(self.initial_scene, self.scene)
+        return self.setup.score(self.scored_scenes)
 
     def state_vector(self) -> NDArray[np.float32]:
         """What `magical_mj.scene.state_vector.STATE_NAMES` names, in a fresh vector. Shape (len(STATE_NAMES),).
@@ -357,7 +397,7 @@ class Engine:
 
     def get_state(self) -> State:
         """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
-        return self.simulation.state(self.steps)
+        return self.simulation.state(self.steps, self._trajectory)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine, or of another one with the same task: what follows is exactly the same.
@@ -370,6 +410,7 @@ class Engine:
         """
         simulation = self.simulation
         check_state(state)
+        trajectory = self.setup.trajectory_of(state)
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, state.scene, state.draws)
             self._broken = True  # until everything below has succeeded
@@ -378,7 +419,7 @@ class Engine:
         simulation.restore(state.simulation)
         if simulation.shifts is not None:
             simulation.shifts.resume(int(state.steps), state.commands)
-        self.steps, self._broken = int(state.steps), False
+        self.steps, self._broken, self._trajectory = int(state.steps), False, trajectory
 
     def clone(self) -> Engine:
         """A copy in the same state, in as long as a new one takes. Both go on alike."""

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree.ElementTree import Comment, Element, SubElement
-from xml.sax.saxutils import quoteattr
 
 import mujoco
 
 from magical_mj._version import __version__
+from magical_mj.assets import readable
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.mjcf import elements, numbers, parsed
 from magical_mj.assets.region import BONE, region_mjcf
@@ -52,12 +52,6 @@ THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|p
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
 
-INDENT: Final = "  "
-LINE: Final = 120
-"""The longest line of an indented file, in characters."""
-GROUPS: Final = {"vertex": 3, "face": 3}
-"""Attribute -> how many numbers of its list form one entry, such as 3 coordinates of a vertex."""
-
 
 def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
@@ -88,8 +82,13 @@ def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwri
     return path
 
 
-def mjcf_text(source: Scene | Engine) -> str:
+def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
     """The content of the file that `export_mjcf` writes.
+
+    Args:
+        source: as `export_mjcf`.
+        rounded: whether coordinates of what is only drawn are rounded, for people who read the file. A program that
+            draws as environments do, to the pixel, needs all digits.
 
     Raises:
         InvalidSceneError, ClosedError: as `export_mjcf`.
@@ -110,7 +109,7 @@ def mjcf_text(source: Scene | Engine) -> str:
         about |= {"shifts": shift_label(source.shifts) or None}
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
-    return _header(about, 2 * scene.half_width) + _indented(_model(scene, about, data))
+    return _header(about, 2 * scene.half_width) + readable.indented(_model(scene, about, data, rounded=rounded))
 
 
 def _header(about: Mapping[str, Any], side: float) -> str:
@@ -125,17 +124,23 @@ def _takes_speeds(about: Mapping[str, Any]) -> bool:
     return "task" in about and task_spec(about["task"]).speeds
 
 
-def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
+def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData, *, rounded: bool) -> Element:
     """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
     root = parsed(world_mjcf(scene))
     _name_blocks(root, scene)
     _regions_as_geoms(root, scene)
     speeds = _takes_speeds(about)
     root[:0] = [Comment(ABOUT_SPEEDS if speeds else ABOUT), _custom(scene, about, speeds)]
+    readable.name_colours(root)
+    readable.drop_unused_meshes(root)
+    if rounded:
+        readable.round_coordinates(root)
     state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
-    root.extend((Comment(SENSORS), _sensors(scene), Comment("The present state")))
-    values = {name: numbers(*value) for name, value in state.items() if len(value)}
-    SubElement(SubElement(root, "keyframe"), "key", {"name": "now"} | values)
+    keyframe = Element("keyframe")
+    SubElement(
+        keyframe, "key", {"name": "now"} | {name: numbers(*value) for name, value in state.items() if len(value)}
+    )
+    root[-2:-2] = [Comment(SENSORS), _sensors(scene), Comment("The present state"), keyframe]  # before the meshes
     return root
 
 
@@ -150,7 +155,7 @@ def _name_blocks(root: Element, scene: Scene) -> None:
 
 def _regions_as_geoms(root: Element, scene: Scene) -> None:
     """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
-    paths = ("deformable", "asset", f".//body[@name='{BONE}']")
+    paths = ("deformable", "asset[last()]", f".//body[@name='{BONE}']")
     skins, assets, body = (cast("Element", root.find(path)) for path in paths)
     root.remove(skins)
     for index, region in enumerate(scene.regions):
@@ -184,47 +189,3 @@ def _sensors(scene: Scene) -> Element:
         for joint in joints:
             SubElement(sensor, kind, {"name": f"{joint}{suffix}", "joint": joint})
     return sensor
-
-
-def _indented(element: Element, depth: int = 0) -> str:
-    """An element as indented text: one per line, blank lines between sections, long lists of numbers wrapped."""
-    pad = INDENT * depth
-    if element.tag is Comment:
-        return f"{pad}<!-- {str(element.text).strip()} -->\n"
-    start = f"{pad}<{element.tag}{_attributes(element, pad)}"
-    if not len(element):
-        return f"{start}/>\n"
-    content = ""
-    for child in element:
-        is_section = depth == 0 and child.tag is Comment
-        content += ("\n" if is_section else "") + _indented(child, depth + 1)
-    return f"{start}>\n{content}{pad}</{element.tag}>\n"
-
-
-def _attributes(element: Element, pad: str) -> str:
-    """The attributes of an element, wrapped where the line would be too long."""
-    text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
-    line_break = f"\n{deeper}"
-    for name, value in element.items():
-        entry = f"{name}={quoteattr(value).replace('&#10;', line_break)}"
-        if "\n" not in value and len(deeper) + len(entry) > LINE and value[:1] in "-.0123456789":
-            rows = _wrapped(value, GROUPS.get(name, 1), LINE - len(deeper) - 3)
-            entry = f'{name}="{line_break}{line_break.join(rows)}"'
-        if width + 3 + len(entry.partition("\n")[0]) > LINE:
-            text, width = f"{text}\n{deeper}{entry}", len(deeper) + len(entry)
-        else:
-            text, width = f"{text} {entry}", width + 1 + len(entry)
-    return text
-
-
-def _wrapped(value: str, group: int, width: int) -> Iterator[str]:
-    """A list of numbers as lines; groups of numbers are never split."""
-    entries = value.split()
-    row = ""
-    for start in range(0, len(entries), group):
-        item = " ".join(entries[start : start + group])
-        if row and len(row) + len(item) + 2 > width:
-            yield row
-            row = ""
-        row += ("  " if row and group > 1 else " " if row else "") + item
-    yield row

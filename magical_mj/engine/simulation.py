@@ -6,7 +6,7 @@ A `State` is plain data from which an episode goes on: for search, for an expert
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cache
@@ -52,6 +52,7 @@ class State:
         frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
         draws: what the shifts of the episode have drawn; see `magical_mj.shifts`.
         commands: the last commands that each of them was given which changes actions.
+        trajectory: the scenes of the episode so far, the present one last, if the task's score depends on them all.
     """
 
     scene: Scene
@@ -60,6 +61,7 @@ class State:
     frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
     draws: Draws = field(default_factory=dict[str, dict[str, float]])
     commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]])
+    trajectory: tuple[Scene, ...] = ()
 
     def __eq__(self, other: object) -> bool:
         """Whether the simulations are in exactly the same state. Pictures are not compared: they follow from it."""
@@ -71,7 +73,8 @@ class State:
         return hash(self._identity())
 
     def _identity(self) -> tuple[object, ...]:
-        return self.scene, self.steps, self.simulation.tobytes(), repr(self.draws), repr(self.commands)
+        shifts = repr(self.draws), repr(self.commands)
+        return self.scene, self.steps, self.simulation.tobytes(), *shifts, self.trajectory
 
 
 def check_state(state: object) -> None:
@@ -83,6 +86,8 @@ def check_state(state: object) -> None:
         and isinstance(state.frames, Mapping)
         and isinstance(state.draws, Mapping)
         and isinstance(state.commands, Mapping)
+        and isinstance(state.trajectory, tuple)
+        and all(isinstance(scene, Scene) for scene in state.trajectory)
     ):
         raise StateError(
             "a state is what get_state() returns: a scene, a number of steps from 0 up, the simulation's numbers, and "
@@ -263,13 +268,13 @@ class Simulation:
         """Frees what the simulation drew with; the drawing context, which all share, remains."""
         self._views = None
 
-    def state(self, steps: int) -> State:
-        """The state of the episode, after so many steps."""
+    def state(self, steps: int, trajectory: Sequence[Scene] = ()) -> State:
+        """The state of the episode, after so many steps through these scenes, if they count."""
         scene, saved = self.world.scene, self.save()
         if self.shifts is None:
-            return State(scene, steps, saved)
+            return State(scene, steps, saved, trajectory=tuple(trajectory))
         commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}
-        return State(scene, steps, saved, draws=self.shifts.draws, commands=commands)
+        return State(scene, steps, saved, draws=self.shifts.draws, commands=commands, trajectory=tuple(trajectory))
 
     def save(self) -> NDArray[np.float64]:
         """The complete present state in a fresh array. Shape (state size + number of trees,).

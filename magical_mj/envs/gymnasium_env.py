@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
@@ -17,7 +16,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
-from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
+from magical_mj.engine.engine import check_goes_on
+from magical_mj.engine.simulation import check_state
+from magical_mj.envs.presets import LONGEST_SENTENCE, Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, continuous_space
 from magical_mj.rendering.renderer import check_size
@@ -37,7 +38,11 @@ ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
+CUTS: Final = 3
+"""After how many episodes that were reset at the same late step a warning says that they have reported no score."""
 RENDER_VIEWS: Final = (*CAMERAS, "both")
+STARTS: Final = ("scene", "state", "variation")
+"""The options of `reset` that say how an episode starts."""
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -113,13 +118,16 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
         self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts, body=body)
-        self._limit = math.inf if limit is None else check_limit(limit, self._engine.setup)
+        self._limit = self._engine.setup.horizon or 0
+        if limit is not None:
+            self.limit = limit
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self._instruction = instruction
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
+        self._cut = 0, 0  # the step at which the last episodes were reset before their end, and how many of them
         self._fresh_seed: int | None = None  # of the last reset, while no step has followed
 
     @property
@@ -141,6 +149,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def instruction(self) -> str:
         """The sentence that says what is to be done in this episode, as its shifts make it."""
         return self._engine.instruction
+
+    @property
+    def limit(self) -> int:
+        """The number of steps of an episode since its start, also where it goes on from a state."""
+        return self._limit
+
+    @limit.setter
+    def limit(self, steps: int) -> None:
+        self._limit = check_limit(steps, self._engine.setup)
 
     @cached_property
     def variation_space(self) -> VariationSpace:
@@ -173,17 +190,26 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.
             InvalidSceneError: if the scene is not one of the task.
-            StateError: if the state is none of an episode of the task that goes on.
-            SettingsError: if the options are no dict, or the variation is not in its space.
+            StateError: if the state is none of an episode of the task that goes on, within the limit.
+            SettingsError: if the options are no dict, or more than one of them says how to start; if the variation is
+                not in its space.
         """
         seed = None if seed is None else check_seed(seed)
-        start = check_options(options, "scene", "state", "variation")
+        start = check_options(options, *STARTS)
+        if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
+            raise SettingsError(
+                f"an episode starts from one of the options {', '.join(STARTS)}, not {' and '.join(given)}"
+            )
         scene, state, variation = _scene_option(start), start.get("state"), start.get("variation")
+        steps = 0 if self.over else self._engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
             self._engine.reset(scene=scene, draws=draws)
         elif scene is not None or state is not None:
+            if state is not None:
+                check_state(state)
+                check_goes_on(state, self._limit)
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
         else:
@@ -192,6 +218,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 self._check_observable(self._engine.setup.sample(number))
             self._engine.reset(seed=number)
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
+        self._notice_cut(0 if state is not None else steps)
         self._begun = True
         self._fresh_seed = seed if scene is None and state is None else None
         self._stacks.start(self._draw, None if state is None else state.frames)
@@ -218,8 +245,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidSceneError: if its scene is not one of this task.
         """
         self._engine.set_state(state)
+        self._cut = 0, 0
         self._begun, self._fresh_seed = True, None
         self._stacks.start(self._draw, state.frames)
+
+    def __copy__(self) -> MagicalEnv:
+        """As a deep copy: two environments that step the same engine would disturb each other."""
+        return self.clone()
 
     def __getstate__(self) -> dict[str, Any]:
         """For copying and pickling: with the generator of later scenes, which Gymnasium makes when it is first used."""
@@ -252,7 +284,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         over = self._engine.step(action)
         self._fresh_seed = None
         self._stacks.push(self._draw)
-        return over or self._engine.steps >= self._limit
+        return over or self.over
 
     @property
     def over(self) -> bool:
@@ -283,8 +315,20 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         shifts = self._engine.simulation.shifts
         if self._instruction or (shifts is not None and shifts.changes_instruction):
-            info["instruction"] = np.array(self.instruction)
+            sentence = self.instruction  # with room for others: vectors give all worlds the first one's type
+            info["instruction"] = np.array(sentence, f"U{max(len(sentence), LONGEST_SENTENCE)}")
         return info | {"score": np.float64(score)} if self._score_every_step else info
+
+    def _notice_cut(self, steps: int) -> None:
+        """Warns if one episode after the other is reset at this step, as in a `TimeLimit`, which cannot be seen."""
+        self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
+        if self._cut == (steps, CUTS) and steps > self._limit / 2:
+            warnings.warn(
+                f"the last {CUTS} episodes were reset after {steps} of {self._limit} steps. If a wrapper such as "
+                "TimeLimit ends them, eval_score is 0.0 there: put magical_mj.wrappers.ScoreAtTheEnd around it, or "
+                "give max_episode_steps to gymnasium.make",
+                stacklevel=3,
+            )
 
     def _next_seed(self, seed: int | None) -> int:
         """The seed of an episode: the given one, that of the last reset if no step has followed it, or a drawn one."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from magical_mj.engine import Engine
 from magical_mj.scene import Block, Dynamics, GoalRegion, Pebble, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.scene.geometry import OVERHANG
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.shifts import SHIFTS, shift_class
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
@@ -56,7 +57,7 @@ class VariationSpace(spaces.Dict):
             "shapes": spaces.MultiDiscrete([len(SHAPES)] * MAX_BLOCKS),
             "colours": spaces.MultiDiscrete([len(COLOURS)] * MAX_BLOCKS),
             "region_count": spaces.Discrete(MAX_REGIONS + 1),
-            "regions": spaces.Box(-half, half, (MAX_REGIONS, 4), np.float64),
+            "regions": spaces.Box(-half - OVERHANG, half + OVERHANG, (MAX_REGIONS, 4), np.float64),
             "region_colours": spaces.MultiDiscrete([len(COLOURS)] * MAX_REGIONS),
             "dynamics": spaces.Box(np.array([0.01] * 5 + [-2.0]), np.array([20.0] * 5 + [2.0]), dtype=np.float64),
             "pebble_count": spaces.Discrete(MAX_PEBBLES + 1),
@@ -185,6 +186,8 @@ def _scene_of(values: Mapping[str, Any], scene: Scene) -> Scene:
     count = int(values["region_count"])
     boxes = zip(values["region_colours"][:count], values["regions"][:count].tolist(), strict=True)
     regions = [GoalRegion(COLOURS[colour], *box) for colour, box in boxes]
+    for index, before in enumerate(scene.regions[:count]):
+        regions[index] = replace(regions[index], border=before.border)
     x, y, angle = values["robot"].tolist()
     return replace(
         scene,

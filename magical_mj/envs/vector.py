@@ -7,11 +7,11 @@ all models of a batch, and variants change it from episode to episode.
 
 from __future__ import annotations
 
-import contextlib
+import copy
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -21,14 +21,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import NDArray
 
-from magical_mj.envs.gymnasium_env import MagicalEnv, check_options
+from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
-from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.actions import ACTIONS, as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
 from magical_mj.variants import check_seed
-
-STARTS: Final = ("scene", "state")
 
 
 def make_vec(
@@ -86,7 +84,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     `reset(seed=7)` gives the worlds the seeds 7, 8, 9..., and a list gives each its own. Observations, rewards, infos
     and the three modes of `gymnasium.vector.AutoresetMode` are those of `gymnasium.vector.SyncVectorEnv`; observations
-    are fresh arrays. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds.
+    are fresh arrays. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds. A world that ended
+    and was then set to a state with `call("set_state", state)` goes on from it. Copies and pickles have worlds of their
+    own, in the same states.
 
     Args:
         envs: the worlds, with equal spaces.
@@ -95,6 +95,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     Attributes:
         envs: the worlds.
+        autoreset_mode: a `gymnasium.vector.AutoresetMode`.
     """
 
     def __init__(
@@ -104,21 +105,37 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         try:
-            self._mode = AutoresetMode(autoreset_mode)
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             names = ", ".join(f"gymnasium.vector.{mode}" for mode in AutoresetMode)
             raise SettingsError(f"autoreset_mode is one of {names}, not {short_repr(autoreset_mode)}") from None
         self.envs, self.num_envs = list(envs), len(envs)
         first = envs[0]
-        self.metadata = {**first.metadata, "autoreset_mode": self._mode}
+        self.metadata = {**first.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         for env in self.envs:
             env.observation_space = first.observation_space  # whose bounds take four times the memory of an observation
         self.action_space = batch_space(first.action_space, self.num_envs)
-        self._threads = min(threads or cores(), self.num_envs)
-        self._pool = ThreadPoolExecutor(self._threads - 1, "magical_mj") if self._threads > 1 else None
-        self._over = np.zeros(self.num_envs, np.bool_)
+        self._threads = threads
+        self._start_threads()
+
+    def _start_threads(self) -> None:
+        count = min(self._threads or cores(), self.num_envs)
+        self._pool = ThreadPoolExecutor(count - 1, "magical_mj") if count > 1 else None
+        self._helpers = count - 1
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copying and pickling: everything but the threads, and what is made when it is asked for."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_pool", "observation_space")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._start_threads()
+
+    def __copy__(self) -> VectorEnv:
+        """As a deep copy: two vectors that step the same worlds would disturb each other."""
+        return copy.deepcopy(self)
 
     @cached_property
     def observation_space(self) -> spaces.Space[Any]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -132,7 +149,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
         Args:
             seed: of the first world, the others have the next ones; or one for each world.
-            options: "reset_mask", an array of bools, shape (num_envs,); "scene" or "state" as in `MagicalEnv.reset`.
+            options: "reset_mask", an array of bools, shape (num_envs,); the others are those of `MagicalEnv.reset`, for
+                all of these worlds: "scene", "state" or "variation".
 
         Raises:
             InvalidSeedError, InvalidSceneError, StateError: accordingly.
@@ -150,7 +168,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env = self.envs[world]
             if mask[world]:
                 infos[world] = env.reset(seed=seeds[world], options=start)[1]
-                self._over[world] = False
             env.observe(rows[world])
 
         self.each_world(reset_world)
@@ -175,18 +192,18 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         numbers = self._checked(actions)
-        if self._mode != AutoresetMode.NEXT_STEP and self._over.any():
+        over = [env.over for env in self.envs]
+        if self.autoreset_mode != AutoresetMode.NEXT_STEP and any(over):
             raise ResetNeeded("episodes have ended: reset these worlds with options={'reset_mask': ...}")
         rows = self._rows()
         rewards, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
         final: dict[int, dict[str, Any]] = {}
-        again = self._over if self._mode == AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
-        same_step = self._mode == AutoresetMode.SAME_STEP
+        same_step = self.autoreset_mode == AutoresetMode.SAME_STEP
 
         def step_world(world: int) -> None:
             env = self.envs[world]
-            if again[world]:
+            if over[world]:  # only in the mode NEXT_STEP
                 infos[world] = env.reset()[1]
             else:
                 last = env.advance(numbers[world])
@@ -197,7 +214,6 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env.observe(rows[world])
 
         self.each_world(step_world)
-        self._over = np.zeros_like(ended) if same_step else ended.copy()
         batched: dict[str, Any] = {}
         for world in sorted(final):
             batched = self._add_info(batched, final[world], world)
@@ -205,12 +221,34 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What a method of each world returns, or the attributes of this name."""
-        values = (getattr(env, name) for env in self.envs)
+        values = (env.get_wrapper_attr(name) for env in self.envs)
         return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """An attribute of each world."""
         return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute of each world: to its own of a list or tuple of values, or to the same value.
+
+        Raises:
+            SettingsError: if there is not one value for each world.
+        """
+        each = list(values) if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} values of {name} were given")
+        for env, value in zip(self.envs, each, strict=True):
+            env.set_wrapper_attr(name, value)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The generators of the worlds, which draw the seeds of their later episodes."""
+        return self.get_attr("np_random")
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The seeds of these generators."""
+        return self.get_attr("np_random_seed")
 
     def render(self) -> tuple[Any, ...]:
         """The pictures of all worlds; see `MagicalEnv.render`."""
@@ -230,16 +268,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _checked(self, actions: Any) -> list[Any]:
         """The actions as the worlds take them, before any does."""
-        rows: NDArray[Any] = np.empty(0)
-        with contextlib.suppress(ValueError):  # of lists of different lengths
-            rows = np.asarray(actions)
+        rows = as_array(actions)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
             return [self.envs[0].to_action(row) for row in rows]
         fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
         if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
             raise InvalidActionError(
                 f"actions are {self.num_envs} values of {self.single_action_space}, one for each world, "
-                f"not {short_repr(actions)}"
+                f"not {short_repr(actions)}{tensor_hint(actions)}"
             )
         return rows.tolist()
 
@@ -269,7 +305,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             for world in worlds:
                 do(world)
 
-        futures = [self._pool.submit(work) for _ in range(self._threads - 1)] if self._pool else []
+        futures = [self._pool.submit(work) for _ in range(self._helpers)] if self._pool else []
         try:
             work()
         finally:
@@ -305,9 +341,7 @@ def check_mask(mask: Any, worlds: int) -> NDArray[np.bool_]:
     """For which worlds the mask of bools is true; without a mask all of them."""
     if mask is None:
         return np.ones(worlds, np.bool_)
-    entries: NDArray[Any] = np.empty(0)
-    with contextlib.suppress(ValueError):  # of lists of different lengths
-        entries = np.asarray(mask)
+    entries = as_array(mask)
     if entries.dtype != np.bool_ or entries.shape != (worlds,):
         raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
     return entries

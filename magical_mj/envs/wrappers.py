@@ -59,6 +59,10 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
 
     `gymnasium.make` applies it to every environment. If another wrapper of yours ends episodes, apply this outside it.
 
+    The limit of a `TimeLimit` directly inside becomes that of the environment, which counts an episode's steps since
+    its start. `TimeLimit` itself would count those since the last reset, which differ after a state was restored, so
+    its counter is passed by.
+
     Args:
         env: a `magical_mj` environment, with any wrappers.
 
@@ -69,28 +73,35 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        engine = getattr(self.unwrapped, "engine", None)
+        self._world: Any = self.unwrapped
+        engine = getattr(self._world, "engine", None)
         if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
-        self._engine, self._horizon = engine, engine.setup.horizon or 0
+        self._inner = env
         if env.spec is not None and env.spec.max_episode_steps is not None:
-            check_limit(env.spec.max_episode_steps, engine.setup)
+            limit = check_limit(env.spec.max_episode_steps, engine.setup)
+            if isinstance(env, gymnasium.wrappers.TimeLimit):
+                self._inner, self._world.limit = env.env, limit
 
     @property
     def spec(self) -> EnvSpec | None:
         """The spec of the wrapped environment, with the number of steps of its episodes."""
         spec = super().spec
         if spec is not None:
-            spec.max_episode_steps = min(spec.max_episode_steps or self._horizon, self._horizon)
+            spec.max_episode_steps = min(spec.max_episode_steps or self._world.limit, self._world.limit)
         return spec
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode."""
+        return self._inner.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One action."""
-        observation, reward, terminated, truncated, info = super().step(action)
-        if (terminated or truncated) and not self._engine.over:  # at the task's horizon the score is reported already
-            score = np.float64(self._engine.score())
+        observation, reward, terminated, truncated, info = self._inner.step(action)
+        if (terminated or truncated) and not self._world.over:  # else the score is reported already
+            score = np.float64(self._world.score())
             info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
-            if getattr(self.unwrapped, "reward", "none") == "score":
+            if getattr(self._world, "reward", "none") == "score":
                 reward = float(score)
         return observation, reward, terminated, truncated, info
 

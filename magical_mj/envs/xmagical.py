@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj.envs.gymnasium_env import MagicalEnv, Observation
+from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, Observation
 from magical_mj.envs.presets import Preset
 from magical_mj.envs.vector import make_worlds
 from magical_mj.scene.actions import as_speeds
@@ -108,7 +108,7 @@ class XMagicalEnv(MagicalEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """As `magical_mj.MagicalEnv.reset`. Original seeds are below 2**32, and resets without one go on drawing."""
-        if self._original is None or (options or {}).keys() & {"scene", "state"}:
+        if self._original is None or not isinstance(options or {}, dict) or (options or {}).keys() & {*STARTS}:
             return super().reset(seed=seed, options=options)
         if seed is not None or not self._begun:
             number = int(self.np_random.integers(MAX_SEEDS)) if seed is None else check_seed(seed)

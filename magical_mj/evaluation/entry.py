@@ -20,8 +20,8 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, recorded_policies, recorded_settings
-from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
@@ -41,8 +41,6 @@ MOST_OF_CARD: Final = 20_000
 PLAIN: Final = {
     "split": ("test", "on the split {}, and entries are of test"),
     "body": (GRIPPER, "with the body {}, and entries are of the gripper"),
-    "wrap": ("", "in {}, and entries are of plain worlds"),
-    "worlds": ("single", f"in {{}} worlds, and cannot be an entry: {UNOFFICIAL}"),
 }
 """What all episodes of an entry are like, and what is said of others."""
 SEEDS: Final = 100
@@ -265,6 +263,8 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         for name, (usual, problem) in PLAIN.items():
             if (value := getattr(episode, name)) != usual:
                 raise EvaluationError(f"{folder} was played {problem.format(value)}")
+        if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
+            raise EvaluationError(f"{folder} cannot be an entry, which others replay: {episode.title}: {problem}")
     episodes = [episode for episode, _ in sources]
     return Entry(
         card,

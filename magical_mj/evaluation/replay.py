@@ -1,21 +1,29 @@
-"""Playing stored episodes again, in worker processes: to check them, and to score them by other rules."""
+"""Playing stored episodes again, in worker processes: to check them, and to score them by other rules.
+
+`obstacle` says which episodes cannot be played again. Everything that replays or shows stored episodes asks it.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace as changed
 from functools import partial
 from itertools import chain
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
-from magical_mj.shifts.registry import named_in
-from magical_mj.tasks.registry import check_rules, task_spec
+from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
+from magical_mj.shifts.registry import named_in, split_body
+from magical_mj.tasks import KNOWN
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import check_rules, code_digest, task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import PhysicsError
+from magical_mj.utils.errors import MagicalError, PhysicsError, UntrustedNameError
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import map_unordered
 
@@ -31,26 +39,65 @@ Replayed = tuple[Any, EpisodeResult, str | None]
 """A `Recorded` one, by other rules if these were wanted, and how it differs from its record; None if it does not."""
 
 
+def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
+    """Why an episode cannot be played again here from its seed and its actions; None if it can.
+
+    It depends on the simulator, the wrapper, the task, the rules, the body, the shift, and the protocol. It does not
+    depend on the renderer: actions are replayed without pictures, and films draw new ones.
+
+    Args:
+        episode: the stored episode.
+        recorded: the settings of its evaluation (``run.json``), as far as they are known.
+
+    Raises:
+        UntrustedNameError: if the episode names code that the user has not named.
+    """
+    if episode.worlds != "single":
+        return f"it was played in batched worlds: {UNOFFICIAL}"
+    if episode.wrap:
+        return f"it was played in the wrapper {episode.wrap}, which may have changed its actions and states"
+    names = {"protocol": PROTOCOL} | ({"shift_protocol": SHIFT_PROTOCOL} if episode.shift else {})
+    for name, number in names.items():
+        if recorded.get(name) not in (None, number):
+            words = name.replace("_", " ")
+            return f"it follows {words} {recorded[name]}, and this version plays {number}"
+    for name in (episode.task, episode.body, *map(named_in, episode.shift.split("+"))):
+        check_named(name, "an episode")
+    try:
+        check_rules(episode.rules)
+        task_spec(episode.task).check_body(split_body(episode.shift, episode.task, episode.body)[1])
+        code = recorded.get(f"code of {episode.task}")
+        if episode.task not in KNOWN and code not in (None, code_digest(episode.task)):
+            return f"the code of {episode.task} has changed since it was played"
+    except UntrustedNameError:
+        raise
+    except (MagicalError, ImportError) as error:
+        return str(error)
+    return None
+
+
 def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:
     """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
 
     With `rules`, they are scored again, after the steps that an episode has by these rules; None: as they are. Yields
-    each episode, as they come. `jobs` is the number of processes; None: one per core.
+    each episode, as they come; of one that has an `obstacle`, this is its difference. `jobs` is the number of
+    processes; None: one per core.
     """
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
+    refused: list[Replayed] = []
     for source, episode in recorded:
-        alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
-    for task, _, _, shift, body in alike:
-        for name in (task, body, *map(named_in, shift.split("+"))):
-            check_named(name, "an episode")
+        if problem := obstacle(episode):
+            refused.append((source, episode, f"{episode.title}: it cannot be replayed: {problem}"))
+        else:
+            alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
     chunks: list[list[Recorded]] = []
     for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
-        episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
+        episodes.sort(key=lambda recorded: (recorded[1].seed, str(recorded[0])))
         chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
     chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
     work = partial(_replay, rules=rules)
     results = map(work, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(work, chunks, jobs)
-    return chain.from_iterable(results)
+    return chain(refused, chain.from_iterable(results))
 
 
 def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
@@ -70,9 +117,8 @@ def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
 
 def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
     """An episode by these rules, whose scene the engine is in; and what is wrong with it: None if it is confirmed."""
-    digest = engine.initial_scene.digest()
-    if episode.scene is not None and episode.scene != digest:
-        return episode, f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
+    if problem := other_scene(episode, engine):
+        return episode, problem
     problem = inconsistency(episode, engine.horizon)
     spec = task_spec(episode.task)
     steps = spec.horizon(rules or engine.rules, episode.body)
@@ -87,13 +133,21 @@ def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tupl
         for number, action in enumerate(actions_of(episode.actions), start=1):
             engine.step(action)
             if number == steps and rules is not None:
-                score = spec.checked_score(engine.initial_scene, engine.scene, rules)
+                score = spec.checked_score(engine.scored_scenes, rules)
                 rescored = changed(rescored, score=score, steps=steps, actions=episode.actions[:steps])
     except PhysicsError as error:
         return episode, f"it cannot be replayed: {error}"
     if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
         return episode, f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
     return rescored, None
+
+
+def other_scene(episode: EpisodeResult, engine: Engine) -> str | None:
+    """How the scene of an episode, if it was recorded, differs from that in which an engine starts; None if not."""
+    digest = engine.initial_scene.digest()
+    if episode.scene in (None, digest):
+        return None
+    return f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
 
 
 def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:

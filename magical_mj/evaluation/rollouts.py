@@ -8,8 +8,9 @@ explicitly before the next episodes.
 from __future__ import annotations
 
 import copy
+import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -18,8 +19,10 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Discrete
 from gymnasium.vector.utils import iterate
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
+from magical_mj.envs.wrappers import ScoreAtTheEnd
 from magical_mj.evaluation.scores import EpisodeResult, Outcome
 from magical_mj.policies.interface import (
     Act,
@@ -36,9 +39,9 @@ from magical_mj.policies.interface import (
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
-from magical_mj.shifts.registry import check_noticed, parse_shifts
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import check_noticed, parse_shifts, shift_label
 from magical_mj.tasks.registry import task_name, task_spec
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
     EvaluationError,
     InvalidActionError,
@@ -55,6 +58,7 @@ if TYPE_CHECKING:
 Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
 Env: TypeAlias = "Engine | gymnasium.Env[Any, Any]"
 
+USUAL_WRAPPERS: Final = (OrderEnforcing, PassiveEnvChecker, TimeLimit, ScoreAtTheEnd)
 NO_SCORE: Final = "only environments of this package have a score: make one whose id begins with magical_mj/"
 
 
@@ -101,7 +105,7 @@ def rollouts(
             be done, and the policy does not read it.
     """
     episodes = list(episodes)
-    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, "rules": _check_fits(env, policy, episodes)}
+    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, policy, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
@@ -117,10 +121,14 @@ def rollouts(
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
 
 
-def _check_fits(env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> Rules:
-    """The rules of an environment; raises an `EvaluationError` unless it is that of the episodes.
+def _checked_facts(
+    env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
+) -> dict[str, Any]:
+    """What an environment is besides task and variant, as in results.
 
-    Raises a `SettingsError` if it changes the sentence, and the policy does not read it.
+    Raises:
+        EvaluationError: unless it is the environment of the episodes.
+        SettingsError: if it changes the sentence that says what is to be done, and the policy does not read it.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
@@ -128,10 +136,11 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, 
             spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
         arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
-        shifts = parse_shifts(arguments.get("shifts"))
+        shifts, body = parse_shifts(arguments.get("shifts")), arguments.get("body", GRIPPER)
     else:
         space, engine = env.action_space, engine_of(env)
-        task, variant, rules, shifts = engine.task, engine.variant, engine.rules, engine.shifts
+        task, variant, rules = engine.task, engine.variant, engine.rules
+        shifts, body = engine.shifts, engine.setup.body
     check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"sentence"}))
     if not isinstance(space, Discrete):
         raise EvaluationError(
@@ -144,7 +153,16 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, 
             raise EvaluationError(
                 f"the environment is {task} {variant}, and an episode {episode.task} {episode.variant}"
             )
-    return rules
+    return {"rules": rules, "shift": shift_label(shifts), "body": body, "wrap": _wrapper(env)}
+
+
+def _wrapper(env: object) -> str:
+    """The outermost wrapper of an environment besides those of `gymnasium.make`; empty if there is none."""
+    while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
+        if not isinstance(env, USUAL_WRAPPERS):
+            return f"{type(env).__module__}:{type(env).__qualname__}"
+        env = env.env
+    return ""
 
 
 def engine_of(env: Env) -> Engine:
@@ -155,19 +173,20 @@ def engine_of(env: Env) -> Engine:
     return engine
 
 
-def play(env: Env, policy: Act, episode: Episode) -> Outcome:
+def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
     """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
 
-    A policy that uses the simulation gets it in the episode.
+    So it is if the episode has not ended after so many `seconds`, which is checked after each action. A policy that
+    uses the simulation gets it in the episode.
 
     Raises:
         RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
             or an invalid score, which is not the policy's fault.
-        EvaluationError: if it is no environment of this package.
+        EvaluationError: if it is no environment of this package, or a wrapper ends the episode too early.
         Exception: whatever else the environment raises.
     """
     engine, over = engine_of(env), False
-    with _attempt() as outcome:
+    with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
             episode = replace(episode, instruction=engine.instruction)
@@ -175,20 +194,24 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
         while not over:
             with policy_errors():
                 action = action_number(policy(observation))
+            check_time()
             result = env.step(action)
             outcome.actions.append(action)
             observation, over = _observation(result), is_over(result)
+        _check_whole(outcome.actions, env)
         outcome.score = engine.score()
     return outcome
 
 
-def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
-    """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
+def play_side_by_side(
+    envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode], seconds: float = math.inf
+) -> list[Outcome]:
+    """Plays at most one episode per environment. If one fails as in `play`, all have failed."""
     count = len(episodes)
     batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
     episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
     scores, over = np.zeros(count), False
-    with _attempt() as whole:
+    with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
         sentences = _instructions(envs, episodes)
         begun = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
@@ -199,10 +222,12 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
                 actions = np.array([action_number(action) for action in batch.act_batch(observations)])
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
+            check_time()
             result = envs.step(actions)
             whole.actions.append(actions)
             observations, over = result[0], is_over(result)
             scores = _scores(*result[3:])
+        _check_whole(whole.actions, envs)
     whole.seconds /= count
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
 
@@ -218,16 +243,27 @@ def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
         raise EvaluationError(NO_SCORE) from None
 
 
+def late(seconds: float) -> str:
+    """Why an episode that took longer than this has failed."""
+    return f"TimeLimitError: no end within {seconds:g} s"
+
+
 @contextmanager
-def _attempt() -> Iterator[Outcome]:
+def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
     """A context that ends without an error if the policy fails, or makes the simulation unstable.
 
-    In it numpy has its own settings: results depend on no ``np.seterr`` of the caller.
+    It gives the outcome, and a function that fails after so many seconds. In it numpy has its own settings: results
+    depend on no ``np.seterr`` of the caller.
     """
     outcome, start = Outcome(), time.perf_counter()
+
+    def check_time() -> None:
+        if time.perf_counter() - start > seconds:
+            raise PolicyError(late(seconds))
+
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         try:
-            yield outcome
+            yield outcome, check_time
         except PolicyError as error:
             outcome.failure, outcome.cause = str(error), error
         except PhysicsError as error:
@@ -247,6 +283,17 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
     if "eval_score" not in info:
         raise EvaluationError(NO_SCORE)
     return info["eval_score"]
+
+
+def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
+    """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, without its score."""
+    inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
+    limits = inside.get_attr("limit") if hasattr(inside, "get_attr") else [getattr(inside, "limit", 0)]
+    if len(actions) < min(limits):
+        raise EvaluationError(
+            f"a wrapper ended the episode after {len(actions)} of {min(limits)} steps: leave it out, or give "
+            "max_episode_steps to gymnasium.make for shorter episodes"
+        )
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:

@@ -16,12 +16,12 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
 from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
-from magical_mj.evaluation.worker import Unit, plan, play_here, play_unit, single_env
+from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
-from magical_mj.utils.parallel import cores, map_unordered
+from magical_mj.utils.parallel import cores, map_here, map_unordered
 from magical_mj.utils.settings import described, with_values
 
 if TYPE_CHECKING:
@@ -100,23 +100,24 @@ class Evaluation:
         )
         self.settings = settings = replace(settings, preset=self._sources[0].preset)
         if settings.wrap:
-            unit = Unit(self._sources[0], *settings.environments[0], (), settings)
-            single_env(unit, observed=True).close()  # an error now, not in the workers
+            source, pair = self._sources[0], settings.environments[0]
+            single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # an error now
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None
         if settings.out is not None:
             self._folder = EvaluationFolder(settings.out, settings.recorded(self._sources), resume=settings.resume)
-            self.scores = self._folder.done
         self.units = self._remaining()
+
+    @property
+    def steps(self) -> int:
+        """How many actions the remaining units take."""
+        return sum(unit.steps(self.settings) for unit in self.units)
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""
         with self._folder.open() if self._folder else nullcontext() as file:
-            if self._folder:
-                self.scores = self._folder.done
-            if self.scores:
-                self.units = self._remaining()
+            self.units = self._remaining()
             for results in self._trusted_results():
                 _check_versions(results)
                 if file is not None:
@@ -125,7 +126,14 @@ class Evaluation:
                 yield from results
 
     def _remaining(self) -> list[Unit]:
-        return plan(self._sources, self.settings, {result.key for result in self.scores})
+        """What is to be played; what is not becomes the `scores`."""
+        if self._folder:
+            self.scores = self._folder.done
+        failed: dict[Key, int] = {}
+        if self.settings.retry_failed:
+            failed = {result.key: result.retry + 1 for result in self.scores if result.failure is not None}
+            self.scores = [result for result in self.scores if result.failure is None]
+        return plan(self._sources, self.settings, {result.key for result in self.scores}, failed)
 
     def _trusted_results(self) -> Iterator[list[EpisodeResult]]:
         """All results; those of a policy are held back until one of its first episodes succeeds or fails differently.
@@ -135,8 +143,7 @@ class Evaluation:
         """
         planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
-            policy = unit.source.name, unit.source.run
-            planned[policy] += unit.keys
+            planned[unit.policy, unit.run] += unit.keys
         proven = {(result.policy, result.run) for result in self.scores}
         held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
         for result in chain.from_iterable(self._play_units()):
@@ -155,22 +162,24 @@ class Evaluation:
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
         """The results of all units in order of completion."""
-        jobs, backend = self.settings.jobs, self.settings.backend
-        problem = None if backend == "local" and jobs == 1 else self._unsendable()
+        jobs, backend, player = self.settings.jobs, self.settings.backend, Player.of(self._sources, self.settings)
+        here = backend == "local" and jobs == 1
+        problem = None if here else self._unsendable()
         if backend == "local" and jobs is None:
-            enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
-            alone = self.settings.batched or problem is not None  # an accelerator is not shared
-            jobs = 1 if alone else min(cores(), enough)
-        if backend == "local" and jobs == 1:
-            played = play_here(self.units)
+            jobs = min(cores(), self.steps // STEPS_PER_WORKER)
+            here = jobs == 0 or self.settings.batched or problem is not None  # an accelerator is not shared
+        if here:
+            played = map_here(player, self.units)
         elif problem is not None:
             raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
         else:
-            played = map_unordered(play_unit, self.units, jobs, backend, self.settings.address)
+            played = map_unordered(player, self.units, jobs, backend, self.settings.address)
+        unit: Played
         try:
-            with closing(played):
-                for results, self._cause in played:
-                    yield results
+            with closing(played), closing(player):
+                for unit in played:
+                    self._cause = unit.cause
+                    yield unit.results
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 

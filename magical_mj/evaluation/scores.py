@@ -1,6 +1,7 @@
 """The folder of an evaluation: ``run.json`` with its settings, and ``scores.jsonl`` with a line per finished episode.
 
-Lines are appended, and none is altered. A line counts once it has its end: what a killed process left half written is
+Lines are appended, and none is altered. An episode that failed and was played again has another line, which counts in
+place of the earlier ones. A line counts once it has its end: what a killed process left half written is
 not read, and cut off before more is appended. An evaluation that is resumed may grow, but keeps its other settings.
 """
 
@@ -113,6 +114,7 @@ class EpisodeResult:
         shift: what was shifted, such as "camera:3"; empty if nothing was.
         wrap: the wrapper around the environment, such as "mine:Wrapper"; empty without one.
         body: the robot's body.
+        retry: how often the episode had failed before, and was played again (``retry_failed``).
     """
 
     policy: str
@@ -136,6 +138,7 @@ class EpisodeResult:
     shift: str = ""
     wrap: str = ""
     body: str = GRIPPER
+    retry: Natural = 0
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
@@ -143,6 +146,7 @@ class EpisodeResult:
 
         The facts are `policy`, `rules`, `preset`, `scene` and the fields after it; `gl`, if a renderer was chosen.
         """
+        with_gl: dict[str, Any] = {"gl": drawn_by(), **facts}
         return cls(
             run=episode.run,
             task=episode.task,
@@ -155,7 +159,7 @@ class EpisodeResult:
             mujoco=MUJOCO_VERSION,
             actions=letters_of(outcome.actions),
             failure=outcome.failure,
-            **({"gl": drawn_by()} | facts),
+            **with_gl,
         )
 
     @property
@@ -183,7 +187,9 @@ class EpisodeResult:
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
-_USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER))
+_USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER), ("retry", 0))
+_RETRY: Final = b'"retry": '
+"""What stands in the line of an episode that was played again."""
 _BEGINNING: Final = b'{"policy": '
 """How each line begins."""
 
@@ -224,26 +230,46 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
         if loader_in(folder) is not None:  # a training's folder
             remedy = f"it holds a policy: magical-mj evaluate --policy {folder} --out ANOTHER evaluates it"
         raise EvaluationError(f"{folder} holds no {SCORES}; {remedy}")
-    lines: dict[Key, int] = {}
+    lines: dict[tuple[Any, ...], int] = {}
     names: dict[str, str] = {}
+    retried = _retried(path)
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
             if _is_half(line):
                 break
-            try:
-                result = parse(line)
-            except ValueError as error:
-                raise EvaluationError(
-                    f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is "
-                    "missing"
-                ) from error
+            result = _parse_line(path, number, line)
             # each name once: the keys of a million episodes then take 200 MB instead of 400
             key: Any = tuple(names.setdefault(part, part) if isinstance(part, str) else part for part in result.key)
-            if (other := lines.setdefault(key, number)) != number:
+            if (other := lines.setdefault((*key, result.retry), number)) != number:
                 raise EvaluationError(f"{path}, line {number}: the same episode as line {other}; delete one")
-            yield result
+            if result.retry == retried.get(key, result.retry):
+                yield result
+            elif result.failure is None:
+                raise EvaluationError(
+                    f"{path}, line {number}: it has not failed, and another line replaces it; delete one"
+                )
     if not lines:
         raise EvaluationError(f"{path} holds no finished episode yet")
+
+
+def _retried(path: Path) -> dict[Key, int]:
+    """The number of the last retry of each episode that was played again after it had failed."""
+    retries: dict[Key, int] = {}
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            if _RETRY in line and not _is_half(line):
+                result = _parse_line(path, number, line)
+                retries[result.key] = max(result.retry, retries.get(result.key, 0))
+    return retries
+
+
+def _parse_line(path: Path, number: int, line: bytes) -> EpisodeResult:
+    try:
+        return parse(line)
+    except ValueError as error:
+        raise EvaluationError(
+            f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is missing"
+        ) from error
 
 
 def _is_half(line: bytes) -> bool:

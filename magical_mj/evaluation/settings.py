@@ -76,11 +76,14 @@ class EvaluationSettings(Settings):
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | None, Meta(description="The folder for the scores.")] = None
     resume: Annotated[bool, Meta(description="Go on with what is in the folder.")] = False
+    retry_failed: Annotated[
+        bool, Meta(description="With resume: play episodes again whose policy failed; their rows say so.")
+    ] = False
     jobs: Annotated[
         Count | None,
         Meta(
-            description="Number of worker processes; by default one per core, if there is enough work. With 1, the "
-            "worlds of a policy that acts in batches are stepped on all cores."
+            description="Number of worker processes; by default one per core, if there is enough work. With 1, all is "
+            "played in this process, and the worlds of a policy that acts in batches are stepped on all cores."
         ),
     ] = None
     backend: Annotated[Backend, Meta(description="Where the workers run: on this machine or on a cluster.")] = "local"
@@ -88,7 +91,10 @@ class EvaluationSettings(Settings):
     run: Annotated[Natural, Meta(description="The number of the (first) run of each method.")] = 0
     time_limit: Annotated[
         Annotated[float, Meta(ge=0.1, le=LARGEST_SETTING)],
-        Meta(description="Seconds after which an episode counts as failed."),
+        Meta(
+            description="Seconds after which an episode counts as failed. A call of the policy that does not return is "
+            "ended with its worker process, and with jobs 1 not at all."
+        ),
     ] = 300.0
     simulator: Annotated[
         Simulator,
@@ -117,6 +123,10 @@ class EvaluationSettings(Settings):
             task_spec(task).check_body(self.body)
         preset_named(self.observed)
         check_backend(self.backend, self.address)
+        if self.resume and self.out is None:
+            raise SettingsError("resume goes on with what is in a folder: give out, too")
+        if self.retry_failed and not self.resume:
+            raise SettingsError("retry_failed plays failed episodes of a folder again: give resume, too (--resume)")
         if self.device != DEVICE and not self.batched:
             raise SettingsError(f"device is that of MuJoCo Warp, not {short_repr(self.device)}: give --simulator warp")
         if self.like:

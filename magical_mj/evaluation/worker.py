@@ -1,188 +1,197 @@
-"""Workers: they play units of work, each of some episodes of one environment with one policy, with a time limit."""
+"""Playing an evaluation's units, each of some episodes of one environment with one policy, with a time limit.
+
+An episode that takes too long has failed. This is checked after each action. A call of the policy that does not return
+can only be ended with its process: worker processes are killed, see `magical_mj.utils.parallel`, and the process that
+called `evaluate` waits.
+"""
 
 from __future__ import annotations
 
-import ctypes
-import queue
-import secrets
-import threading
 import traceback
-import weakref
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, wait
-from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from typing import Any, Final, TypeVar
 
 import gymnasium
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
+from magical_mj.evaluation.rollouts import Env, Envs, late, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import (
-    Act,
-    BatchPolicy,
-    Episode,
-    PolicyError,
-    reason,
-    told_task,
-    uses_instruction,
-    uses_simulation,
-)
+from magical_mj.policies.interface import Act, Episode, PolicyError, told_task, uses_instruction, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
 from magical_mj.utils.imports import resolve, with_place
+from magical_mj.utils.parallel import Split, Timed
 
 T = TypeVar("T")
+Playing = Callable[[list[Episode], float], list[Outcome]]
+"""Plays episodes within so many seconds."""
+Results = Callable[[list[Outcome]], list[EpisodeResult]]
+"""Makes the results of episodes from their outcomes."""
 
-SEEDS_PER_UNIT: Final = {"mujoco": 10, "warp": 100}
-"""The most episodes in a unit: a few seconds, so that killed runs lose little, and units cost little; or one batch."""
+SIDE_BY_SIDE: Final = {"mujoco": 10, "warp": 100}
+"""The most episodes that are played side by side; they end together, so that killed runs lose those that play."""
 GRACE: Final = 1.0
-"""Seconds that a call has to end after it was stopped."""
+"""Seconds after the time limit at which a worker process is killed: an episode whose calls return ends by itself."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Some episodes of one environment with one policy: independent of all other units, and repeatable.
+    """Some episodes of one environment with one policy, played side by side: independent of all others, and repeatable.
 
-    `evaluation` identifies the evaluation: a policy that was loaded for another one may have changed since.
+    Attributes:
+        policy, run: identify the policy.
+        seeds: of the episodes.
+        shift: what is shifted.
+        retry: how often the episode has failed before.
     """
 
-    source: Source
+    policy: str
+    run: int
     task: str
     variant: str
     seeds: tuple[int, ...]
-    settings: EvaluationSettings
-    evaluation: str = ""
     shift: str = ""
+    retry: int = 0
 
-    @cached_property
+    @property
     def keys(self) -> list[Key]:
         """The keys of its episodes."""
-        source = self.source
-        return [(source.name, source.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
+        return [(self.policy, self.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
 
-    @cached_property
-    def steps(self) -> int:
+    def steps(self, settings: EvaluationSettings) -> int:
         """How many actions it takes."""
-        return len(self.seeds) * task_spec(self.task).horizon(self.settings.rules)
+        return len(self.seeds) * task_spec(self.task).horizon(settings.rules)
+
+    def one_by_one(self) -> list[Unit]:
+        """A unit for each of its episodes."""
+        return [replace(self, seeds=(seed,)) for seed in self.seeds]
 
 
-def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
-    """The remaining units, the longest first, so that all workers end at about the same time."""
-    units = []
-    size = SEEDS_PER_UNIT[settings.simulator]
-    evaluation = secrets.token_hex(8)
+def plan(
+    policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key], failed: Mapping[Key, int]
+) -> list[Unit]:
+    """The remaining units, those of long episodes first, so that all workers end at about the same time.
+
+    `failed` are the episodes that are to be played again, and how often they have failed.
+    """
+    units: list[Unit] = []
     for task, variant in settings.environments:
         for source, shift in product(policies, settings.shift_labels(task, policies)):
-            every = Unit(source, task, variant, tuple(settings.seeds), settings, evaluation, shift)
-            left = tuple(seed for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done)
-            units += [replace(every, seeds=left[start : start + size]) for start in range(0, len(left), size)]
-    return sorted(units, key=lambda unit: -unit.steps)
+            every = Unit(source.name, source.run, task, variant, tuple(settings.seeds), shift)
+            together = settings.batched or (source.batches and not settings.wrap)
+            size = SIDE_BY_SIDE[settings.simulator] if together else 1
+            left = [(key, seed) for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done]
+            new = tuple(seed for key, seed in left if key not in failed)
+            units += [replace(every, seeds=new[first : first + size]) for first in range(0, len(new), size)]
+            units += [replace(every, seeds=(seed,), retry=failed[key]) for key, seed in left if key in failed]
+    return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
 
 
-def play_here(units: Iterable[Unit]) -> Generator[tuple[list[EpisodeResult], Exception | None]]:
-    """Plays units in this process; yields each result, and the error by which the policy failed."""
-    with closing(Player()) as player:
-        for unit in units:
-            yield from (([result], player.cause) for result in player.play(unit))
+@dataclass(frozen=True)
+class Played:
+    """The results of a unit, and the error by which the policy failed in it."""
+
+    results: list[EpisodeResult]
+    cause: Exception | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For other processes, the error is text: it may not be picklable."""
+        text = None if self.cause is None else PolicyError("".join(traceback.format_exception(self.cause)))
+        return {"results": self.results, "cause": text}
 
 
-_LOCAL = threading.local()
-"""The player of this thread; a cluster's worker may have several threads."""
-
-
-def play_unit(unit: Unit) -> tuple[list[EpisodeResult], Exception | None]:
-    """What a worker does: plays episodes, and tells by which error the policy failed in the last one."""
-    evaluation, player = getattr(_LOCAL, "player", ("", None))
-    if player is None or evaluation != unit.evaluation:
-        if player is not None:
-            player.close()
-        player = Player()
-        _LOCAL.player = unit.evaluation, player
-    results = list(player.play(unit))
-    if player.cause is None:
-        return results, None
-    return results, PolicyError("".join(traceback.format_exception(player.cause)))  # others may not be picklable
-
-
+@dataclass
 class Player:
-    """Plays an evaluation's units on a thread that can be abandoned.
+    """Plays units. It keeps the last environment and the last policy for the next unit.
 
-    It keeps the last environment and policy for the next unit.
-
-    Attributes:
-        cause: the error by which the policy failed in the last episode.
+    Until it has played, it can be sent to other processes.
     """
 
-    def __init__(self) -> None:
-        self.cause: Exception | None = None
-        self._forget()
+    policies: Mapping[tuple[str, int], Source]
+    settings: EvaluationSettings
+    _kept: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
-    def play(self, unit: Unit) -> Iterator[EpisodeResult]:
-        """Plays the unit's episodes: side by side if the policy acts in batches, else one after another."""
-        settings, source = unit.settings, unit.source
-        task, policy = told_task(unit.task, settings.like), self._policy(unit)
-        episodes = [Episode(task, unit.variant, seed, source.run) for seed in unit.seeds]
+    @classmethod
+    def of(cls, sources: Sequence[Source], settings: EvaluationSettings) -> Player:
+        """A player of these policies."""
+        return cls({(source.name, source.run): source for source in sources}, settings)
+
+    def __call__(self, unit: Unit) -> Timed[Played | Split[Unit]]:
+        """Loads the policy and makes the environment, which takes time of its own; the rest plays the episodes.
+
+        If one of several episodes fails, they are split, to find out which.
+        """
+        limit, several, playing = self.settings.time_limit, len(unit.seeds) > 1, self._playing(unit)
+        results = self._recorder(unit)
+        outcome = Outcome(failure=late(limit), seconds=limit)
+        too_late = Split(unit.one_by_one()) if several else Played(results([outcome]))
+        seconds = limit * len(unit.seeds)
+        return Timed(seconds + GRACE, partial(self._play, unit, playing, seconds, results), too_late)
+
+    def play(self, unit: Unit) -> list[EpisodeResult]:
+        """The results of a unit that is played here and now."""
+        played = self(unit).call()
+        if isinstance(played, Played):
+            return played.results
+        return [result for one in played.pieces for result in self.play(one)]
+
+    def close(self) -> None:
+        """Closes the environments."""
+        for what in list(self._kept):
+            self._drop(what)
+
+    def _playing(self, unit: Unit) -> Playing:
+        """What plays episodes of a unit within so many seconds."""
+        settings, place = self.settings, (unit.task, unit.variant, unit.shift)
+        policy = self._policy(unit)
+        reads = uses_instruction(policy)
+        if settings.batched or len(unit.seeds) > 1:
+            size = len(unit.seeds)
+            envs = self._keep("vector", (*place, size, reads), lambda: _vector_env(unit, settings, reads))
+            return lambda episodes, seconds: play_side_by_side(envs, policy, episodes, seconds)
+        observed = bool(settings.wrap) or not uses_simulation(policy)
+        key = (*place, observed, reads)
+        env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
+        return lambda episodes, seconds: [play(env, policy, episode, seconds) for episode in episodes]
+
+    def _play(self, unit: Unit, playing: Playing, seconds: float, results: Results) -> Played | Split[Unit]:
+        task = told_task(unit.task, self.settings.like)
+        outcomes = playing([Episode(task, unit.variant, seed, unit.run) for seed in unit.seeds], seconds)
+        if len(outcomes) > 1 and any(outcome.failure for outcome in outcomes):
+            return Split(unit.one_by_one())
+        return Played(results(outcomes), outcomes[-1].cause)
+
+    def _recorder(self, unit: Unit) -> Results:
+        """What makes the results of a unit's outcomes."""
+        settings, policy = self.settings, self._policy(unit)
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
-            "policy": source.name,
+            "policy": unit.policy,
             "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.observed,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
+            "retry": unit.retry,
         }
-        for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
-            self.cause = outcome.cause
-            scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift, settings.body)
-            yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene, **facts)
+        episodes = [Episode(unit.task, unit.variant, seed, unit.run) for seed in unit.seeds]
+        scenes = [start_digest(unit.task, unit.variant, seed, unit.shift, settings.body) for seed in unit.seeds]
 
-    def close(self) -> None:
-        """Closes the environments, unless an abandoned call may still use them."""
-        if not self._caller.abandoned:
-            for what in list(self._kept):
-                self._drop(what)
+        def results(outcomes: list[Outcome]) -> list[EpisodeResult]:
+            played = zip(episodes, outcomes, scenes, strict=True)
+            return [EpisodeResult.of(episode, outcome, scene=scene, **facts) for episode, outcome, scene in played]
 
-    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> Iterator[Outcome]:
-        policy, settings = self._policy(unit), unit.settings
-        batches = settings.batched or (isinstance(policy, BatchPolicy) and not settings.wrap)
-        if batches and len(episodes) > 1 and not uses_simulation(policy):
-            outcomes = self._play(unit, episodes, in_vector=True)
-            if not any(outcome.failure for outcome in outcomes):
-                yield from outcomes
-                return
-        for episode in episodes:  # one by one also finds out which of a batch fail
-            yield from self._play(unit, [episode], in_vector=settings.batched)
-
-    def _play(self, unit: Unit, episodes: list[Episode], *, in_vector: bool) -> list[Outcome]:
-        """The outcomes of the episodes, which all failed if playing them takes too long."""
-        policy, place = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
-        reads = uses_instruction(policy)
-        if in_vector:
-            key = (*place, len(unit.seeds), reads)
-            envs = lambda: self._keep("vector", key, lambda: _vector_env(unit, reads))  # noqa: E731
-            playing = lambda: play_side_by_side(envs(), policy, episodes)  # noqa: E731
-        else:
-            observed = bool(unit.settings.wrap) or not uses_simulation(policy)
-            key = (*place, observed, reads)
-            env = self._keep("environment", key, lambda: single_env(unit, observed, reads))
-            playing = lambda: [play(env, policy, episode) for episode in episodes]  # noqa: E731
-        seconds = unit.settings.time_limit * len(episodes)
-        try:
-            return self._caller.call(playing, seconds)
-        except TimeLimitError as error:
-            self._forget()
-            return [Outcome(failure=reason(error), seconds=seconds)] * len(episodes)
+        return results
 
     def _policy(self, unit: Unit) -> Act:
-        key = unit.source.name, unit.source.run
-        return self._keep("policy", key, lambda: self._caller.call(unit.source.load, None))
+        key = unit.policy, unit.run
+        return self._keep("policy", key, self.policies[key].load)
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -193,29 +202,23 @@ class Player:
         return self._kept[what][1]
 
     def _drop(self, what: str) -> None:
-        _, thing = self._kept.pop(what)
+        _, dropped = self._kept.pop(what)
         if what != "policy":  # which may be a user's object
-            thing.close()
-
-    def _forget(self) -> None:
-        """Drops environment and policy: an episode that did not end may still be using them."""
-        self._kept: dict[str, tuple[Any, Any]] = {}
-        self._caller = TimeLimitedCaller()
+            dropped.close()
 
 
-def arguments(unit: Unit) -> dict[str, Any]:
+def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
     """How a unit's environments are made."""
-    settings = unit.settings
     return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
-def single_env(unit: Unit, observed: bool, instruction: bool = False) -> Env:
+def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruction: bool = False) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
     With `instruction`, observations that are dicts hold the sentence that says what is to be done.
     The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
     """
-    settings, how = unit.settings, arguments(unit)
+    how = _arguments(unit, settings)
     if observed:
         name = env_id(unit.task, unit.variant, settings.observed)
         env = gymnasium.make(name, instruction=instruction, **how).unwrapped
@@ -255,73 +258,17 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     return outer
 
 
-def _vector_env(unit: Unit, instruction: bool) -> Envs:
-    settings, number = unit.settings, len(unit.seeds)
+def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> Envs:
+    number = len(unit.seeds)
     how: dict[str, Any] = {"preset": settings.observed, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores
-        how |= {"threads": threads, "instruction": instruction, **arguments(unit)}
+        how |= {"threads": threads, "instruction": instruction, **_arguments(unit, settings)}
         return make_vec(unit.task, number, variant=unit.variant, **how)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 
     envs = batched.make(unit.task, unit.variant, number, device=settings.device, rules=settings.rules, **how)
     return Arrays(envs)
-
-
-class TimeLimitError(Exception):
-    """A call took too long."""
-
-
-class _Stop(BaseException):
-    """Raised inside a call that took too long; not an `Exception`, so that handlers in the call do not catch it."""
-
-
-class TimeLimitedCaller:
-    """A thread that makes calls one after another, with a time limit.
-
-    An alarm signal would need no thread, but works only in the main thread, which cluster workers may not use. A call
-    that runs Python code is stopped; one that is stuck outside Python is abandoned.
-
-    Attributes:
-        abandoned: whether a call may still be running whose result nobody waits for: then this object must not be used
-            again.
-    """
-
-    def __init__(self) -> None:
-        self.abandoned = False
-        self._calls: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=_work, args=(self._calls,), daemon=True, name="magical_mj episodes")
-        self._thread.start()
-        weakref.finalize(self, self._calls.put, None)  # nobody will call any more
-
-    def call(self, function: Callable[[], T], seconds: float | None) -> T:
-        """Returns or raises what the function does, or a `TimeLimitError` after this time; None means no limit."""
-        result: Future[T] = Future()
-        self._calls.put((function, result))
-        try:
-            wait([result], seconds)
-        finally:  # Ctrl-C, or a signal's handler, may have raised something
-            if not result.done():
-                self.abandoned = True
-                ident = self._thread.ident or 0
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
-                self._thread.join(GRACE)
-        if self.abandoned:
-            raise TimeLimitError(f"no end within {seconds:g} s")
-        return result.result()
-
-
-def _work(calls: queue.SimpleQueue[Any]) -> None:
-    """The thread's function. It holds neither its caller nor past calls, so that all end when nobody holds them."""
-    while (call := calls.get()) is not None:
-        function, result = call
-        try:
-            result.set_result(function())
-        except _Stop:
-            return
-        except BaseException as error:  # noqa: BLE001 the caller gets it
-            result.set_exception(error)
-        del call, function, result

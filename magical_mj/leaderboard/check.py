@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 import random
 import secrets
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.entry import SEEDS, Entry
-from magical_mj.evaluation.replay import Recorded, inconsistency, replay
-from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read, recorded_policies, recorded_settings
-from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.evaluation.entry import SEEDS, Entry, is_entry, read_entry
+from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, Key, read, recorded_policies, recorded_settings
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
-from magical_mj.utils.errors import counted, short_repr
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
+from magical_mj.utils.errors import SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path
 from magical_mj.variants import check_seed
 
@@ -56,49 +55,125 @@ class Findings:
             self.differing.append(problem)
 
 
-def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], object] = lambda: None) -> Findings:
+def verify(
+    *folders: Path | str, jobs: int | None = None, watch: Callable[[int, int], object] = lambda *_: None
+) -> Findings:
     """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
-    Failed episodes, and those of tasks outside the benchmark, are not replayed. What was to be played is
-    taken from the settings, so that an environment or a run without any episodes is missed.
+    Failed episodes, and those of tasks outside the benchmark, are not replayed. What was to be played is taken from the
+    settings, so that an environment or a run without any episodes is missed. An evaluation may be in several folders,
+    such as one for each task; what they hold together must be complete, and episodes that several hold must agree.
 
     Args:
-        folder: the folder of the evaluation.
+        folders: the folders of the evaluation, or entries of the leaderboard.
         jobs: the number of processes; None: one per core.
-        watch: called after each episode.
+        watch: called with the number of replayed episodes, and of all that will be.
 
     Raises:
-        EvaluationError: if the folder is not an evaluation.
+        SettingsError: if no folder is given.
+        EvaluationError: if a folder is neither an evaluation nor an entry.
     """
-    folder = to_path(folder)
-    settings, episodes = recorded_settings(folder), read(folder)
-    if any(episode.worlds != "single" for episode in episodes):
-        return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
-    if wrappers := {episode.wrap for episode in episodes if episode.wrap}:
-        return Findings(unfit=[f"it was played in {', '.join(sorted(wrappers))}, and is replayed in plain worlds only"])
-    findings = Findings()
+    if not folders:
+        raise SettingsError("give at least one folder of an evaluation, or an entry")
+    findings, stored = Findings(), [_stored(to_path(folder)) for folder in folders]
+    chosen: list[Recorded] = []
+    seen: dict[Key, tuple[EpisodeResult, Path]] = {}
+    for part in stored:
+        where = f"{part.path}: " if len(stored) > 1 else ""
+        findings.unfit += [f"{where}{problem}" for problem in _unfit(part)]
+        for episode in part.episodes:
+            other, holder = seen.setdefault(episode.key, (episode, part.path))
+            if holder != part.path and not _agree(other, episode):
+                problem = f"{holder} and {part.path} both hold it, with different results"
+                findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
+            elif holder == part.path and _is_replayable(episode, part.settings):
+                chosen.append((where, episode))
+    findings.missing += _all_missing(stored)
+    watch(0, len(chosen))
+    for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs), start=1):
+        findings.add(None if problem is None else f"{where}{problem}")
+        watch(done, len(chosen))
+    return findings
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """The settings and the episodes of an evaluation's folder or of an entry, whose settings are partly unknown."""
+
+    path: Path
+    settings: Mapping[str, Any]
+    episodes: Sequence[EpisodeResult]
+    is_entry: bool
+
+    @property
+    def environments(self) -> set[Pair]:
+        """The benchmark's environments that were to be played."""
+        return {pair for pair in ENVIRONMENTS if "-".join(pair) in self.settings.get("environments", ())}
+
+    @property
+    def runs(self) -> dict[str, set[int]]:
+        """The runs of each policy that were to be played."""
+        runs: dict[str, set[int]] = defaultdict(set)
+        for policy, run, _ in recorded_policies({**self.settings}):
+            runs[policy].add(run)
+        return runs
+
+
+def _stored(path: Path) -> _Stored:
+    if is_entry(path):
+        entry = read_entry(path)
+        return _Stored(path, {"protocol": entry.protocol}, entry.episodes, is_entry=True)
+    return _Stored(path, recorded_settings(path), read(path), is_entry=False)
+
+
+def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
+    """Whether two records of one episode say the same."""
+    return all(getattr(first, name) == getattr(second, name) for name in ("score", "actions", "failure", "rules"))
+
+
+def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any]) -> bool:
+    return episode.task in TASKS and obstacle(episode, settings) is None
+
+
+def _unfit(part: _Stored) -> list[str]:
+    """What does not match the protocol in one folder, without playing anything."""
+    settings, episodes, problems = part.settings, part.episodes, []
+    obstacles = Counter(filter(None, (obstacle(row, settings) for row in episodes if row.task in TASKS)))
+    problems += [f"{counted(count, 'episode')} cannot be replayed: {why}" for why, count in obstacles.items()]
     if others := {episode.split for episode in episodes} - {"test"}:
-        findings.unfit.append(f"split: results are those on test, and it was played on {', '.join(sorted(others))}")
-    required = {"protocol": {PROTOCOL}, "demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
+        problems.append(f"split: results are those on test, and it was played on {', '.join(sorted(others))}")
+    if part.is_entry:
+        return problems + ([] if settings["protocol"] == PROTOCOL else ["no protocol's number was recorded"])
+    required = {"demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
+    if settings.get("protocol") is None:  # another number is an obstacle
+        required["protocol"] = {PROTOCOL}
     for name, values in required.items():
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
-        findings.unfit += [f"{name}: {recorded}, and it must be {value!r}" for value in others]
-    environments = {pair for pair in ENVIRONMENTS if "-".join(pair) in settings.get("environments", ())}
+        problems += [f"{name}: {recorded}, and it must be {value!r}" for value in others]
+    problems += _contradictions(settings, part.environments, part.runs, episodes)
+    outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
+    return problems + [
+        f"{policy}: tasks outside the benchmark in {counted(count, 'episode')}" for policy, count in outside.items()
+    ]
+
+
+def _all_missing(stored: Sequence[_Stored]) -> list[str]:
+    """What is missing of each policy in all folders together."""
+    episodes: dict[str, list[EpisodeResult]] = defaultdict(list)
     runs: dict[str, set[int]] = defaultdict(set)
-    for policy, run, _ in recorded_policies(settings):
-        runs[policy].add(run)
-    findings.unfit += _contradictions(settings, environments, runs, episodes)
-    tasks = {task for task, _ in environments} | {episode.task for episode in episodes}
-    for policy in dict.fromkeys([*runs, *(episode.policy for episode in episodes)]):
-        played = [episode for episode in episodes if episode.policy == policy]
-        findings.missing += [f"{policy}, {gap}" for gap in missing(played, tasks, runs.get(policy, ()))]
-        if others := sum(episode.task not in TASKS for episode in played):
-            findings.unfit.append(f"{policy}: tasks outside the benchmark in {counted(others, 'episode')}")
-    for _, _, problem in replay([("", episode) for episode in episodes if episode.task in TASKS], jobs=jobs):
-        findings.add(problem)
-        watch()
-    return findings
+    for part in stored:
+        for policy, numbers in part.runs.items():
+            runs[policy] |= numbers
+        for episode in part.episodes:
+            episodes[episode.policy].append(episode)
+    tasks = {task for part in stored for task, _ in part.environments}
+    tasks |= {episode.task for part in stored for episode in part.episodes}
+    return [
+        f"{policy}, {gap}"
+        for policy in dict.fromkeys([*runs, *episodes])
+        for gap in missing(episodes[policy], tasks, runs[policy])
+    ]
 
 
 def _contradictions(

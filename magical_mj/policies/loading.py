@@ -18,6 +18,7 @@ from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, Stacks, observation
 from magical_mj.policies.interface import (
     AGENTS,
     Act,
+    BatchPolicy,
     policy_name,
     reason,
     told_task,
@@ -56,7 +57,8 @@ class Source:
         trust: whether files that hold code may be loaded.
         digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
             if there is no file, or any will do.
-        preset: the preset of the observations that the policy gets; found out by `playable`, and so is
+        batches: whether it acts in batches of observations; known once it was loaded, as are
+        preset: the preset of the observations that it gets, and
         unnoticed: which effects of shifts it does not notice.
     """
 
@@ -65,6 +67,7 @@ class Source:
     origin: Any
     trust: bool = False
     digest: Mapping[str, str] = field(default_factory=dict)
+    batches: bool = False
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
 
@@ -184,8 +187,9 @@ def playable(
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
                 stacklevel=4,  # where `evaluate` was called
             )
-        facts = {"preset": preset, "unnoticed": _unnoticed(policy, preset)}
-        checked.append(replace(source, digest=source._hash(), **facts))
+        facts: dict[str, Any] = {"preset": preset, "unnoticed": _unnoticed(policy, preset)}
+        batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
+        checked.append(replace(source, digest=source._hash(), batches=batches, **facts))
     return checked
 
 

@@ -134,10 +134,7 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
     Raises:
         InvalidActionError: if any of them is not an action.
     """
-    try:
-        array: NDArray[Any] = np.asarray(numbers)
-    except (TypeError, ValueError):  # lists of different lengths
-        array = np.empty(0)
+    array = as_array(numbers)
     if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):
         raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {short_repr(numbers)}")
     return _VECTORS[array]
@@ -159,7 +156,7 @@ def to_discrete(vector: ArrayLike) -> int:
     if entries is None:
         raise InvalidActionError(
             f"{short_repr(vector)} is not a continuous action: those are three finite numbers in [-1, 1] "
-            "(drive, turn, grip)"
+            f"(drive, turn, grip){tensor_hint(vector)}"
         )
     drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
     return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number
@@ -176,14 +173,31 @@ def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
         parts = "speed, turn, grip" if size == 3 else "speed, turn; this body has no gripper"
         raise InvalidActionError(
             f"{short_repr(action)} is not an action here: those are {size} finite numbers in [-1, 1] ({parts})"
+            f"{tensor_hint(action)}"
         )
     return entries
 
 
 def _finite(values: ArrayLike, size: int) -> NDArray[np.float64] | None:
     """The values as an array; None unless they are so many finite numbers."""
-    try:
-        entries = np.asarray(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
+    array = as_array(values)
+    if array.shape != (size,) or array.dtype.kind not in "biufO":
         return None
-    return entries if entries.shape == (size,) and np.isfinite(entries).all() else None
+    try:
+        entries = array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # of objects
+        return None
+    return entries if np.isfinite(entries).all() else None
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """The values as an array; an empty one if they make none, as lists of different lengths and some tensors."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # the last for tensors that require gradients
+        return np.empty(0)
+
+
+def tensor_hint(values: Any) -> str:
+    """What to do with tensors of which numpy makes no array."""
+    return "; of a tensor, give tensor.detach().float().cpu()" if hasattr(values, "detach") else ""

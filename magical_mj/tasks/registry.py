@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -219,16 +219,44 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
     Raises:
         UnknownNameError: if there is no such task or set of rules.
         InvalidSceneError: if `initial` is not a scene of the task, or `final` has other blocks or regions.
+        SettingsError: if the score of the task depends on more than these scenes.
+        TaskError: if the task of another package returns anything but a number in [0, 1], or its code raises an error.
+    """
+    if task_spec(task).trajectory:
+        raise SettingsError(
+            f"the score of {task} depends on the scenes of all steps: magical_mj.score_trajectory(task, scenes) takes "
+            "these; in an environment it is env.score()"
+        )
+    return score_trajectory(task, (initial, final), rules)
+
+
+def score_trajectory(task: str, scenes: Sequence[Scene], rules: Rules = "paper") -> float:
+    """The score in [0, 1] of an episode, for every task: most look at its first and its last scene only.
+
+    Args:
+        task: a task's name.
+        scenes: the initial scene, and the scene after each step.
+        rules: "paper", or "released" for the rules of the original's code where it differs.
+
+    Raises:
+        UnknownNameError: if there is no such task or set of rules.
+        SettingsError: if the scenes are no sequence with at least one scene.
+        InvalidSceneError: if the first one is not a scene of the task, or others have other blocks or regions.
         TaskError: if the task of another package returns anything but a number in [0, 1], or its code raises an error.
     """
     spec = task_spec(task)
     rules = check_rules(rules)
-    for scene in (initial, final):
+    if not isinstance(scenes, list | tuple) or not scenes:
+        raise SettingsError(
+            f"a trajectory is a list or a tuple of scenes, the first the initial one, not {short_repr(scenes)}"
+        )
+    for scene in scenes:
         check_scene_type(scene)
     with errors_of_task(f"{spec.name}.check failed"):
-        spec.check(initial)
-    _check_same(initial, final)
-    return spec.checked_score(initial, final, rules)
+        spec.check(scenes[0])
+    for scene in scenes[1:] if spec.trajectory else scenes[-1:]:
+        _check_same(scenes[0], scene)
+    return spec.checked_score(scenes, rules)
 
 
 def _check_same(initial: Scene, final: Scene) -> None:
@@ -346,7 +374,7 @@ def check_spec(spec: Any, task: str) -> None:
         if checked is not None:
             raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {short_repr(checked)}")
         for rules in RULES:
-            spec.checked_score(spec.demo, spec.demo, rules)
+            spec.checked_score((spec.demo, spec.demo), rules)
         for variant in variants_of(spec):
             drawn = vary(spec, variant, 0)
             check_drawn(spec, variant, 0, drawn)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -29,9 +29,13 @@ _ROUNDING: Final = 1e-9
 Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
 """(initial scene, present scene, noise) -> the remaining subgoals; called only if the task is not solved. An expert
 calls it again whenever a block is not where it was expected. The noise selects one of several good plans."""
+PlanOfTrajectory = Callable[[tuple[Scene, ...], Noise], Iterable[Subgoal]]
+"""The same for tasks with `trajectory=True`: (scenes so far, noise) -> the remaining subgoals."""
 
 ScoreFunction = Callable[[Scene, Scene, Rules], float]
 """(initial scene, final scene, rules) -> score in [0, 1]. Both scenes have the same blocks and regions."""
+ScoreOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
+"""(scenes, rules) -> score in [0, 1], for tasks with `trajectory=True`: the initial scene and those after each step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +48,10 @@ class TaskSpec(VariationRules):
     """The horizon under the paper's rules, in control steps."""
     released_steps: int | None = None
     """The horizon under the released code's rules, where it differs."""
-    score: ScoreFunction
-    """How well the final scene solves the task, in [0, 1]."""
+    score: ScoreFunction | ScoreOfTrajectory
+    """How well the final scene solves the task, in [0, 1]; or the scenes of all steps."""
+    trajectory: bool = False
+    """Whether `score` and `plan` take the scenes of all steps, instead of the initial and the present one."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
     """The robot's bodies that can solve the task: those of `magical_mj.scene.bodies.BODIES` that it offers."""
@@ -54,7 +60,7 @@ class TaskSpec(VariationRules):
     speeds: bool = False
     """Whether actions are x-magical's speeds (`magical_mj.assets.robot.speed_signal`); the 18 then mean full speed."""
 
-    plan: Plan | None = None
+    plan: Plan | PlanOfTrajectory | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
     like: str = ""
     """The benchmark's task that this one is but for a change: policies of that task are told that they play it."""
@@ -68,6 +74,7 @@ class TaskSpec(VariationRules):
         self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
         self._require("like", isinstance(self.like, str), "the name of a task")
         self._require("score", callable(self.score), "a function")
+        self._require("trajectory", isinstance(self.trajectory, bool), "a bool")
         self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
         self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")
         released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
@@ -93,30 +100,39 @@ class TaskSpec(VariationRules):
                 f"{', '.join(self.bodies)} (docs/bodies.md)"
             )
 
-    def checked_score(self, initial: Scene, final: Scene, rules: Rules) -> float:
+    def checked_score(self, scenes: Sequence[Scene], rules: Rules) -> float:
         """What `score` returns, which must be a number in [0, 1] up to rounding; what rounding adds is cut off.
+
+        Args:
+            scenes: the initial and the present one, with those of all steps between them if the task has `trajectory`.
+            rules: "paper" or "released".
 
         Raises:
             TaskError: if it is anything else, or `score` raises an error that is not one of this package's.
         """
         with errors_of_task(f"{self.name}.score failed"):
-            score: Any = self.score(initial, final, rules)
+            function: Callable[..., Any] = self.score
+            score = function(*self._seen(scenes), rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
 
-    def subgoals(self, initial: Scene, now: Scene, noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
-        """The remaining subgoals; none if the task is solved by these rules.
+    def _seen(self, scenes: Sequence[Scene]) -> tuple[Any, ...]:
+        """The scenes as the task's functions take them."""
+        return (tuple(scenes),) if self.trajectory else (scenes[0], scenes[-1])
+
+    def subgoals(self, scenes: Sequence[Scene], noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
+        """The remaining subgoals; none if the task is solved by these rules. The scenes are those of `checked_score`.
 
         Raises:
             TaskError: if the task has no plan, or it returns anything else, or raises an error that is not one of this
                 package's.
         """
-        plan = self.check_plan()
-        if self.checked_score(initial, now, rules) == 1.0:
+        plan, now = self.check_plan(), scenes[-1]
+        if self.checked_score(scenes, rules) == 1.0:
             return ()
         with errors_of_task(f"{self.name}.plan failed"):
-            returned: Any = plan(initial, now, noise)
+            returned: Any = plan(*self._seen(scenes), noise)
             todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)  # a generator runs here
         for subgoal in todo:
             whose = (None, *range(len(now.blocks)))
@@ -127,7 +143,7 @@ class TaskSpec(VariationRules):
                 )
         return todo
 
-    def check_plan(self) -> Plan:
+    def check_plan(self) -> Callable[..., Any]:
         """The plan; raises `TaskError` if there is none."""
         if self.speeds:
             raise TaskError(

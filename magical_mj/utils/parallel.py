@@ -1,11 +1,14 @@
 """Parallel work in several processes, on this machine or on a dask cluster.
 
-Workers of this machine are new processes, not forks, since OpenGL does not survive a fork. They do not import the
-caller's `__main__`, so that scripts need no guard. A worker's standard input is a pipe from the caller's process, which
-closes when that process ends for any reason; then the worker ends at once, with all that it has forked.
+Workers are new processes, not forks, since OpenGL does not survive a fork. They do not import the caller's `__main__`,
+so that scripts need no guard. A worker's standard input is a pipe from the caller's process, which closes when that
+process ends for any reason; then the worker ends at once, with all that it has forked. On a cluster, each thread of a
+dask worker has one such process.
 
 joblib's loky was tried in their place: one dead worker fails all pieces that are not done, a caller that is killed
 leaves busy workers and their forks behind, and one that is interrupted waits for them.
+
+Functions may return a `Timed` or a `Split` instead of a result.
 """
 
 from __future__ import annotations
@@ -14,17 +17,19 @@ import os
 import pickle
 import queue
 import re
+import secrets
 import signal
 import subprocess
 import sys
 import threading
 import traceback
 import weakref
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing, suppress
-from itertools import islice
-from typing import IO, Any, Final, Literal, TypeVar, get_args
+from dataclasses import dataclass
+from typing import IO, Any, Final, Generic, Literal, TypeVar, get_args
 
 import cloudpickle
 
@@ -44,7 +49,31 @@ PATIENCE: Final = 10
 """Seconds within which a dask cluster must have a worker."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """One thread per worker: sums depend on how they are split, and workers share the cores."""
+AHEAD: Final = 2
+"""The number of pieces per worker that are handed out at once, so that no worker waits for the caller."""
 _ADDRESS: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
+
+
+@dataclass(frozen=True)
+class Timed(Generic[Result]):
+    """The rest of a piece of work, with a time limit.
+
+    Attributes:
+        seconds: how long `call` may take. A worker process that takes longer is killed.
+        call: does the rest, and returns the result.
+        late: the result if the process was killed.
+    """
+
+    seconds: float
+    call: Callable[[], Result]
+    late: Result
+
+
+@dataclass(frozen=True)
+class Split(Generic[Piece]):
+    """A result that names smaller pieces of work, which are done next in place of the piece."""
+
+    pieces: Sequence[Piece]
 
 
 def cores() -> int:
@@ -64,19 +93,20 @@ def check_backend(backend: str, address: str | None) -> None:
 
 
 def map_unordered(
-    function: Callable[[Piece], Result],
+    function: Callable[[Piece], Any],
     pieces: Sequence[Piece],
     jobs: int | None = None,
     backend: str = "local",
     address: str | None = None,
-) -> Generator[Result]:
+) -> Generator[Any]:
     """The function's result for each piece of work, computed by worker processes, in order of completion.
 
     A worker that dies is replaced, and its piece is done again. Exceptions of the function are raised here and end all
     work.
 
     Args:
-        function: a function of one piece. It and the pieces are pickled (by cloudpickle).
+        function: a function of one piece. Each worker process gets one copy of it, and keeps that for all its pieces.
+            It and the pieces are pickled (by cloudpickle).
         pieces: the pieces of work, the longest first.
         jobs: the number of processes; None: one per core, or all of the cluster.
         backend: "local" or "dask".
@@ -91,16 +121,37 @@ def map_unordered(
     return _map_on_dask(function, pieces, jobs, address)
 
 
-def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Generator[Result]:
+def map_here(function: Callable[[Piece], Any], pieces: Sequence[Piece]) -> Generator[Any]:
+    """As `map_unordered`, but in this process and in order. Work past its time limit cannot be ended here."""
+    waiting = deque(pieces)
+    while waiting:
+        result = function(waiting.popleft())
+        result = result.call() if isinstance(result, Timed) else result
+        if isinstance(result, Split):
+            waiting.extendleft(reversed(result.pieces))
+        else:
+            yield result
+
+
+def _map_locally(function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int) -> Generator[Any]:
+    waiting, running, pickled = deque(pieces), set[Future[Any]](), cloudpickle.dumps(function)
     with closing(Pool(jobs)) as pool:
-        for future in as_completed([pool.submit(function, piece) for piece in pieces]):
-            yield future.result()
+        while waiting or running:
+            while waiting and len(running) < AHEAD * jobs:
+                running.add(pool.submit_pickled(pickled, waiting.popleft()))
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                result = future.result()
+                if isinstance(result, Split):
+                    waiting.extendleft(reversed(result.pieces))
+                else:
+                    yield result
         pool.finish()
 
 
 def _map_on_dask(
-    function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
-) -> Generator[Result]:
+    function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int | None, address: str | None
+) -> Generator[Any]:
     """At most `jobs` pieces are on the cluster at once; None: all."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
@@ -115,14 +166,39 @@ def _map_on_dask(
             client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError as error:
             raise WorkerError(f"the dask cluster has no workers: start some with `dask worker {address}`") from error
-        waiting = (client.submit(function, piece, pure=False) for piece in pieces)
-        running = completed(islice(waiting, jobs))
+        name = secrets.token_hex(8)
+        pickled = client.submit(bytes, cloudpickle.dumps(function), key=f"function-{name}")  # once for all pieces
+        waiting, running = deque(pieces), completed()
         try:
-            for future in running:
-                yield future.result()
-                running.update(islice(waiting, 1))
+            while waiting or running.count():
+                while waiting and (jobs is None or running.count() < jobs):
+                    running.add(client.submit(_do_on_cluster, name, pickled, waiting.popleft(), pure=False))
+                result = next(running).result()
+                if isinstance(result, Split):
+                    waiting.extendleft(reversed(result.pieces))
+                else:
+                    yield result
         except KilledWorker as error:
             raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+        finally:
+            running.clear()
+            with suppress(OSError, TimeoutError):  # the cluster may be gone
+                client.run(_end_on_cluster, name)
+
+
+_ON_CLUSTER: Final[dict[tuple[str, int], _Worker]] = {}
+"""In a dask worker: the process of each call of `map_unordered` and thread."""
+
+
+def _do_on_cluster(name: str, function: bytes, piece: Any) -> Any:
+    """What a thread of a dask worker does: it hands the piece to its process."""
+    worker = _ON_CLUSTER.setdefault((name, threading.get_ident()), _Worker())
+    return worker.do(function, piece)
+
+
+def _end_on_cluster(name: str) -> None:
+    for key in [key for key in _ON_CLUSTER if key[0] == name]:
+        _ON_CLUSTER.pop(key).stop()
 
 
 class Pool:
@@ -145,6 +221,10 @@ class Pool:
 
         A worker that dies is replaced, and its piece is done again; a `WorkerError` comes if three have died of it.
         """
+        return self.submit_pickled(cloudpickle.dumps(function), piece)
+
+    def submit_pickled(self, function: bytes, piece: Any) -> Future[Any]:
+        """As `submit`, with a pickled function, which is sent to a worker only if it is not the last one there."""
         return self._threads.submit(_do, self._idle, function, piece)
 
     def finish(self) -> None:
@@ -153,10 +233,10 @@ class Pool:
             worker.end()
 
 
-def _do(idle: queue.LifoQueue[_Worker], function: Callable[[Piece], Result], piece: Piece) -> Result:
+def _do(idle: queue.LifoQueue[_Worker], function: bytes, piece: Any) -> Any:
     worker = idle.get()
     try:
-        return worker.do(cloudpickle.dumps((function, piece)))
+        return worker.do(function, piece)
     finally:
         idle.put(worker)
 
@@ -176,26 +256,51 @@ class _Worker:
     def __init__(self) -> None:
         self._lock, self._stopped = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
+        self._function: bytes | None = None
+        """The function that the process has."""
 
-    def do(self, piece: bytes) -> Any:
-        """The result of a piece of work: a pickled function and its argument."""
-        code = 0
+    def do(self, function: bytes, piece: Any) -> Any:
+        """The result of a pickled function for a piece of work."""
+        code, argument = 0, cloudpickle.dumps(piece)
         for _ in range(LIVES):
             process = self._start()
+            late: list[Any] = []
             try:
-                _send(process.stdin, piece)
-                succeeded, result = _receive(process.stdout)
+                _send(process.stdin, (None if function == self._function else function, argument))
+                self._function = function
+                kind, result = _receive(process.stdout)
+                if kind == "timed":
+                    seconds, instead = result
+                    kind, result = self._receive_within(process, seconds, instead, late)
             except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # it has died in the midst of something
                 self._kill()
+                if late:
+                    return late[0]
                 code = process.returncode
                 continue
-            if succeeded:
+            if kind == "done":
                 return result
             raise result
         cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         raise WorkerError(
             f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps because memory ran out"
         )
+
+    def _receive_within(self, process: subprocess.Popen[bytes], seconds: float, instead: Any, late: list[Any]) -> Any:
+        """What the process sends; if it takes longer, the process is killed, and `late` gets what counts instead."""
+
+        def kill() -> None:
+            late.append(instead)
+            self._kill()
+
+        timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), kill)
+        timer.daemon = True
+        timer.start()
+        try:
+            return _receive(process.stdout)
+        finally:
+            timer.cancel()
+            timer.join()  # it kills this process, or none
 
     def end(self) -> None:
         """Lets the process close its files, and waits for it to end."""
@@ -227,7 +332,7 @@ class _Worker:
 
     def _kill(self) -> None:
         with self._lock:
-            process, self._process = self._process, None
+            process, self._process, self._function = self._process, None, None
             if process is None:
                 return
             _kill_group(process.pid)
@@ -259,39 +364,58 @@ def serve() -> None:
 
     if hasattr(os, "register_at_fork"):  # not on Windows
         os.register_at_fork(after_in_child=let_go)
-    pieces: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
-    while (piece := pieces.get()) is not None:
-        answers.write(_answer(piece))
-        answers.flush()
+    function: Any = None
+    while (message := pieces.get()) is not None:
+        sent, piece = message
+        function = function if sent is None else _Unpickled(sent)
+        for answer in _answers(function, piece):
+            answers.write(answer)
+            answers.flush()
 
 
-def _listen(source: IO[bytes], pieces: queue.SimpleQueue[bytes | None]) -> None:
+class _Unpickled:
+    """A pickled function, which is read at its first call."""
+
+    def __init__(self, pickled: bytes) -> None:
+        self._pickled, self._function = pickled, None
+
+    def __call__(self, piece: Any) -> Any:
+        if self._function is None:
+            self._function, self._pickled = pickle.loads(self._pickled), b""  # noqa: S301 from our caller
+        return self._function(piece)
+
+
+def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
     with suppress(EOFError):
         while True:
             pieces.put(_receive(source))
     _kill_group(os.getpid())  # the caller's process is gone
 
 
-def _answer(piece: bytes) -> bytes:
-    """Whether the work succeeded, and its result or its error; pickled."""
+def _answers(function: Callable[[Any], Any], piece: bytes) -> Iterator[bytes]:
+    """What a worker sends back, pickled: a time limit if there is one, then the result or the error."""
     try:
-        function, argument = pickle.loads(piece)  # noqa: S301 from the process that started this one
-        return _readable((True, function(argument)))
+        result = function(pickle.loads(piece))  # noqa: S301 from the process that started this one
+        if isinstance(result, Timed):
+            yield _readable("timed", (result.seconds, result.late))
+            result = result.call()
+        yield _readable("done", result)
     except Exception as error:  # noqa: BLE001 the caller gets it
         note = f"in a worker process:\n{''.join(traceback.format_exception(error))}"
         error.add_note(note)
         try:
-            return _readable((False, error))
+            yield _readable("failed", error)
         except Exception:  # noqa: BLE001 of an error that holds a lock, say
             substitute = WorkerError(f"a worker process raised {error!r}")
             substitute.add_note(note)
-            return _readable((False, substitute))
+            yield _readable("failed", substitute)
 
 
-def _readable(answer: tuple[bool, Any]) -> bytes:
+def _readable(kind: str, content: Any) -> bytes:
     """The pickled answer, which the caller can read."""
-    text = cloudpickle.dumps(answer)
+    text = cloudpickle.dumps((kind, content))
     pickle.loads(text)  # noqa: S301 our own
     return text
 

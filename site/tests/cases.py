@@ -87,7 +87,7 @@ def _drive(rng: np.random.Generator) -> list[int]:
 
 
 def _played(name: str, env: Engine, actions: list[Any]) -> dict[str, Any]:
-    start = {"name": name, "task": env.task, "mjcf": mjcf_text(env), **described(env)}
+    start = {"name": name, "task": env.task, "mjcf": mjcf_text(env, rounded=False), **described(env)}
     glances = {}
     actions = actions[: env.horizon]
     for step, action in enumerate(actions, start=1):
@@ -173,7 +173,7 @@ def looks() -> Iterator[dict[str, Any]]:
     shifted = [(*pair, shift) for pair in SUITE for shift in offered(*pair)["body"]]
     for seed, (*pair, shift) in enumerate([*((*pair, "") for pair in (*magical_mj.ENVIRONMENTS, *SUITE)), *shifted]):
         env = Engine(*pair, seed=seed, shifts=shift or None, renderer="software")
-        name, start = "-".join((*pair, str(seed), shift)), {"mjcf": mjcf_text(env), **described(env)}
+        name, start = "-".join((*pair, str(seed), shift)), {"mjcf": mjcf_text(env, rounded=False), **described(env)}
         moments = []
         for action in rng.integers(len(ACTIONS), size=LOOKS).tolist():
             for _ in range(5):
@@ -191,7 +191,7 @@ def looking(folder: Path) -> Iterator[dict[str, Any]]:
     for preset, task in LOOKING.items():
         demo, count = magical_mj.demos.load(task)[0], -(-LOOKED // len(LOOKING))
         env = Engine(task, scene=demo.scene)
-        start = {"mjcf": mjcf_text(env), **described(env), "actions": demo.actions[:count].tolist()}
+        start = {"mjcf": mjcf_text(env, rounded=False), **described(env), "actions": demo.actions[:count].tolist()}
         env.close()
         with tempfile.TemporaryDirectory() as run:
             train(load_settings("bc", task, quick=True, preset=preset, **BRIEF), run)

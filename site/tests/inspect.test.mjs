@@ -42,6 +42,18 @@ const untilOpen = (name) => page.waitForFunction((name) => document.title.starts
 /** @param {Record<string, string>} files */
 const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
   ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));
+/** What the page says of which scene is displayed. */
+const choice = () => page.evaluate(() => {
+  const [task, variant, seed, play] = ["task", "variant", "seed", "play"].map((id) => /** @type {any} */ (document.getElementById(id)));
+  return { task: task.value, variant: variant.value, seed: seed.value, play: play.hidden ? "" : play.getAttribute("href") };
+});
+const NOTHING = { task: "", variant: "", seed: "", play: "" };
+/** The file of a scene. @param {string} name */
+async function savedModel(name) {
+  await page.evaluate((hash) => { location.hash = hash; }, name);
+  await untilOpen(name);
+  return decodeURIComponent((await page.getAttribute("#model", "href"))?.split(",").slice(1).join(",") ?? "");
+}
 const state = async () => JSON.parse((await downloaded(page, "#state")).text);
 
 test("all scenes open", async () => {
@@ -61,7 +73,7 @@ test("all scenes open", async () => {
   const shifted = "FindDupe-Demo-1?shifts=clutter:2";
   await page.evaluate((hash) => { location.hash = hash; }, shifted);
   await untilOpen(shifted);
-  assert.equal(await page.locator("#tree button", { hasText: "pebble" }).count(), 2);
+  assert.equal(await page.locator("#tree button", { hasText: /^pebble\d+$/ }).count(), 2);
   assert.deepEqual(complaints, []);
   console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
@@ -98,7 +110,7 @@ test("a body that is clicked is described, with what the file says of it", async
   await page.goto("about:blank");
   await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
   await untilOpen("MoveToCorner-Demo-0");
-  await page.locator("#tree button", { hasText: "block0" }).click();
+  await page.locator("#tree button", { hasText: /^block0$/ }).click();
   const words = await page.textContent("#about");
   for (const part of ["Block 0: ", "Mass0.5", "block0_x", "slide", "feet of blocks"]) assert.ok(words?.includes(part), part);
   await page.evaluate(() => { location.hash = "#MoveToRegion-Demo-0"; });
@@ -132,6 +144,13 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   await page.keyboard.up("ArrowUp");
   await page.keyboard.press("p");
   const driven = await state();
+  await page.locator("#tree button", { hasText: /^robot$/ }).click();
+  const [place, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
+    (table) => [.../** @type {HTMLTableElement} */ (table).rows].map((row) => row.cells)).map((rows, i) => i
+    ? rows.filter(([name]) => /^robot_[xy]$/.test(name.textContent ?? "")).map((cells) => Number(cells[2].textContent))
+    : (rows[0][1].textContent ?? "").split(" ").slice(0, 2).map(Number)));
+  assert.ok(Math.hypot(...driven.qvel.slice(-12, -10)) > 0.1, "it moves");
+  assert.deepEqual(place, joints, "the place is that of the present state");
   console.log(`${rate.toFixed(0)} frames/s with all helpers, by software`);
   assert.ok(driven.time > begun.time);
   assert.notDeepEqual(driven.qpos, begun.qpos);
@@ -158,6 +177,42 @@ test("where actions are speeds, keys and the expert act, too", async () => {
   assert.deepEqual(complaints, []);
 });
 
+test("the lists say which scene is displayed, and are empty for other models", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
+  const file = await savedModel("FindDupe-All-3"), shifted = await savedModel("FindDupe-Demo-1?shifts=clutter:2");
+  /** @type {any[]} */
+  const cases = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8"));
+  const { files: cartpole } = cases.find(({ name }) => name === "cartpole.xml");
+  for (const [files, right] of /** @type {[Record<string, string>, object][]} */ ([
+    [{ "FindDupe-All-3.xml": file }, { task: "FindDupe", variant: "All", seed: "3", play: "./#FindDupe-All-3" }],
+    [{ "shifted.xml": shifted }, { task: "FindDupe", variant: "Demo", seed: "1", play: "./#FindDupe-Demo-1?shifts=clutter:2" }],
+    [{ "unknown-seed.xml": file.replace('name="seed" data="3"', 'name="seed" data="77"') }, NOTHING],
+    [{ "stick.xml": file.replace('"robot":{', '"robot":{"body":"longstick",') }, NOTHING],
+    [{ "own-task.xml": file.replace('data="FindDupe"', 'data="tasks:MINE"') }, NOTHING],
+    [cartpole, NOTHING],
+  ])) {
+    await savedModel("MoveToCorner-Demo-0");
+    assert.deepEqual(await choice(), { task: "MoveToCorner", variant: "Demo", seed: "0", play: "./#MoveToCorner-Demo-0" });
+    await openFiles(files);
+    await untilOpen(Object.keys(files).find((name) => /(FindDupe|shifted|seed|stick|task|cartpole).*xml$/.test(name)) ?? "");
+    assert.deepEqual(await choice(), right);
+    assert.equal(await page.evaluate("location.hash"), "#file");
+  }
+  assert.ok(await page.isDisabled("#seed") && await page.isDisabled("#variant"));
+  await page.reload();
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.startsWith("Open the model again"));
+  assert.deepEqual(await choice(), NOTHING);
+  await page.selectOption("#task", "FindDupe");
+  await untilOpen("FindDupe-Demo-0");
+  const before = await choice();
+  await page.evaluate(() => { location.hash = "#FindDupe-All-999"; });
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.includes("cannot be shown"));
+  assert.deepEqual(await choice(), before, "what is displayed stays, and so does what is said of it");
+  assert.equal(await page.evaluate("location.hash"), "#FindDupe-Demo-0");
+  assert.deepEqual(complaints, []);
+});
+
 test("what is wrong with a model is said, and the one before stays", async () => {
   await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
   await page.waitForFunction(() => document.getElementById("message")?.textContent);
@@ -179,12 +234,16 @@ test("the command serves any scene, or a file with those that it needs", async (
   const { files } = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8")).at(-1);
   await mkdir(join(folder, "shapes"));
   for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name.endsWith(".obj") ? "shapes" : "", name), text);
-  for (const [what, title] of [[["FindDupe", "All", "--seed", "1234"], "FindDupe-All-1234"], [[join(folder, "tetrahedron.xml")], "tetrahedron.xml"]]) {
+  const scene = { task: "FindDupe", variant: "All", seed: "1234", play: "./#FindDupe-All-1234" };
+  for (const [what, title, right] of /** @type {[string[], string, object][]} */ ([
+    [["FindDupe", "All", "--seed", "1234"], "FindDupe-All-1234", scene], [[join(folder, "tetrahedron.xml")], "tetrahedron.xml", NOTHING],
+  ])) {
     const server = spawn(PYTHON, ["-m", "magical_mj", "inspect", ...what, "--port", "0"], { env: { ...process.env, XDG_CACHE_HOME: folder } });
     try {
       const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
       await page.goto(address);
-      await untilOpen(String(title));
+      await untilOpen(title);
+      assert.deepEqual(await choice(), right);
     } finally {
       server.kill();
     }

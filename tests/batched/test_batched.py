@@ -355,6 +355,16 @@ def test_wrong_settings_are_named(settings: Any, word: str) -> None:
         batched.make(**{"task": "MoveToRegion", "num_envs": 1, "device": "cpu", **settings})
 
 
+def test_scores_of_whole_episodes_are_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "whole_episode.py").write_text(
+        "from dataclasses import replace\nfrom magical_mj.tasks.move_to_region import SPEC as OURS\n"
+        'SPEC = replace(OURS, name="Whole", trajectory=True, plan=None, score=lambda scenes, rules: 0.0)\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(SettingsError, match=r"the score of whole_episode:SPEC depends; use gymnasium\.make"):
+        batched.make("whole_episode:SPEC,MoveToRegion", num_envs=2, device="cpu")
+
+
 def test_scenes_do_not_depend_on_who_samples_them() -> None:
     """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
     pairs = [("FindDupe", "All")] * 3

@@ -58,7 +58,7 @@ COMMANDS = [
     ["report", "{}/s"],
     ["compare", "{}/s", "{}/s"],
     ["submit", "{}/s", "--out", "{}/e.json.xz"],
-    ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1"],
+    ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1", "--out", "{}/board"],
     ["demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", "{}/demo"],
     ["train", "bc", "--tasks", "MoveToRegion", "--preset", "State", "--device", "cpu", *SETS, "--out", "{}/run"],
     ["export-policy", "{}/run", "--out", "{}/policy.onnx"],
@@ -104,6 +104,40 @@ def test_every_command_works(tmp_path: Path) -> None:
     )
     assert result.stderr.splitlines()[-1:] == [str(CODES)], result.stderr
     assert not re.findall(rf"(?<![\d/.,]){ONE_OF_MANY}", result.stdout + result.stderr)
+
+
+ODD = {
+    "PYTHONWARNINGS": "error",
+    "NUMBA_NUM_THREADS": "1",
+    "MPLBACKEND": "module://matplotlib_of_another_python",
+    "TERM": "dumb",
+    "NO_COLOR": "1",
+    "FORCE_COLOR": "1",  # as in a terminal
+    "COLUMNS": "20",
+    "LINES": "5",
+}
+"""Variables that a process may inherit from a notebook, a CI or a window manager."""
+
+
+@pytest.mark.slow
+def test_inherited_variables_do_not_matter(tmp_path: Path) -> None:
+    """Even a backend of matplotlib that does not exist; what does not fit a line is folded, and not cut off."""
+    chosen = ("list", "doctor", "view", "rollout", "evaluate", "report", "train", "export")
+    commands = [command for command in commands_in(tmp_path / "o") if command[0] in chosen or command[1] == "info"]
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "helpers.py").write_text("raise RuntimeError('another project')\n")
+    for backend in ("module://matplotlib_of_another_python", "nonsense"):
+        result = subprocess.run(
+            [sys.executable, "-c", RUN.format(root=str(ROOT), commands=json.dumps(commands))],
+            env=os.environ | ODD | {"MPLBACKEND": backend, "PYTHONPATH": str(tmp_path / "modules")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert result.stderr == f"{[0] * len(commands)}\n"
+        assert "…" not in result.stdout
+        assert (tmp_path / "o" / "s" / "report" / "bars.png").stat().st_size > 1000
+        commands = [command for command in commands if command[0] == "report"]
 
 
 MOST = 1500  # bytes of a file, as if the disk were full then

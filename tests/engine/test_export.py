@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Comment, TreeBuilder, XMLParser, parse
 
 import mujoco
@@ -15,18 +17,23 @@ import pytest
 
 import magical_mj
 from magical_mj._version import __version__
-from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets import style
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
+from magical_mj.assets.readable import DECIMALS, LINE
 from magical_mj.assets.robot import control_signal, controls
+from magical_mj.assets.world import world_mjcf
 from magical_mj.engine import Engine
-from magical_mj.engine.export import LINE
-from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
+from magical_mj.scene.bodies import BODIES
+from magical_mj.scene.constants import SHAPES
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import InvalidSceneError
 
 PAGE = Path(__file__).parents[2] / "docs" / "exported-model.md"
-LOAD, SCORE = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+LOAD, SCENES, EPISODE, TWO, MJX, WARP, DEPTH = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 PLAYER = f"""
 import sys
+import numpy as np
 for name in ("magical_mj", "dm_control", "gymnasium"):
     sys.modules[name] = None  # importing them fails
 {LOAD}
@@ -92,14 +99,128 @@ def test_the_file_alone_plays_every_environment_to_the_bit(tmp_path: Path) -> No
             assert played["horizon"] == horizon
 
 
-def test_the_pages_score_is_the_environments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def run_page(*blocks: str, **names: Any) -> dict[str, Any]:
+    """Runs code of the page, with these names; returns all names after it."""
+    exec(compile("\n".join(blocks), str(PAGE), "exec"), names)
+    return names
+
+
+def sensed_scene(initial: Scene, data: mujoco.MjData) -> Scene:
+    """The scene by the sensors, which after a step of MuJoCo are those before it."""
+    robot, *blocks = (
+        [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
+        for name in ("robot", *(f"block{index}" for index in range(len(initial.blocks))))
+    )
+    return initial.moved(robot=robot, blocks=blocks)
+
+
+def test_the_pages_episode_ends_in_its_last_physics_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The score by the page is the engine's; that by the sensors would be another one."""
     monkeypatch.chdir(tmp_path)
     printed: list[float] = []
-    exec(compile(LOAD + SCORE, str(PAGE), "exec"), {"print": printed.append})
-    env = started("FindDupe", seed=0)
-    for _ in range(env.horizon or 0):
-        env.step(0)
-    assert printed == [env.score()]
+    page = run_page(LOAD, SCENES, EPISODE, print=printed.append)
+    engine = magical_mj.Engine("MoveToRegion", "Layout", seed=21)
+    for action in [1] * 8 + [7] * 8 + [4] * 24:
+        engine.step(action)
+    assert printed == [engine.score()] == [1.0]
+    late = sensed_scene(engine.initial_scene, page["data"])
+    assert magical_mj.score("MoveToRegion", engine.initial_scene, late) == 0.0
+
+
+def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -> None:
+    """Over 120 seeds, 15 of each task."""
+    page, late = run_page(LOAD, SCENES), 0
+    for task, variant in dict(magical_mj.ENVIRONMENTS).items():  # the last one of each task: All
+        engine = magical_mj.Engine(task, variant)
+        for seed in range(15):
+            engine.reset(seed=seed)
+            path = magical_mj.export_mjcf(engine, tmp_path / "model.xml", overwrite=True)
+            model, data, act, horizon = page["load"](str(path))
+            assert horizon == engine.horizon
+            for action in np.random.default_rng(seed).choice([1, 4, 7, 10], 4).repeat(4).tolist():
+                engine.step(action)
+                act(action)
+                if seed % 2:  # which changes nothing
+                    mujoco.mj_forward(model, data)
+            initial, final = page["scenes"](model, data)
+            assert initial == engine.initial_scene
+            fingers = engine.scene.robot.fingers
+            assert dataclasses.replace(final, robot=dataclasses.replace(final.robot, fingers=fingers)) == engine.scene
+            assert magical_mj.score(task, initial, final) == engine.score()
+            late += sensed_scene(initial, data) != final
+            mujoco.mj_forward(model, data)
+            assert sensed_scene(initial, data) == final
+    assert late > 50, "without mj_forward, sensors are those of another state"
+
+
+def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    tasks = {"left/": "FindDupe", "right/": "MatchRegions"}
+    for task in tasks.values():
+        magical_mj.export_mjcf(started(task), tmp_path / f"{task}.xml")
+    page = run_page(TWO)
+    both, data = page["model"], page["data"]
+    mujoco.mj_resetDataKeyframe(both, data, both.key("right/now").id)
+    alone = {prefix: run_page(LOAD)["load"](f"{task}.xml") for prefix, task in tasks.items()}
+    for model in (both, *(model for model, *_ in alone.values())):
+        model.opt.tolerance, model.opt.iterations = 1e-15, 100  # the only difference, since it is that of all scenes
+    for number in range(40):
+        for step, (prefix, (model, _, act, _)) in enumerate(alone.items()):
+            action = [1, 4, 10, 7][(number // 3 + step) % 4]
+            act(action)
+            for actuator, value in zip(range(model.nu), controls()[action], strict=True):
+                data.actuator(prefix + model.actuator(actuator).name).ctrl = value
+        mujoco.mj_step(both, data, SUBSTEPS)
+    for prefix, (model, single, _, _) in alone.items():
+        names = [model.joint(index).name for index in range(model.njnt)]
+        now = [data.joint(prefix + name).qpos[0] for name in names]
+        np.testing.assert_allclose(now, [single.joint(name).qpos[0] for name in names], atol=1e-6)
+    assert both.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
+    assert len({both.geom(index).name for index in range(both.ngeom)}) == both.ngeom
+
+
+def plain(path: Path) -> mujoco.MjData:
+    """The state to which the page's code for other simulators comes, by MuJoCo."""
+    _, data, act, _ = run_page(LOAD)["load"](str(path))
+    for action in (1, 4):
+        act(action)
+    return data
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("warp")
+@pytest.mark.filterwarnings("default")
+def test_the_pages_code_runs_in_warp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco_warp")
+    monkeypatch.chdir(tmp_path)
+    path = magical_mj.export_mjcf(started("MoveToRegion"), tmp_path / "MoveToRegion.xml")
+    qpos = run_page(WARP)["state"].qpos.numpy()
+    np.testing.assert_allclose(qpos, [plain(path).qpos] * 2, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_pages_code_runs_in_mjx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco.mjx")
+    monkeypatch.chdir(tmp_path)
+    path = magical_mj.export_mjcf(started("MoveToRegion"), tmp_path / "MoveToRegion.xml")
+    np.testing.assert_allclose(run_page(MJX)["state"].qpos, plain(path).qpos, atol=1e-12)
+
+
+@pytest.mark.parametrize("camera", ["allo", "ego"])
+def test_depths_are_distances(camera: str, tmp_path: Path) -> None:
+    """As `mujoco.Renderer` has them, and as the page makes them of dm_control's."""
+    path = str(magical_mj.export_mjcf(started("MoveToRegion"), tmp_path / "model.xml"))
+    physics = pytest.importorskip("dm_control.mujoco").Physics.from_xml_path(path)
+    depth = run_page(DEPTH)["distance"](physics, physics.render(96, 96, camera_id=camera, depth=True))
+    with mujoco.Renderer(physics.model.ptr, 96, 96) as renderer:
+        renderer.enable_depth_rendering()
+        renderer.update_scene(physics.data.ptr, camera)
+        assert np.isclose(renderer.render(), depth, atol=1e-4).mean() > 0.95, "apart from edges"
+    physics.free()
+    assert depth.min() == pytest.approx(style.CAMERA_HEIGHT - style.ROBOT_HEIGHT - 3 * style.LIFT, abs=1e-4)
+    assert depth.max() == pytest.approx(
+        style.CAMERA_HEIGHT + (FOOT_RADIUS - FOOT_DEPTH if camera == "ego" else 0), abs=1e-4
+    )  # outside
 
 
 @pytest.mark.parametrize(("task", "variant", "seed"), [("FindDupe", "All", 7), ("MatchRegions", "Demo", 2**70)])
@@ -162,14 +283,61 @@ def test_files_can_be_read(tmp_path: Path) -> None:
     assert all(line.count("<") <= 1 for line in lines)
     sections = [section.tag for section in root if section.tag is not Comment]
     expected = (
-        "custom compiler option size visual statistic default asset worldbody contact tendon actuator sensor keyframe"
+        "custom compiler option size visual statistic default asset "
+        "worldbody contact tendon actuator sensor keyframe asset"
     )
     assert sections == expected.split()
     remarks = " ".join(str(element.text) for element in root.iter(Comment))
-    for word in ("wheels", "rotors", "castor", "foot", "twice", "motors", "Goal region 0", "Block 0", "lamps"):
+    for word in ("wheels", "rotors", "castor", "foot", "motors", "Goal region 0", "Block 0", "lamps"):
         assert word in remarks
     for index, block in enumerate(env.initial_scene.blocks):
         assert root.find(f".//geom[@name='block{index}_{block.colour}_{block.shape}_sides']") is not None
+    world = root.find("worldbody")
+    assert world is not None
+    assert all(element.get("name") for tag in ("body", "geom", "light", "camera") for element in world.iter(tag))
+    shown = {geom.get("mesh") for geom in root.iter("geom")} - {None}
+    assert [mesh.get("name") for mesh in root.iter("mesh") if mesh.get("name") not in shown] == []
+    assert list(root)[-1].find("mesh") is not None, "vertices come last"
+    assert not any("rgba" in geom.attrib for geom in root.iter("geom")), "colours have names"
+    materials = {material.get("name") for material in root.iter("material")}
+    assert materials == {geom.get("material") for geom in root.iter("geom")} - {None}
+    soft = [
+        value for element in world.iter() for name, value in element.items() if name.startswith(("solref", "solimp"))
+    ]
+    assert soft == [], "softness is that of classes"
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_what_is_rounded_does_not_move_anything(body: str, tmp_path: Path) -> None:
+    """All that the physics reads is the environment's to the bit: names, looks and drawn geoms differ."""
+    blocks = tuple(Block(shape, "red", 0.4 * index - 0.6, 0.5, 0.3) for index, shape in enumerate(SHAPES))
+    scene = Scene(
+        Robot(0, -0.5, 0.3, body=body), (*blocks, Block("star", "blue", 0, 0.1, 1, 0.01)), pebbles=(Pebble(0.5, -0.5),)
+    )
+    model, _ = exported(scene, tmp_path)
+    right = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    looks = ("name", "mesh_", "mat_", "bvh_", "skin_", "text_", "numeric_", "sensor_", "key_", "path", "body_bvh")
+    drawn = np.isin(right.geom_group, (style.SOLID_GROUP, style.DRAWN_GROUP, style.TASK_GROUP))
+    drawn[right.geom("floor").id] = False
+    compared = 0
+    for name in dir(right):
+        numbers = getattr(right, name)
+        if name.startswith(("_", *looks)) or not isinstance(numbers, np.ndarray):
+            continue
+        others = getattr(model, name)
+        if name in ("geom_rgba", "geom_matid", "geom_dataid"):
+            continue
+        if name.startswith("geom_"):
+            numbers, others = numbers[~drawn], others[~drawn]
+        np.testing.assert_array_equal(others, numbers, err_msg=name)
+        compared += 1
+    assert compared > 200
+    vertices = [
+        mesh.get("vertex", "")
+        for mesh in parse(tmp_path / "model.xml").getroot().iter("mesh")
+        if not mesh.get("name", "").endswith("_outline")
+    ]
+    assert all(len(word.partition(".")[2]) <= DECIMALS for text in vertices for word in text.split())
 
 
 def test_numbers_are_short_and_exact(tmp_path: Path) -> None:

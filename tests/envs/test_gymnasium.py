@@ -22,9 +22,11 @@ from gymnasium.utils.env_checker import check_env
 import magical_mj
 from magical_mj.envs.presets import PRESETS
 from magical_mj.envs.wrappers import ScoreAtTheEnd
+from magical_mj.evaluation import Episode, rollouts
 from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
+    EvaluationError,
     InvalidActionError,
     InvalidSceneError,
     InvalidSeedError,
@@ -275,12 +277,64 @@ def test_the_score_behind_wrappers_of_ones_own() -> None:
     assert [info["eval_score"].tolist() for info in infos] == [[0.0, 0.0]] * 4 + [[0.25, 0.25]]
 
 
+class Impatient(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Ends episodes as it likes: after seven steps."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        *step, truncated, info = super().step(action)
+        return *step, truncated or self.get_wrapper_attr("engine").steps == 7, info  # type: ignore[return-value]
+
+
 def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
-    """By hand: the tenfold score at the task's horizon; at a limit of one's own, the score itself."""
-    for limit, paid in ((None, 2.5), (7, 0.25)):
+    """By hand: the tenfold score where the environment ends it; where another wrapper does, the score itself."""
+    for end, steps, paid in (
+        (lambda env: env, 320, 2.5),
+        (lambda env: wrappers.TimeLimit(env, 7), 7, 2.5),
+        (Impatient, 7, 0.25),
+    ):
         tenfold = wrappers.TransformReward(gymnasium.make(CLUSTER, reward="score"), lambda reward: 10 * float(reward))
-        env = ScoreAtTheEnd(tenfold if limit is None else wrappers.TimeLimit(tenfold, limit))
-        assert played(env)[-1][0] == paid
+        played_steps = played(ScoreAtTheEnd(end(tenfold)))
+        assert len(played_steps) == steps
+        assert (played_steps[-1][0], played_steps[-1][2]["eval_score"]) == (paid, 0.25)
+
+
+def test_episodes_without_a_score_are_told_once() -> None:
+    """By a wrapper that the environment cannot see: from the reset after the third of them."""
+    region = "magical_mj/MoveToRegion-Demo-State-v0"
+    cut, scored = (
+        wrappers.TimeLimit(gymnasium.make(region), 39),
+        ScoreAtTheEnd(wrappers.TimeLimit(gymnasium.make(region), 39)),
+    )
+    own = gymnasium.make(region, max_episode_steps=39)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for env in (scored, own, gymnasium.make(region), cut):
+            for _ in range(5):
+                info = played(env)[-1][2]
+                told_so_far = [str(warning.message) for warning in told]
+                assert info["eval_score"] == (0.0 if env is cut else env.unwrapped.score())
+            assert bool(told_so_far) == (env is cut)
+    assert len(told) == 1
+    assert "reset after 39 of 40 steps. If a wrapper such as TimeLimit ends them, eval_score is 0.0" in told_so_far[0]
+    for step in (30, 30, 30, 30):  # of a search, from states
+        own.reset(seed=0)
+        state = own.unwrapped.get_state()
+        for _ in range(step):
+            own.step(1)
+        own.reset(options={"state": state})
+
+
+def test_evaluations_refuse_wrappers_that_end_episodes() -> None:
+    single = wrappers.TimeLimit(gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0"), 30)
+    vector = gymnasium.vector.SyncVectorEnv([lambda: single])
+    for env in (single, vector):
+        with pytest.raises(EvaluationError, match="a wrapper ended the episode after 30 of 40 steps"):
+            list(rollouts(env, lambda _: 1, [Episode("MoveToRegion", "Demo", 0)]))
+    for kind in ("sync", "vector_entry_point"):
+        env = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", 2, kind, max_episode_steps=30)
+        (result,) = rollouts(env, lambda _: 1, [Episode("MoveToRegion", "Demo", 0)])
+        assert result.steps == 30
+        env.close()
 
 
 def test_other_packages_environments_have_no_score() -> None:

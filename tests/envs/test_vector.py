@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -9,10 +12,11 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector as wrappers
 
 import magical_mj
 from magical_mj.envs.vector import VectorEnv
-from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, UnknownNameError
 
 STATES = "magical_mj/MatchRegions-TestAll-State-v0"
 STACKS = "magical_mj/FindDupe-TestAll-LoResFingers-v0"
@@ -156,3 +160,179 @@ def test_mistakes_are_explained_and_step_no_world() -> None:
     envs.close()
     with pytest.raises(ClosedError):
         envs.reset()
+
+
+REGION = "magical_mj/MoveToRegion-TestAll-State-v0"
+KINDS = ("single", "sync", "async", "vector_entry_point")
+
+
+def made(kind: str, name: str = REGION, **settings: Any) -> Any:
+    """The environment by itself, or two of them in a vector."""
+    if kind == "single":
+        return gymnasium.make(name, **settings)
+    own = {"vector_kwargs": {"context": "spawn"}} if kind == "async" else {}
+    return gymnasium.make_vec(name, 2, kind, **own, **settings)
+
+
+@pytest.fixture(scope="module")
+def states() -> list[magical_mj.State]:
+    """All states of an episode, whose end has a score between 0 and 1 only by chance."""
+    env = magical_mj.MagicalEnv("MoveToRegion", "All", "State")
+    env.reset(seed=2)
+    passed = [env.get_state()]
+    while not env.step(1)[3]:
+        passed.append(env.get_state())
+    return [*passed, env.get_state()]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_limit_counts_the_steps_of_an_episode_wherever_it_goes_on(kind: str, states: list[magical_mj.State]) -> None:
+    env = made(kind, max_episode_steps=30)
+    action = 1 if kind == "single" else np.ones(2, int)
+    env.reset(options={"state": states[10]})
+    ends, scores = [], []
+    for _ in range(20):
+        _, _, _, truncated, info = env.step(action)
+        ends.append(np.all(truncated))
+        scores.append(np.min(info["eval_score"]))
+    assert ends == [False] * 19 + [True]
+    engine = magical_mj.Engine("MoveToRegion", "All")
+    engine.set_state(states[30])
+    assert scores == [0.0] * 19 + [engine.score()]
+    for late in (30, 35, 40) if kind != "async" else ():  # whose processes end with an error
+        with pytest.raises(StateError, match="give an earlier state, of less than 30"):
+            env.reset(options={"state": states[late]})
+    env.close()
+
+
+@pytest.mark.parametrize("kind", ["single", "sync", "vector_entry_point"])
+@pytest.mark.parametrize("limit", [None, 30])
+def test_who_goes_back_to_a_state_plays_the_rest_of_its_episode(
+    kind: str, limit: int | None, states: list[magical_mj.State]
+) -> None:
+    settings = {} if limit is None else {"max_episode_steps": limit}
+    env = made(kind, **settings)
+    action = 1 if kind == "single" else np.ones(2, int)
+    env.reset(seed=0)
+    for start in (5, 25, 25):  # the last time from an ended episode
+        if kind == "single":
+            env.unwrapped.set_state(states[start])
+        else:
+            env.call("set_state", states[start])
+        ends = [bool(np.all(env.step(action)[3])) for _ in range((limit or 40) - start)]
+        assert ends == [False] * (len(ends) - 1) + [True]
+        if kind == "sync":  # which resets a world that has ended, whatever was done to it since
+            return
+    env.close()
+
+
+VARIATIONS: list[Any] = [["camera"], ["all"], {"scene": {"block_count": 0}}, {"camera": {"heading": 9.0}, "seed": 3}]
+
+
+@pytest.mark.parametrize("variation", VARIATIONS)
+def test_variations_are_those_of_the_single_environments(variation: Any) -> None:
+    settings: dict[str, Any] = {"renderer": "software", "image_size": 24, "shifts": "camera:1"}
+    name = "magical_mj/MoveToRegion-TestAll-LoRes4E-v0"
+    ours, theirs = (made(kind, name, **settings) for kind in ("vector_entry_point", "sync"))
+    for arguments in ({"seed": 5}, {"seed": [7, None]}, {}):
+        arguments["options"] = {"variation": variation}
+        assert_same(ours.reset(**arguments), theirs.reset(**arguments))
+        assert_same(ours.step([1, 4]), theirs.step([1, 4]))
+    for mask in ([True, False], [False, True]):
+        results = [
+            envs.reset(options={"reset_mask": np.array(mask), "variation": variation}) for envs in (ours, theirs)
+        ]
+        assert_same(*results)
+    drawn = [env.variation for env in ours.envs]
+    assert_same(drawn, list(theirs.get_attr("variation")))
+    assert ours.call("get_state") == theirs.call("get_state")
+    with pytest.raises(SettingsError, match="from one of the options scene, state, variation, not scene and variation"):
+        ours.reset(options={"variation": variation, "scene": ours.envs[0].scene})
+    for envs in (ours, theirs):
+        envs.close()
+
+
+WRAPPERS: list[Callable[..., Any]] = [
+    wrappers.RecordEpisodeStatistics,
+    wrappers.DictInfoToList,
+    wrappers.NormalizeReward,
+    wrappers.NormalizeObservation,
+    wrappers.FlattenObservation,
+    lambda envs: wrappers.TransformReward(envs, lambda rewards: 10 * rewards),
+    lambda envs: wrappers.TransformAction(envs, lambda actions: 17 - actions, envs.action_space),
+]
+
+
+@pytest.mark.parametrize("wrap", WRAPPERS)
+def test_gymnasiums_wrappers_see_no_difference(wrap: Callable[..., Any]) -> None:
+    settings: dict[str, Any] = {"reward": "score", "max_episode_steps": 3}
+    traces = []
+    for kind in ("vector_entry_point", "sync"):
+        envs = wrap(made(kind, "magical_mj/ClusterShape-Demo-State-v0", **settings))
+        trace: list[Any] = [envs.reset(seed=[4, 1]), *(envs.step(row) for row in actions()[:, :2].repeat(3, axis=0))]
+        for step in trace:
+            if isinstance(step[-1], dict):
+                step[-1].get("episode", {}).pop("t", None)  # seconds
+        traces.append(trace)
+        envs.close()
+    assert_same(*traces)
+
+
+def test_its_attributes_are_those_of_gymnasiums_vector() -> None:
+    ours, theirs = (made(kind, render_mode="rgb_array", render_size=16) for kind in ("vector_entry_point", "sync"))
+    for envs in (ours, theirs):
+        envs.reset(seed=[3, 2**70])
+        envs.set_attr("reward", ["none", "score"])
+        envs.set_attr("limit", 2)
+    assert ours.get_attr("reward") == theirs.get_attr("reward") == ("none", "score")
+    for name in ("num_envs", "autoreset_mode", "metadata", "render_mode", "np_random_seed", "closed"):
+        assert getattr(ours, name) == getattr(theirs, name), name
+    for name in ("single_observation_space", "observation_space", "single_action_space", "action_space"):
+        assert getattr(ours, name) == getattr(theirs, name), name
+    assert {name for name in dir(theirs) if name[0] != "_"} - {"env_fns", "copy", "observation_mode"} <= set(dir(ours))
+    assert [g.integers(99) for g in ours.np_random] == [g.integers(99) for g in theirs.np_random]
+    assert_same(ours.render(), theirs.render())
+    for _ in range(3):
+        assert_same(ours.step([1, 1]), theirs.step([1, 1]))
+    for envs in (ours, theirs):
+        with pytest.raises(AttributeError, match="nothing"):
+            envs.get_attr("nothing")
+        with pytest.raises(ValueError, match="1"):
+            envs.set_attr("reward", ["none"])
+        envs.close()
+
+
+def test_each_world_has_its_own_sentence() -> None:
+    """Of different lengths: none is cut off to another one's, with a mask neither."""
+    settings: dict[str, Any] = {"shifts": "words:5", "max_episode_steps": 1, "autoreset_mode": "SameStep"}
+    envs = gymnasium.make_vec(REGION, 8, "vector_entry_point", **settings)
+    masks = np.arange(8) < 3, np.arange(8) >= 3
+    sentences: set[str] = set()
+    for options in ({}, *({"reset_mask": mask} for mask in masks)):
+        _, infos = envs.reset(options=options)
+        said = [env.engine.instruction for env in envs.envs]
+        assert [s for s, is_new in zip(infos["instruction"], infos["_instruction"], strict=True) if is_new] == [
+            s for s, is_new in zip(said, infos["_instruction"], strict=True) if is_new
+        ]
+        infos = envs.step([0] * 8)[-1]
+        assert infos["final_info"]["instruction"].tolist() == said
+        sentences.update(said)
+    assert len({len(sentence) for sentence in sentences}) > 3
+    envs.close()
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda envs: pickle.loads(pickle.dumps(envs))])
+def test_copies_go_on_alike_in_worlds_of_their_own(copied: Callable[[Any], Any]) -> None:
+    envs = made("vector_entry_point", STACKS, renderer="software", max_episode_steps=3, threads=2)
+    for world in (envs, magical_mj.MagicalEnv("FindDupe", "All", "State")):
+        world.reset(seed=4)
+        action = [1, 4] if world is envs else 1
+        world.step(action)
+        twin = copied(world)
+        assert_same([world.step(action) for _ in range(2)], [twin.step(action) for _ in range(2)])
+        assert_same(world.reset(), twin.reset())
+        world.close()
+        twin.step(action)
+        twin.close()
+        with pytest.raises(ClosedError):
+            copied(world)

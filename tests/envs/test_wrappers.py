@@ -10,7 +10,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.envs.registration import suite_id
 from magical_mj.envs.wrappers import ContinuousActions
+from magical_mj.scene.actions import to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, SettingsError, UnknownNameError
 
@@ -72,6 +74,34 @@ def test_a_wrong_vector_is_refused(make: Any, action: Any) -> None:
     with pytest.raises(InvalidActionError, match="three finite numbers"):
         env.step(action)
     env.close()
+
+
+def test_tensors_that_are_no_arrays_are_refused() -> None:
+    """And others are taken, in each interface."""
+    torch = pytest.importorskip("torch")
+    zeros = torch.zeros(3)
+    unlike = [
+        torch.zeros(3, requires_grad=True),
+        torch.zeros(3, dtype=torch.bfloat16),
+        torch.zeros(3, dtype=torch.complex64),
+        torch.zeros(3, device="meta"),
+    ]
+    suite = gymnasium.make(suite_id("gripper"), disable_env_checker=True)
+    envs = gymnasium.make_vec(ID, 1, action="continuous")
+    unchecked = ContinuousActions(gymnasium.make(ID, disable_env_checker=True))
+    for env, batch in ((suite, ()), (envs, (1,)), (unchecked, ())):
+        env.reset(seed=0)
+        env.step(zeros.reshape(*batch, 3))
+        env.step(zeros.half().reshape(*batch, 3))
+        for tensor in unlike:
+            with pytest.raises(InvalidActionError, match=r"finite numbers|one for each world"):
+                env.step(tensor.reshape(*batch, 3))
+        env.close()
+    with pytest.raises(InvalidActionError, match=r"give tensor\.detach\(\)\.float\(\)\.cpu\(\)"):
+        to_discrete(unlike[0])
+    for numbers in (torch.zeros(1, requires_grad=True), torch.zeros(1, dtype=torch.bfloat16)):
+        with pytest.raises(InvalidActionError, match="integers"):
+            to_vector(numbers)
 
 
 def test_each_environment_draws_its_own_actions() -> None:

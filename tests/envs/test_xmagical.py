@@ -237,3 +237,24 @@ def test_demonstrations_of_a_body_play_again_to_the_same_states() -> None:
     observations, actions = magical_mj.demos.transitions([demo], "State")
     assert observations.shape == (len(actions), 16)  # type: ignore[union-attr]
     assert actions.shape[1] == 2
+
+
+@pytest.mark.parametrize("seeds", ["protocol", "original"])
+def test_variations_of_its_scenes_are_given_and_read_back(seeds: str) -> None:
+    """Their zone reaches beyond the walls, and has a solid border."""
+    env = XMagicalEnv("longstick", "Layout", seeds=seeds)  # type: ignore[arg-type]
+    space = env.variation_space
+    env.reset(options={"variation": space.default})
+    assert env.scene.blocks == magical_mj.sample_scene("SweepToTop", "Demo", 0, "longstick").blocks
+    env.reset(seed=3)
+    scene, variation = env.initial_scene, env.variation
+    assert variation in space
+    env.reset(options={"variation": ["scene"]})
+    assert env.initial_scene != scene
+    env.reset(seed=4, options={"variation": variation})
+    assert env.initial_scene == scene
+    assert {region.border for region in scene.regions} == {"solid"}
+    for wrong in ("variation", 3):
+        with pytest.raises(SettingsError, match="options are a dict"):
+            env.reset(options=wrong)  # type: ignore[arg-type]
+    env.close()

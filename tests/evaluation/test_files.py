@@ -32,7 +32,7 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
     assert len(read(tmp_path)) == len(frame) == 6
     entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    unwritten = {"split", "shift", "wrap", "body"}  # where they are as usual
+    unwritten = {"split", "shift", "wrap", "body", "retry"}  # where they are as usual
     assert set(entry) == set(frame.columns) - unwritten
     assert entry["version"] == magical_mj.__version__
     assert entry["rules"] == "paper"
@@ -245,6 +245,54 @@ def test_an_evaluation_grows_in_every_direction(tmp_path: Path) -> None:
     assert read_settings(tmp_path / "grown") == read_settings(tmp_path / "whole")
 
 
+class Away(agents.Acting):
+    """Fails in the scenes of odd seeds, as a client of a server that is away at times."""
+
+    def __init__(self) -> None:
+        super().__init__(reset=self._ask)
+        self.away = True
+
+    def _ask(self, episode: Episode) -> None:
+        if self.away and episode.seed % 2:
+            raise ConnectionRefusedError("away")
+
+
+def test_failed_episodes_are_played_again(tmp_path: Path) -> None:
+    """If asked for; the rows that failed stay in the file, and the new ones say how often that was."""
+    policy, settings = Away(), {**SMALL, "variants": "Demo", "episodes": 4, "jobs": 1}
+    magical_mj.evaluate({"P": policy}, out=tmp_path, **settings)
+    first = (tmp_path / SCORES).read_bytes()
+    assert [score.seed for score in read(tmp_path) if score.failure] == [1, 3]
+    again = {"out": tmp_path, "resume": True, "retry_failed": True, **settings}
+    magical_mj.evaluate({"P": policy}, **again)
+    assert sorted((score.seed, score.retry) for score in read(tmp_path)) == [(0, 0), (1, 1), (2, 0), (3, 1)]
+    policy.away = False
+    frame = magical_mj.evaluate({"P": policy}, **again)
+    assert frame["retry"].tolist() == [0, 2, 0, 2]
+    assert frame["failure"].isna().all()
+    assert (tmp_path / SCORES).read_bytes().startswith(first)
+    assert sorted(read(tmp_path), key=lambda score: score.key) == sorted(
+        (score for score in Evaluation({"P": policy}, EvaluationSettings(**again)).scores), key=lambda score: score.key
+    )
+    count = (tmp_path / SCORES).read_bytes().count(b"\n")
+    magical_mj.evaluate({"P": policy}, **again)
+    assert (tmp_path / SCORES).read_bytes().count(b"\n") == count == 8
+
+
+def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
+    done, failed = replace(TEMPLATE, seed=0), replace(TEMPLATE, seed=1, failure="no")
+    write(tmp_path, [done, failed, replace(failed, retry=1), replace(failed, retry=2, failure=None)])
+    assert read(tmp_path) == [done, replace(failed, retry=2, failure=None)]
+    for wrong, problem in (
+        (replace(done, retry=1), "line 1: it has not failed, and another line replaces it"),
+        (failed, "line 4: the same episode as line 2"),
+        (replace(failed, retry=2), "line 4: the same episode as line 3"),
+    ):
+        write(tmp_path, [done, failed, replace(failed, retry=2), wrong])
+        with pytest.raises(EvaluationError, match=problem):
+            read(tmp_path)
+
+
 def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
     (tmp_path / SETTINGS).write_text('{"mine": 1}')
     with pytest.raises(EvaluationError, match=r"run\.json is not of an evaluation"):
@@ -267,6 +315,21 @@ def killed_and_resumed(folder: Path) -> set[tuple[Any, ...]]:
     process.wait()
     subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=True)
     return rows(folder)
+
+
+def test_finished_episodes_of_a_terminated_run_are_stored(tmp_path: Path) -> None:
+    """Each as it ends, not those of a worker together."""
+    command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "tests.helpers.agents:Slower", "--jobs", "2"]
+    command += ["--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "60", "--out", str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        start = time.monotonic()
+        while not (tmp_path / SCORES).exists() or (tmp_path / SCORES).read_bytes().count(b"\n") < 4:
+            assert time.monotonic() - start < 60
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.terminate()
+    assert 4 <= len(read(tmp_path)) < 12
+    assert {score.steps for score in read(tmp_path)} == {40}
 
 
 @pytest.mark.slow

@@ -336,7 +336,7 @@ def test_a_wrapper_is_played_in_and_named(tmp_path: Path) -> None:
     text = report([tmp_path / "plain", tmp_path / "dark"], tmp_path / "out").read_text()
     assert "| sum_is_even in mine:Dark |" in text
     assert compare(tmp_path / "plain", tmp_path / "dark").attrs["policies"][1] == "sum_is_even in mine:Dark"
-    with pytest.raises(EvaluationError, match="was played in mine:Dark"):
+    with pytest.raises(EvaluationError, match="was played in the wrapper mine:Dark"):
         submit([tmp_path / "dark"], tmp_path / "entry.json.xz")
 
 

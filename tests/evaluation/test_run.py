@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import gc
 import os
 import signal
 import sys
 import threading
 import time
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,21 +37,11 @@ def test_evaluations_that_take_turns_keep_their_policies() -> None:
     assert letters == [LETTERS[1], LETTERS[2]] * 3
 
 
-def test_threads_that_have_evaluated_leave_none_behind() -> None:
-    def play() -> None:
-        magical_mj.evaluate(
-            Acting(lambda _: 1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1
-        )
-
-    before = {thread.ident for thread in threading.enumerate()}
-    caller = threading.Thread(target=play)
-    caller.start()
-    caller.join()
-    gc.collect()
-    left = [thread for thread in threading.enumerate() if thread.ident not in before]
-    for thread in left:
-        thread.join(10)
-    assert not any(thread.is_alive() for thread in left)
+def test_policies_act_in_the_thread_that_evaluates() -> None:
+    """As in a loop of one's own: so a debugger works, and signals reach them."""
+    threads: set[int] = set()
+    evaluate(Acting(lambda _: threads.add(threading.get_ident()) or 1), episodes=1, jobs=1)
+    assert threads == {threading.get_ident()}
 
 
 def test_scores_are_those_of_a_plain_loop() -> None:
@@ -157,16 +146,18 @@ def test_policies_that_can_be_closed_are_left_open() -> None:
 
 
 def test_a_failing_policy_costs_only_its_episodes() -> None:
-    frame = evaluate("tests.helpers.agents:Trouble", variants="Demo", episodes=17, time_limit=0.7).set_index("seed")
+    """Calls that do not return are ended with their worker process, even if they let no other thread run."""
+    policy = "tests.helpers.agents:Trouble"
+    frame = evaluate(policy, variants="Demo", episodes=17, time_limit=1.0, jobs=2).set_index("seed")
     good = frame.loc[range(0, 17, 2)]
     assert good["failure"].isna().all()
     assert (good["steps"] == 40).all()
     reasons = {
         1: "RuntimeError: lost its way",
         3: "18 is not an action",
-        5: "no end within 0.7 s",
-        7: "no end within 0.7 s",
-        9: "no end within 0.7 s",
+        5: "TimeLimitError: no end within 1 s",
+        7: "TimeLimitError: no end within 1 s",
+        9: "TimeLimitError: no end within 1 s",
         11: "None is not an action",
         13: "is not an action",
         15: "is not an action",
@@ -174,6 +165,33 @@ def test_a_failing_policy_costs_only_its_episodes() -> None:
     for seed, reason in reasons.items():
         assert frame.loc[seed, "score"] == 0
         assert reason in frame.loc[seed, "failure"]
+
+
+def test_a_slow_policy_fails_at_its_next_action_in_this_process() -> None:
+    frame = evaluate(agents.Slower(), variants="Demo", time_limit=3, jobs=1)
+    assert frame["failure"].isna().tolist() == [True, False, True]
+    assert frame["failure"][1] == "TimeLimitError: no end within 3 s"
+    assert 5 < frame["steps"][1] <= 12
+    assert frame["steps"].tolist()[::2] == [40, 40]
+
+
+class SlowBatch(agents.Batch):
+    """Does not return where the scene of seed 1 is among those that it acts in."""
+
+    def reset_batch(self, episodes: Any) -> None:
+        self.reset(max(episodes, key=lambda episode: episode.seed == 1))
+
+    def reset(self, episode: Episode) -> None:
+        if episode.seed == 1:
+            time.sleep(1000)
+
+
+def test_of_a_batch_that_takes_too_long_only_the_slow_episode_fails() -> None:
+    frame = evaluate({"look": SlowBatch()}, time_limit=1.0, jobs=2, episodes=2, variants="Demo")
+    assert frame["failure"].isna().tolist() == [True, False]
+    assert frame["failure"][1] == "TimeLimitError: no end within 1 s"
+    good = evaluate(agents.look, episodes=1, variants="Demo")
+    assert frame["actions"][0] == good["actions"][0]
 
 
 def test_a_failure_side_by_side_costs_nobody_else() -> None:
@@ -204,20 +222,16 @@ def test_a_policy_that_exits_has_failed() -> None:
     assert frame["failure"][1].startswith("SystemExit: enough (agents.py, line ")
 
 
-def test_after_an_interruption_nothing_is_mixed_up() -> None:
-    """The episode that is interrupted goes on for a moment, and its result must not be taken for the next one's."""
-    pressed: list[str] = []
-
-    def interrupting(observation: Any) -> int:
-        if not pressed:
-            pressed.append("Ctrl-C")
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        time.sleep(0.05)
-        return 0
+def test_an_interruption_ends_the_episode_and_keeps_those_before(tmp_path: Path) -> None:
+    def interrupting(episode: Episode) -> None:
+        if episode.seed == 2:
+            signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        evaluate(interrupting, preset="State", variants="Demo")
-    assert set(evaluate(agents.Stubborn(2), preset="State", variants="Demo")["actions"]) == {"c" * 40}
+        evaluate({"P": Acting(reset=interrupting)}, variants="Demo", out=tmp_path)
+    assert [score.seed for score in read(tmp_path)] == [0, 1]
+    frame = evaluate({"P": Acting()}, variants="Demo", out=tmp_path, resume=True)
+    assert frame["failure"].isna().tolist() == [True] * 3
 
 
 # what is asked for
@@ -244,6 +258,9 @@ def test_after_an_interruption_nothing_is_mixed_up() -> None:
         ("noop", {"address": "tcp://there:1"}, "choose the dask backend"),
         ("noop", {"device": "cpu"}, "give --simulator warp"),
         ("noop", {"episods": 3}, "Did you mean 'episodes'"),
+        ("noop", {"resume": True}, "give out, too"),
+        ("noop", {"retry_failed": True}, "give resume, too"),
+        ("noop", {"retry_failed": True, "out": Path("o")}, "give resume, too"),
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
         ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
@@ -279,11 +296,15 @@ def rows(scores: list[EpisodeResult]) -> list[Any]:
     return sorted((score.key, score.score, score.actions, score.failure) for score in scores)
 
 
-def who(_: int) -> tuple[int, float, float]:
-    """The process, and when it worked."""
-    begun = time.monotonic()
-    time.sleep(0.1)
-    return os.getpid(), begun, time.monotonic()
+def meet(folder: Path, patience: float, number: int) -> bool:
+    """Whether another piece of work is done at the same time, somewhere."""
+    (folder / str(number)).touch()
+    start = time.monotonic()
+    while not (met := len(list(folder.iterdir())) > 1) and time.monotonic() - start < patience:
+        time.sleep(0.01)
+    time.sleep(0.1)  # the other one looks, too
+    (folder / str(number)).unlink()
+    return met
 
 
 @pytest.mark.slow
@@ -293,6 +314,7 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
     distributed = pytest.importorskip("distributed")
     magical_mj.evaluate("random,Slow=noop", out=tmp_path / "here", **SETTINGS)  # does the same, but faster
     killed: list[int] = []
+    stored: list[int] = []
     here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder wherever that is
     with (
         here,
@@ -304,13 +326,13 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
         ) as cluster,
     ):
         address = cluster.scheduler_address
-        for jobs, together in ((1, False), (None, True)):
-            pieces = sorted(map_unordered(who, range(6), jobs, "dask", address), key=lambda piece: piece[1])
-            assert len(pieces) == 6
-            assert {pid for pid, _, _ in pieces} <= {nanny.process.pid for nanny in cluster.workers.values()}
-            assert any(first[2] > second[1] for first, second in pairwise(pieces)) == together
+        (tmp_path / "pieces").mkdir()
+        for jobs, patience in ((1, 0.1), (None, 60)):
+            pieces = map_unordered(partial(meet, tmp_path / "pieces", patience), range(2), jobs, "dask", address)
+            assert list(pieces) == [jobs is None] * 2
 
         def kill_one(_: EpisodeResult) -> None:
+            stored.append(len(read(tmp_path / "there")))
             if not killed:
                 killed.append(next(iter(cluster.workers.values())).process.pid)
                 os.kill(killed[0], signal.SIGKILL)
@@ -325,6 +347,7 @@ def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: P
             **SETTINGS,
         )
     assert killed
+    assert len(set(stored)) > 30, "each episode as it ends, but for those that are held back until one has succeeded"
     assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
 
 

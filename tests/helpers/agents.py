@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
-import threading
 import time
 import zlib
 from collections.abc import Callable, Sequence
@@ -99,8 +99,8 @@ class Trouble:
                 pass
         if self.seed == 7:
             time.sleep(1000)
-        if self.seed == 9:
-            threading.Event().wait()
+        if self.seed == 9:  # which lets no other thread run
+            re.match("(a+)+$", "a" * 60 + "b")
         return {3: 18, 11: None, 13: np.float32(2.0), 15: [1]}.get(self.seed, 1)
 
 
@@ -111,6 +111,19 @@ class Slow:
 
     def __call__(self, observation: Any) -> int:
         time.sleep(0.001)
+        return 0
+
+
+class Slower:
+    """Does nothing, and takes a second for an episode of MoveToRegion; longer in the scene of seed 1."""
+
+    uses_simulation = True
+
+    def reset(self, episode: Episode) -> None:
+        self.pause = 0.25 if episode.seed == 1 else 0.025
+
+    def __call__(self, observation: Any) -> int:
+        time.sleep(self.pause)
         return 0
 
 

@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+import magical_mj
 from magical_mj.evaluation.entry import packed, unpacked
 from magical_mj.evaluation.scores import SCORES, SETTINGS
 from magical_mj.leaderboard import read_entry, submit, verify
+from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.commands import Shell
@@ -21,15 +23,19 @@ from tests.helpers.entries import EPISODES, TAMPERED, Row, rewrite, swapped_scen
 
 def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, shell: Shell) -> None:
     """And the command says so before it replays anything; pages of its own are replaced."""
-    submit([folder], tmp_path / "entry.json.xz")
+    submit([folder], tmp_path / "entries" / "entry.json.xz")
+    pages = tmp_path / "out" / "leaderboard"
     for _ in range(2):
-        assert shell("leaderboard", tmp_path)[0] == 0
+        assert shell("leaderboard", "entries")[0] == 0
+    assert [path.name for path in (tmp_path / "entries").iterdir()] == ["entry.json.xz"], (
+        "nothing else is written there"
+    )
     for name in ("leaderboard.md", "leaderboard.html"):
-        (tmp_path / name).write_text("# Mine, on the leaderboard\n")
-        error = shell.fails(1, "leaderboard", tmp_path)
+        (pages / name).write_text("# Mine, on the leaderboard\n")
+        error = shell.fails(1, "leaderboard", "entries")
         assert f"{name} is not a page of an earlier leaderboard: move it" in error
-        assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
-    assert "cannot write into /dev/null/pages" in shell.fails(1, "leaderboard", tmp_path, "--out", "/dev/null/pages")
+        assert (pages / name).read_text() == "# Mine, on the leaderboard\n"
+    assert "cannot write into /dev/null/pages" in shell.fails(1, "leaderboard", "entries", "--out", "/dev/null/pages")
 
 
 def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, shell: Shell) -> None:
@@ -151,15 +157,42 @@ def test_what_was_tampered_with_is_named(folder: Path) -> None:
 
 def test_other_settings_are_named(folder: Path) -> None:
     settings = json.loads((folder / SETTINGS).read_text())
-    for name in ("protocol", "demonstrations", "rules"):
-        for value in (99, [1]):
+    for value in (99, [1]):
+        for name in ("demonstrations", "rules"):
             (folder / SETTINGS).write_text(json.dumps({**settings, name: value}))
             (sentence,) = verify(folder, jobs=1).unfit
             assert sentence.startswith(f"{name}: {value} is recorded, and it must be ")
+        (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": value}))
+        findings = verify(folder, jobs=1)
+        problem = f"cannot be replayed: it follows protocol {value}, and this version plays {PROTOCOL}"
+        assert findings.unfit == [f"{EPISODES} episodes {problem}"]
+        assert findings.episodes == 0
     (folder / SETTINGS).write_text(json.dumps({**settings, "policies": [1]}))
-    assert "protocol: nothing is recorded" in verify(folder, jobs=1).unfit[0]
-    (folder / SETTINGS).unlink()
-    assert "protocol: nothing is recorded" in verify(folder, jobs=1).unfit[0]
+    for _ in range(2):
+        assert any(problem.startswith("protocol: nothing is recorded") for problem in verify(folder, jobs=1).unfit)
+        (folder / SETTINGS).unlink(missing_ok=True)
+
+
+def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
+    """They are complete together, as `report` and `submit` see them; what two of them hold must agree."""
+    options = {"tasks": "MoveToRegion", "variants": "Demo", "preset": "State", "jobs": 1}
+    magical_mj.evaluate("noop", out=tmp_path / "s0", episodes=60, **options)
+    magical_mj.evaluate("noop", out=tmp_path / "s1", episodes=50, first_seed=50, **options)
+    assert any("MoveToRegion Demo: 40, such as seed 60" in gap for gap in verify(tmp_path / "s0").missing)
+    findings = verify(tmp_path / "s0", tmp_path / "s1")
+    assert (findings.episodes, findings.differing, findings.unfit) == (100, [], [])
+    assert not any("Demo" in gap for gap in findings.missing)
+    submit([tmp_path / "s1"], tmp_path / "entry.json.xz")
+    code, out, error = shell("verify", "s0", "entry.json.xz")
+    assert code == 1
+    assert out.endswith("100 episodes replayed\n")
+    assert "s0, entry.json.xz is incomplete: noop, run 0, MoveToRegion Jitter: all of the 100" in error
+    assert "Demo" not in error
+    rewrite(tmp_path / "s1", lambda rows: rows[0].update(score=0.5))
+    (problem,) = verify(tmp_path / "s0", tmp_path / "s1").differing
+    assert "seed 50: " in problem
+    assert "s0 and " in problem
+    assert "both hold it, with different results" in problem
 
 
 def test_rows_of_older_versions_have_no_scene(folder: Path) -> None:

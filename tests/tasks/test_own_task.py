@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import importlib
+import pickle
 import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 import magical_mj
+from magical_mj.envs.registration import env_id
+from magical_mj.evaluation import Episode, EpisodeResult, rollouts
+from magical_mj.evaluation.replay import replay
+from magical_mj.tasks.find_dupe import SPEC as FIND_DUPE
 from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.registry import VARIANTS, environments, task_spec
-from magical_mj.utils.errors import InvalidSceneError
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, TaskError
+from magical_mj.utils.imports import command_line
 from magical_mj.variants import vary
 from tests.helpers.commands import code_block, example, installed, python_beside
 
@@ -229,9 +238,9 @@ def test_plans_lead_to_the_full_score_in_every_variant(name: str) -> None:
     for _, variant in environments(task, "all"):
         for seed in range(4):
             scene = magical_mj.sample_scene(task, variant, seed)
-            after = scene_after(scene, spec.subgoals(scene, scene, noise))
+            after = scene_after(scene, spec.subgoals((scene, scene), noise))
             assert spec.score(scene, after, "paper") == 1
-            assert spec.subgoals(scene, after, noise) == ()
+            assert spec.subgoals((scene, after), noise) == ()
 
 
 @pytest.mark.usefixtures("outside")
@@ -246,3 +255,143 @@ def test_names_that_count_are_never_exchanged(name: str, shape: str | None, colo
     others = [block for block in spec.demo.blocks if block.shape != shape and block.colour != colour]
     with pytest.raises(InvalidSceneError, match="1 "):
         spec.check(magical_mj.Scene(spec.demo.robot, tuple(others)))
+
+
+# Scores of whole episodes
+
+ORDER = "in_order:SPEC"
+
+
+class Again:
+    """A policy that takes the actions of a demonstration."""
+
+    def __init__(self, actions: list[int]) -> None:
+        self.actions = actions
+
+    def reset(self, _: Episode) -> None:
+        self.left = iter(self.actions)
+
+    def __call__(self, _: Any) -> int:
+        return next(self.left, 0)
+
+
+@pytest.fixture
+def in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The page's task; its module."""
+    (tmp_path / "in_order.py").write_text(code_block(PAGE, "python", '"""InOrder'))
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.delitem(sys.modules, "in_order", raising=False)
+    yield importlib.import_module("in_order")
+    sys.modules.pop("in_order", None)
+
+
+def test_a_trajectory_is_scored_by_hand(in_order: Any) -> None:
+    start = in_order.SPEC.demo
+    red, green, blue = (start.moved(robot=(*region.centre, 0.0)) for region in start.regions)
+    for scenes, score in (
+        ([start], 0),
+        ([start, red, green, blue], 1),
+        ([start, red, green, blue, start], 1),
+        ([start, blue, green, red], 1 / 3),
+        ([start, green, red, red, green], 2 / 3),
+    ):
+        assert magical_mj.score_trajectory(ORDER, scenes) == pytest.approx(score)
+    untouched = replace(FIND_DUPE, name="Untouched", trajectory=True, plan=None, score=lambda scenes, rules: float(
+        all(scene.blocks[0] == scenes[0].blocks[0] for scene in scenes)
+    ))  # fmt: skip
+    there = untouched.demo
+    away = there.moved(blocks=[(0.0, 0.0, 0.0), *(block.pose for block in there.blocks[1:])])
+    assert untouched.checked_score((there, there), "paper") == 1
+    assert untouched.checked_score((there, away, there), "paper") == 0
+
+
+def test_a_trajectory_is_scored_alike_in_every_interface(in_order: Any) -> None:
+    engine, twin = (magical_mj.Engine(ORDER, "Layout", seed=3) for _ in range(2))
+    name, settings = env_id(ORDER, "Layout", "State"), {"score_every_step": True}
+    single = gymnasium.make(name, **settings)
+    vectors = [gymnasium.make_vec(name, 2, kind, **settings) for kind in ("sync", "vector_entry_point")]
+    composer = magical_mj.load(ORDER, "Layout", seed=3, observations=["state"], reward="score")
+    for env in (single, *vectors):
+        env.reset(seed=3)
+    composer.reset()
+    expert, scores, timestep = magical_mj.experts.Expert(engine, ORDER, seed=0), [], None
+    while not engine.over:
+        action = expert()
+        scores.append(engine.score())
+        engine.step(action)
+        *_, info = single.step(action)
+        infos = [envs.step(np.array([action, 0]))[-1] for envs in vectors]
+        timestep = composer.step(action)
+        if engine.steps == 60:  # a state that a copy of the episode goes on from
+            for other in (twin, single.unwrapped, composer, pickle.loads(pickle.dumps(single.unwrapped))):
+                other.set_state(engine.get_state())
+            assert single.unwrapped.clone().score() == engine.clone().score() == composer.clone().score() > 0
+        if engine.steps > 60:
+            twin.step(action)
+            assert twin.get_state() == engine.get_state()
+        assert engine.score() == magical_mj.score_trajectory(ORDER, engine.scored_scenes)
+        assert {engine.score()} == {info["score"], *(each["score"][0] for each in infos), composer.score()}
+    assert single.unwrapped.get_state() == composer.get_state() == vectors[1].call("get_state")[0]
+    assert sorted(set(scores)) == pytest.approx([0, 1 / 3, 2 / 3, 1])
+    assert timestep is not None
+    assert info["eval_score"] == timestep.reward == twin.score() == 1.0
+    for env in (single, *vectors):
+        env.close()
+
+
+def test_its_demonstrations_and_evaluations_are_played_again(in_order: Any) -> None:
+    demo = magical_mj.demos.demonstrate(ORDER, "Demo", 0)
+    assert (demo.score, demo.rescored(), demo.rescored(0)) == (1.0, 1.0, 0.0)
+    assert magical_mj.demos.verify(demo).good
+    with command_line([ORDER]):  # as somebody who has typed the name
+        for env in (gymnasium.make(env_id(ORDER, "Demo", "State")), magical_mj.make_vec(ORDER, 1, preset="State")):
+            (result,) = rollouts(env, Again(demo.actions.tolist()), [Episode(ORDER, "Demo", demo.scene_seed)])
+            assert result.score == 1.0
+            env.close()
+        check_replays(result)
+
+
+def check_replays(result: EpisodeResult) -> None:
+    """The result is confirmed, by other rules too; with its actions in the reverse order it is not."""
+    for rules in (None, "released"):
+        ((_, again, difference),) = replay([("", result)], rules=rules, jobs=1)
+        assert (again.score, difference) == (1.0, None)
+    ((_, _, difference),) = replay([("", replace(result, actions=result.actions[::-1]))], jobs=1)
+    assert difference is not None
+    assert "the score is 1, and its actions lead to" in difference
+
+
+def test_what_lacks_the_trajectory_is_refused_by_name(in_order: Any) -> None:
+    scene = in_order.SPEC.demo
+    with pytest.raises(SettingsError, match=r"InOrder|in_order.*score_trajectory"):
+        magical_mj.score(ORDER, scene, scene)
+    with pytest.raises(SettingsError, match="a list or a tuple of scenes"):
+        magical_mj.score_trajectory(ORDER, [])
+    plain = magical_mj.load_scene(scene, observations=["state"])
+    plain.reset()
+    plain.step(1)
+    state = plain.get_state()
+    engine = magical_mj.Engine(ORDER, scene=scene)
+    kept = engine.get_state()
+    composer = magical_mj.load(ORDER, scene=scene, observations=["state"])
+    composer.reset()
+    single = magical_mj.MagicalEnv(ORDER, preset="State")
+    single.reset(options={"scene": scene})
+    refusals = (
+        lambda: engine.set_state(state),
+        lambda: composer.set_state(state),
+        lambda: single.set_state(state),
+        lambda: single.reset(options={"state": state}),
+        lambda: engine.set_state(replace(kept, steps=1)),
+    )
+    for refused in refusals:
+        with pytest.raises(StateError, match="score of in_order:SPEC depends on the scenes of all steps"):
+            refused()
+    assert engine.get_state() == composer.get_state() == single.get_state() == kept
+    with pytest.raises(SettingsError, match="give an engine of this task"):
+        magical_mj.experts.Expert(magical_mj.Engine.of_scene(scene), ORDER)
+    wrong = replace(FIND_DUPE, name="Wrong", trajectory=True)  # whose score takes two scenes
+    with pytest.raises(TaskError, match=r"Wrong\.score failed"):
+        wrong.checked_score((FIND_DUPE.demo, FIND_DUPE.demo), "paper")
+    with pytest.raises(TaskError, match=r"Wrong\.trajectory must be a bool"):
+        replace(FIND_DUPE, name="Wrong", trajectory=1)

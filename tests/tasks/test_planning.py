@@ -28,7 +28,7 @@ def noise(seed: int = 0, strength: float = 1.0) -> Noise:
 def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
     for seed in range(3):
         scene = magical_mj.sample_scene(task, variant, seed)
-        todo = task_spec(task).subgoals(scene, scene, noise(seed))
+        todo = task_spec(task).subgoals((scene, scene), noise(seed))
         assert magical_mj.score(task, scene, scene_after(scene, todo)) == 1.0
         assert len({subgoal.block for subgoal in todo}) == len(todo)
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
@@ -36,22 +36,22 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
 
 def test_what_is_solved_by_one_set_of_rules_may_not_be_by_the_other() -> None:
     half = replace(task_spec("FindDupe"), score=lambda initial, final, rules: 1.0 if rules == "paper" else 0.5)
-    assert half.subgoals(half.demo, half.demo, noise()) == ()
-    assert half.subgoals(half.demo, half.demo, noise(), "released") != ()
+    assert half.subgoals((half.demo, half.demo), noise()) == ()
+    assert half.subgoals((half.demo, half.demo), noise(), "released") != ()
 
 
 def test_a_plan_without_room_says_so() -> None:
     scene = magical_mj.sample_scene("MatchRegions", "Demo", 0)
     everywhere = replace(scene, regions=(replace(scene.regions[0], x_min=-0.9, y_min=-0.9, x_max=0.9, y_max=0.9),))
     with pytest.raises(PlacementError, match="no place for block 2"):
-        task_spec("MatchRegions").subgoals(everywhere, everywhere, noise())
+        task_spec("MatchRegions").subgoals((everywhere, everywhere), noise())
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_solved_scene_leaves_nothing_to_do(task: str) -> None:
     scene = magical_mj.sample_scene(task, "Demo", 0)
-    solved = scene_after(scene, task_spec(task).subgoals(scene, scene, noise()))
-    assert task_spec(task).subgoals(scene, solved, noise()) == ()
+    solved = scene_after(scene, task_spec(task).subgoals((scene, scene), noise()))
+    assert task_spec(task).subgoals((scene, solved), noise()) == ()
 
 
 def test_a_subgoal_costs_more_the_farther_it_is() -> None:
@@ -67,7 +67,7 @@ def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
     poses = [block.pose for block in scene.blocks]
     poses[0], poses[6] = (-0.3, -0.6, 0.0), (0.2, -0.1, 0.0)
-    todo = task_spec("FindDupe").subgoals(scene, scene.moved(blocks=poses), noise())
+    todo = task_spec("FindDupe").subgoals((scene, scene.moved(blocks=poses)), noise())
     assert {subgoal.block for subgoal in todo} == {0, 5, 6}
 
 

@@ -164,7 +164,7 @@ def test_errors_in_the_code_of_ones_own_task_say_where(mine: str) -> None:
     spec = task_spec(f"{mine}:NO_PLAN")
     for now in (spec.demo, spec.demo.moved(robot=(0.0, 0.0, 0.0))):  # in the generator, and in the function
         with pytest.raises(TaskError, match=f"^Mine.plan failed: {where}"):
-            spec.subgoals(spec.demo, now, Noise(np.random.default_rng(0), 0.0))
+            spec.subgoals((spec.demo, now), Noise(np.random.default_rng(0), 0.0))
     with pytest.raises(TaskError, match=rf"^Mine-Colour cannot be drawn from seed \d+: {where}"):
         [sample_scene(f"{mine}:ERRS", "Colour", seed) for seed in range(100)]
 
@@ -193,7 +193,7 @@ def test_plans_of_ones_own_are_checked(mine: str) -> None:
     for name, value in returned.items():
         spec = task_spec(f"{mine}:{name}")
         with pytest.raises(TaskError, match=f"Mine.plan .* returned {value}"):
-            spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
+            spec.subgoals((spec.demo, spec.demo), Noise(np.random.default_rng(0), 0.0))
 
 
 def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:

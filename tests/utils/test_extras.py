@@ -1,16 +1,63 @@
-"""What is to be installed is said for the way in which this package was installed."""
+"""Requirements are those that are imported; and what is to be installed is said for how this package was installed."""
 
 from __future__ import annotations
 
+import ast
 import importlib.metadata
 import json
-import subprocess
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from magical_mj.utils.extras import remedy
+from magical_mj.utils.extras import MODULES, remedy
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+RENAMED = {"pillow": "PIL", "pygame-ce": "pygame", "warp-lang": "warp"}
+"""Requirement -> the module that it installs, where they differ in more than a hyphen."""
+INDIRECT = {"onnxscript": "torch.onnx.export(", "tensorboard": "from torch.utils.tensorboard"}
+"""What another library imports -> the code that makes it do so."""
+HOSTS = {"lerobot", "vla_eval"}
+"""Programs that load this package as a plug-in: they choose their versions, and ours."""
+TRANSITIVE = {"OpenGL"}
+"""What MuJoCo requires to draw at all."""
+
+
+def modules(requirements: list[str]) -> set[str]:
+    """The modules of requirements, without extras of this package."""
+    names = {re.split(r"[^\w-]", requirement)[0] for requirement in requirements} - {"magical-mj"}
+    return {RENAMED.get(name, name.replace("-", "_")) for name in names}
+
+
+def imported(folder: Path) -> set[str]:
+    """The modules outside the standard library that the files in a folder import."""
+    nodes = [node for path in folder.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"magical_mj"}
+
+
+def test_what_is_required_is_imported_and_what_is_imported_is_required() -> None:
+    extras = {name: modules(listed) for name, listed in PROJECT["optional-dependencies"].items()}
+    site, used = extras.pop("site"), imported(ROOT / "magical_mj")
+    required = modules(PROJECT["dependencies"]).union(*extras.values())
+    assert required - used == set(INDIRECT)
+    assert used - required <= HOSTS | TRANSITIVE
+    code = "".join(path.read_text() for path in (ROOT / "magical_mj").rglob("*.py"))
+    assert [name for name, call in INDIRECT.items() if call not in code] == []
+    assert [name for name in site - {"sphinx"} if f'"{name}"' not in (ROOT / "site" / "conf.py").read_text()] == []
+
+
+def test_a_missing_extra_is_known_by_its_own_requirements() -> None:
+    """Besides those of others that it includes, such as torch, which `gpu` has from `il`."""
+    for name, listed in PROJECT["optional-dependencies"].items():
+        if name in MODULES:
+            assert modules(listed) <= set(MODULES[name]), name
+            assert set(MODULES[name]) - modules(listed) <= {"h5py", "torch"}, name
+
 
 ORIGINS = [
     (None, 'pip install "magical-mj[web]"'),
@@ -42,10 +89,6 @@ def test_extras_come_from_where_the_package_came_from(
     assert remedy("web") == command
 
 
-def test_a_checkout_that_was_never_installed_names_itself() -> None:
-    """Seen by a Python without any installed packages."""
-    root = Path(__file__).parents[2]
-    start = f"import sys; sys.path.insert(0, {str(root)!r}); from magical_mj.utils.extras import remedy"
-    command = [sys.executable, "-I", "-S", "-c", f"{start}; print(remedy('web'))"]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert run.stdout == f'pip install -e "{root}[web]"\n'
+def test_a_checkout_that_was_never_installed_names_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magical_mj.utils.extras.distribution", lambda _: importlib.metadata.distribution("no-such"))
+    assert remedy("web") == f'pip install -e "{ROOT}[web]"'

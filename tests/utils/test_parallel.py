@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from magical_mj.utils.errors import UnknownNameError, WorkerError
-from magical_mj.utils.parallel import Pool, map_unordered
+from magical_mj.utils.parallel import Pool, Split, Timed, map_here, map_unordered
 
 needs_proc = pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 
@@ -82,6 +82,39 @@ def test_errors_come_back_with_their_origin_and_the_worker_goes_on() -> None:
 def test_work_that_kills_every_worker_is_given_up() -> None:
     with pytest.raises(WorkerError, match=r"3 worker processes died .* \(exit code 3\)"):
         list(map_unordered(lambda _: os._exit(3), [0], jobs=1))
+
+
+def test_work_past_its_time_is_ended_and_replaced() -> None:
+    """By another result, or by smaller pieces; what is done in time is not."""
+
+    def work(piece: Any) -> Any:
+        if isinstance(piece, str):
+            return f"part {piece}"
+        late = "late" if piece == 1 else Split(["a", "b"])
+        return Timed(1.0, lambda: time.sleep(1000 * piece) or f"done {piece}", late)
+
+    assert sorted(map_unordered(work, range(3), jobs=2)) == ["done 0", "late", "part a", "part b"]
+    assert list(map_here(work, [0, "c"])) == ["done 0", "part c"]
+
+
+class Large:
+    """A function that leaves a file wherever it is unpickled, and splits pieces that are large."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ = state
+        (self.folder / f"{os.getpid()}-{time.monotonic()}").touch()
+
+    def __call__(self, piece: int) -> Any:
+        return Split([piece // 2, piece - piece // 2]) if piece > 1 else piece
+
+
+def test_each_worker_gets_the_function_once_and_what_is_split_is_done(tmp_path: Path) -> None:
+    assert list(map_unordered(Large(tmp_path), [8, 3, 1], jobs=2)) == [1] * 12
+    assert list(map_here(Large(tmp_path), [8, 3, 1])) == [1] * 12
+    assert len(list(tmp_path.iterdir())) <= 2
 
 
 PROGRAM = """

@@ -3,6 +3,9 @@
 Each is stepped with random actions, resets included, in short turns that follow each other, so that other load affects
 all equally. Times are processor time over all threads, and a step's is the least of its turns. What cannot be made here
 is named with its error.
+
+Meta-World is left out: version 3.1.1 excludes the MuJoCo that ours needs, and 3.0.0 fails in it, since it writes 11
+numbers for each equality constraint, which have 12 there.
 """
 
 from __future__ import annotations
@@ -78,15 +81,6 @@ def envpool_atari() -> Step:
     return lambda: env.step(action)
 
 
-def metaworld_pixels() -> Step:
-    """Meta-World's reach with a picture of its corner camera of 96 x 96 pixels, drawn by MuJoCo."""
-    import_module("metaworld")
-    options: dict[str, Any] = {"render_mode": "rgb_array", "camera_name": "corner2", "width": 96, "height": 96}
-    env = gymnasium.make("Meta-World/MT1", env_name="reach-v3", seed=0, **options)
-    step = stepper(env)
-    return lambda: (step(), env.render())
-
-
 def original_engine() -> Step:
     """The physics engine of the original MAGICAL alone: eight boxes, and one that is driven about; no pictures."""
     pymunk = import_module("pymunk")
@@ -124,7 +118,6 @@ CANDIDATES: Final[dict[str, tuple[str, Callable[[], Step]]]] = {
     "MiniGrid, RGB": ("minigrid", minigrid),
     "ALE, 84 x 84 x 4": ("ale-py", atari),
     "EnvPool, 84 x 84 x 4": ("envpool", envpool_atari),
-    "Meta-World, pixels": ("metaworld", metaworld_pixels),
     ENGINE: ("pymunk", original_engine),
 }
 

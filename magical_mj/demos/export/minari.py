@@ -17,7 +17,7 @@ from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstra
 from magical_mj.demos.export.source import source_of
 from magical_mj.demos.learning import observations
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.tasks.registry import score, task_spec
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import check_extra
@@ -144,7 +144,7 @@ def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
     rewards = np.zeros(steps)
     rewards[-1] = demo.score
     if speeds:  # the sparse reward
-        rewards = np.array([score(demo.task, demo.scene, scene) for scene in demo.scenes()[1:]])
+        rewards = np.array([demo.rescored(step) for step in range(1, steps + 1)])
     return {
         "id": number,
         "seed": demo.scene_seed,

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, tostring
 from dm_control import composer, mjcf
 
 from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
-from magical_mj.assets.contacts import SETTINGS, geom_classes
+from magical_mj.assets.contacts import SETTINGS, default_classes
 from magical_mj.assets.mjcf import elements
 from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
@@ -38,7 +38,7 @@ class Thing(composer.Entity):
         content = "".join(tostring(part, "unicode") for part in body if part.tag in ("geom", "body", "camera"))
         tendons = "".join(tostring(part, "unicode") for part in others)
         self._model = mjcf.from_xml_string(
-            f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/><default>{geom_classes()}</default>'
+            f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/><default>{default_classes()}</default>'
             f"<worldbody>{content}</worldbody><tendon>{tendons}</tendon>{more}</mujoco>"
         )
 
@@ -51,7 +51,7 @@ class Thing(composer.Entity):
         """Puts the thing into the arena, with its joints. Its meshes are those of the arena."""
         frame = arena.attach(self)
         body, others = self._elements(scene)
-        joints = {part.get("name"): frame.add("joint", **part.attrib) for part in body.findall("joint")}
+        joints = {part.get("name"): frame.add("joint", **_attributes(part)) for part in body.findall("joint")}
         for part in body.findall("inertial"):
             frame.add("inertial", **part.attrib)
         for tendon in others:  # those of the frame's joints would be searched in the tree
@@ -164,7 +164,7 @@ def _block(index: int, scene: Scene) -> str:
 
 
 def _pebble(index: int, scene: Scene) -> str:
-    return pebble_mjcf(index, scene.pebbles[index], SETTINGS)
+    return pebble_mjcf(index, scene.pebbles[index])
 
 
 def _pairs(scene: Scene) -> list[dict[str, str]]:
@@ -172,7 +172,12 @@ def _pairs(scene: Scene) -> list[dict[str, str]]:
     feet = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
     feet += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
     feet += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))
-    return [pair.attrib for pair in _without_comments(feet)]
+    return [_attributes(pair) for pair in _without_comments(feet)]
+
+
+def _attributes(element: Element) -> dict[str, str]:
+    """Those of an element, by dm_control's names."""
+    return {"dclass" if name == "class" else name: value for name, value in element.attrib.items()}
 
 
 def _without_comments(text: str) -> list[Element]:

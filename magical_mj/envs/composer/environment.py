@@ -175,7 +175,7 @@ class Environment(composer.Environment):
 
     def get_state(self) -> State:
         """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
-        return self.task.simulation(self._opened()).state(self.task.steps)
+        return self.task.state(self._opened())
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
@@ -187,6 +187,7 @@ class Environment(composer.Environment):
         """
         physics = self._opened()
         check_state(state)
+        self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)

@@ -95,7 +95,7 @@ class SceneTask(composer.Task):
 
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
         self.settings, self.setup = settings, settings.setup
-        self.steps = 0
+        self.steps, self._trajectory = 0, list[Scene]()
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
@@ -173,14 +173,14 @@ class SceneTask(composer.Task):
         self.world.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.steps = 0
+        self.steps, self._trajectory = 0, [self.world.scene] if self.setup.trajectory else []
         if self._state is not None:
             self.resume(physics, self._state)
 
     def resume(self, physics: Any, state: State) -> None:
         """Restores a state of an episode that started in this scene."""
         self.simulation(physics).restore(state.simulation)
-        self.steps = int(state.steps)
+        self.steps, self._trajectory = int(state.steps), self.setup.trajectory_of(state)
         if self.shifts is not None:
             self.shifts.resume(self.steps, state.commands)
 
@@ -198,6 +198,12 @@ class SceneTask(composer.Task):
         except errors.PhysicsError as error:
             raise PhysicsError(str(error)) from None
 
+    def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Notes the scene, if the score depends on the scenes of all steps."""
+        del random_state
+        if self._trajectory:
+            self._trajectory.append(self.simulation(physics).scene)
+
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the horizon is reached."""
         del physics
@@ -211,7 +217,11 @@ class SceneTask(composer.Task):
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self.world.scene, self.simulation(physics).scene)
+        return self.setup.score(self._trajectory or (self.world.scene, self.simulation(physics).scene))
+
+    def state(self, physics: Any) -> State:
+        """The state of the episode."""
+        return self.simulation(physics).state(self.steps, self._trajectory)
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The 18 actions."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -122,6 +124,7 @@ def report(
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
     """The part of `report` that writes the files; see there."""
     out = files.to_path(out)
+    _load_matplotlib()
     tables, shifts = result_tables(data), by_shift(data.scores)
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
@@ -160,6 +163,23 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
                 with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
                     drawing.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
+
+
+def _load_matplotlib() -> None:
+    """Imports matplotlib as if MPLBACKEND were not set, and then takes the backend that it names, if there is one.
+
+    Processes that a notebook starts with another Python inherit the notebook's backend, without which matplotlib
+    refuses to be imported. Our figures use no backend.
+    """
+    backend = os.environ.pop("MPLBACKEND", None)
+    try:
+        import matplotlib as mpl
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+    if backend is not None:
+        with suppress(ValueError):
+            mpl.rcParams["backend"] = backend
 
 
 def _settings(data: Results) -> str:

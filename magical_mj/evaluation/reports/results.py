@@ -17,9 +17,9 @@ from zlib import crc32
 import numpy as np
 
 from magical_mj.evaluation.entry import is_entry, read_entry
-from magical_mj.evaluation.replay import replay
+from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
-from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in, recorded_settings
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError
@@ -111,12 +111,13 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
 
 def episodes_of(folder: Path, rules: Rules | None) -> Iterator[EpisodeResult]:
     """The episodes of an evaluation or an entry, scored by these rules."""
+    recorded: dict[str, Any] = {}
     if is_entry(folder):
         entry = read_entry(folder)
         played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
         episodes = (replace(episode, **played_with) for episode in entry.episodes)
     else:
-        episodes = episodes_in(folder)
+        recorded, episodes = recorded_settings(folder), episodes_in(folder)
     if rules is None:
         yield from episodes
         return
@@ -124,9 +125,8 @@ def episodes_of(folder: Path, rules: Rules | None) -> Iterator[EpisodeResult]:
     for episode in episodes:
         if episode.rules == rules:
             yield episode
-        elif episode.wrap or episode.worlds != "single":
-            where = episode.wrap or "batched worlds"
-            raise EvaluationError(f"{folder} was played in {where}: it cannot be replayed, and scored by other rules")
+        elif problem := obstacle(episode, recorded):
+            raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {episode.title}: {problem}")
         else:
             others.append(("", episode))
     for _, episode, problem in replay(others, rules=rules):

@@ -66,11 +66,13 @@ class SavedState(NamedTuple):
         simulation: what `magical_mj.engine.simulation.Simulation.save` returns.
         shifts: those of the episode, at the same step.
         commands: one for each step since the lookahead was made; None: it has taken no effect so far.
+        scenes: the initial scene; with those of all steps since, if the score depends on them.
     """
 
     simulation: NDArray[np.float64]
     shifts: EpisodeShifts
     commands: tuple[int | None, ...]
+    scenes: tuple[Scene, ...]
 
 
 class Lookahead:
@@ -87,6 +89,8 @@ class Lookahead:
         shifts = engine.simulation.shifts
         self._shifts = EpisodeShifts({}) if shifts is None else shifts.copy()
         self._commands: list[int | None] = []
+        self._records = engine.setup.trajectory
+        self._scenes = list(engine.scored_scenes) if self._records else [engine.initial_scene]
         self.body = body_named(self._world.scene.robot.body)
         """The robot's; without fingers it cannot grip blocks, and pushes them."""
         self.trace: list[int] = []
@@ -107,6 +111,7 @@ class Lookahead:
         """Goes to a state, with an empty history."""
         self._simulation.restore(state.simulation)
         self._shifts, self._commands = state.shifts.copy(), list(state.commands)
+        self._scenes = list(state.scenes)
         self.trace, self.states = [], []
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
@@ -129,11 +134,13 @@ class Lookahead:
             if delay:
                 self._shifts.revise(delay, wanted)
         self._simulation.act(self._shifts.action(NOOP if delay else wanted))
+        if self._records:
+            self._scenes.append(self.scene())
 
     @property
     def state(self) -> SavedState:
         """The present state."""
-        return SavedState(self._simulation.save(), self._shifts.copy(), tuple(self._commands))
+        return SavedState(self._simulation.save(), self._shifts.copy(), tuple(self._commands), tuple(self._scenes))
 
     @property
     def commands(self) -> list[int]:
@@ -172,6 +179,10 @@ class Lookahead:
     def scene(self) -> Scene:
         """The present scene."""
         return self._world.read(self._simulation.data.qpos)
+
+    def scenes_to(self, scene: Scene) -> tuple[Scene, ...]:
+        """What the score of a scene depends on that is, or follows, the present one."""
+        return tuple(self._scenes) if scene == self._scenes[-1] else (*self._scenes, scene)
 
 
 def steer(

@@ -224,14 +224,16 @@ class Expert(PlanFollower):
         spec = task_spec(task)
         spec.check_plan()
         spec.check(env.initial_scene)
+        if spec.trajectory and not env.setup.trajectory:
+            raise SettingsError(f"the score of {task} depends on the scenes of all steps: give an engine of this task")
         seed = check_seed(seed)
 
         def planner() -> Planner:
-            initial, rules = env.initial_scene, env.setup.rules
+            ahead, rules = Lookahead(env), env.setup.rules
             return Planner(
-                lambda scene: spec.checked_score(initial, scene, rules),
-                lambda scene, noise, _: spec.subgoals(initial, scene, noise, rules),
-                Lookahead(env),
+                lambda scene: spec.checked_score(ahead.scenes_to(scene), rules),
+                lambda scene, noise, _: spec.subgoals(ahead.scenes_to(scene), noise, rules),
+                ahead,
             )
 
         super().__init__(env, env.horizon or spec.horizon(), planner, partial(np.random.default_rng, seed), BUDGET)

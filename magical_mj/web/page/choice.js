@@ -6,17 +6,19 @@ import { addressOf, parseAddress } from "./address.js";
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 
-/** @param {any} catalogue @param {Place} place @param {boolean} isNew  whether one can go back from it */
-export function showChoice(catalogue, place, isNew) {
-  const { task, variant, seed } = place;
-  const hash = `#${addressOf(place)}`;
+/** @param {string} hash  with "#" @param {boolean} isNew  whether one can go back from it */
+export function showAddress(hash, isNew) {
   if (hash !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", hash);
-  const variants = catalogue.environments.filter((/** @type {Place} */ one) => one.task === task);
+}
+
+/** Shows which scene is displayed; nothing for a model that is none of the catalogue. @param {any} catalogue @param {Place | null} place */
+export function showChoice(catalogue, place) {
+  const variants = catalogue.environments.filter((/** @type {Place} */ one) => one.task === place?.task);
   element("variant").replaceChildren(...variants.map((/** @type {Place} */ one) => new Option(one.variant)));
-  Object.assign(element("task"), { value: task });
-  Object.assign(element("variant"), { value: variant });
-  element("seed").value = seed;
-  element("play").href = `./#${addressOf(place)}`;
+  for (const name of /** @type {const} */ (["task", "variant", "seed"])) element(name).value = place?.[name] ?? "";
+  for (const name of ["variant", "seed"]) element(name).disabled = !place;
+  element("play").hidden = !place;
+  if (place) element("play").href = `./#${addressOf(place)}`;
 }
 
 /** Lists the tasks, and calls back with what is chosen from now on. @param {any} catalogue @param {(place: Place) => void} chosen */
@@ -26,4 +28,18 @@ export function onChoice(catalogue, chosen) {
   task.replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
   task.onchange = () => choose(0);
   for (const field of [variant, seed]) field.onchange = () => choose(Math.max(0, Math.floor(Number(seed.value))));
+  showChoice(catalogue, null);
+}
+
+/**
+ * The scene of the catalogue that an exported file says it is; null for any other model.
+ * @param {Record<string, string>} texts  of the file
+ * @param {any} catalogue
+ * @returns {Place | null}
+ */
+export function placeOf({ task, variant, seed, shifts = "", scene }, catalogue) {
+  if (!task || !variant || !seed || !scene) return null;
+  const { body } = JSON.parse(scene).robot, all = [shifts, body ? `body:${body}` : ""].filter(Boolean).join("+");
+  const { unknown, method, ...place } = parseAddress(`#${task}-${variant}-${seed}?${new URLSearchParams({ shifts: all })}`, catalogue);
+  return unknown ? null : place;
 }

@@ -30,6 +30,12 @@ export function readComments(text, bodyCount, geomCount) {
   };
 }
 
+/** The texts under `<custom>`, by name. @param {string} text  MJCF @returns {Record<string, string>} */
+export function readTexts(text) {
+  const texts = new DOMParser().parseFromString(text, "text/xml").querySelectorAll("mujoco > custom > text");
+  return Object.fromEntries([...texts].map((one) => [one.getAttribute("name") ?? "", one.getAttribute("data") ?? ""]));
+}
+
 /** The comment before an element, or before the row of its like in which it stands. @param {Element} element */
 function before(element) {
   for (let node = element.previousSibling; node; node = node.previousSibling) {

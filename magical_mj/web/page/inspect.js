@@ -2,7 +2,8 @@
 /** The page on which any model is looked at while it runs: a file that is opened or dropped, or a scene of the benchmark. */
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress } from "./address.js";
-import { onChoice, showChoice } from "./choice.js";
+import { readTexts } from "./comments.js";
+import { onChoice, placeOf, showAddress, showChoice } from "./choice.js";
 import { Controls } from "./controls.js";
 import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
@@ -29,6 +30,8 @@ const shown = {
   /** @type {(number | number[])[] | null} actions of the expert */ script: null,
   /** @type {string | number[][]} the same where they are known, as letters or speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
+  /** @type {import("./address.js").Place | null} the scene of the benchmark that it is */ place: null,
+  address: "",
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
 
@@ -40,26 +43,32 @@ function say(what, isWrong = false) {
 }
 
 /**
- * Opens a model, and keeps the one before if that fails.
+ * Opens a model, and keeps the one before if that fails, with what the page says of it.
  * @param {string} name
- * @param {() => Promise<{text: string, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
+ * @param {string} address  with "#"
+ * @param {() => Promise<{text: string, place: import("./address.js").Place | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
+ * @param {boolean} [isNew]  whether one can go back from it
  */
-async function open(name, read) {
+async function open(name, address, read, isNew = false) {
   const choice = ++choices;
   try {
-    const [mujoco, { text, files, expert }] = await Promise.all([loadMujoco(), read()]);
+    const [mujoco, { text, place, files, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
     element("download").hidden = true;
     const world = new World(mujoco, text, files);
     shown.world?.close();
-    Object.assign(shown, { turned: shown.last, world, name, text, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
+    Object.assign(shown, { turned: shown.last, world, name, text, place, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
     stage.open(world);
     showModel(world);
+    showAddress(address, isNew);
     say("");
   } catch (error) {
-    if (choice === choices) say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
+    if (choice !== choices) return;
+    if (shown.world) showAddress(shown.address, false);
+    say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
   }
+  showChoice(catalogue, shown.place);
 }
 
 /** @param {World} world */
@@ -187,6 +196,7 @@ function step() {
     shown.driven = true;
     world.act(controls.next());
   } else for (let i = 0; i < world.substeps; i++) world.step();
+  world.update();
   plots.note();
 }
 
@@ -249,14 +259,15 @@ function state() {
 
 /** Opens files that were dropped or chosen: one model, and what it needs. @param {Iterable<File>} files */
 async function openFiles(files) {
-  history.replaceState(null, "", "#file");
   const all = [...files], models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
   const texts = await Promise.all(models.map((file) => file.text()));
   const included = models.filter(({ name }) => texts.some((text) => text.includes(`"${name}"`) || text.includes(`/${name}"`)));
   const main = models.find((file) => !included.includes(file)) ?? models[0];
   if (!main) return say("A model is an .xml file: open it together with the files that it needs.", true);
-  await open(main.name, async () => ({
-    text: texts[models.indexOf(main)],
+  const text = texts[models.indexOf(main)];
+  await open(main.name, "#file", async () => ({
+    text,
+    place: await offered(text),
     files: new Map(await Promise.all(all.filter((file) => file !== main).map(
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
   }));
@@ -265,33 +276,42 @@ async function openFiles(files) {
 /** @type {any} */
 let catalogue = null;
 
+/** The scene that a file is, if the page has it; else null. @param {string} text  MJCF */
+async function offered(text) {
+  const place = placeOf(readTexts(text), catalogue);
+  if (!place || catalogue.simulation === "server") return place;
+  const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
+  return scenes.length === 1 || scenes.some(({ seed }) => seed === place.seed) ? place : null;
+}
+
 /** @param {import("./address.js").Place} place @param {boolean} [isNew]  whether one can go back from it */
 async function openScene(place, isNew = true) {
   const { task, variant, seed, shifts } = place, name = addressOf(place);
-  showChoice(catalogue, place, isNew);
-  await open(name, async () => {
+  if (!shown.world) showChoice(catalogue, place);  // what is to come
+  await open(name, `#${name}`, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
       if (!reply.ok) throw new Error(await reply.text());
-      return { text: await reply.text() };
+      return { text: await reply.text(), place };
     }
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
     if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
-    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: entry.expert };
-  });
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), place, expert: entry.expert };
+  }, isNew);
 }
 
 /** What the address says, as `#FindDupe-All-3`, or the file that the server was given. */
 async function openAddress() {
   const { hash } = location, given = catalogue.model;
-  if (hash === "#file" && !given) return;
+  if (hash === "#file" && !given) return say("Open the model again: the page keeps no files.");
   if (given && (!hash || hash === "#file")) {
-    return open(given.name, async () => {
+    return open(given.name, hash, async () => {
       const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
-      return { text: new TextDecoder().decode(contents[0]), files: new Map(files) };
+      const text = new TextDecoder().decode(contents[0]);
+      return { text, place: await offered(text), files: new Map(files) };
     });
   }
   const { unknown, ...place } = parseAddress(hash, catalogue);
@@ -352,7 +372,7 @@ try {
   stage = new Stage(element("world"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
   onProgress((share) => { element("download").value = share; });
   catalogue = await fetchJson("catalogue.json");
-  if (catalogue.simulation === "server") for (const id of ["home", "play"]) element(id).removeAttribute("href");
+  if (catalogue.simulation === "server") element("home").removeAttribute("href");
   connect();
   requestAnimationFrame(frame);
   const { files } = element("file");  // which may have been chosen before this was loaded

@@ -1,7 +1,7 @@
 // @ts-check
 /** Begins to inspect; where that has to wait, with a picture of the scene in the meantime, and with lists to choose another. */
-import { parseAddress } from "./address.js";
-import { onChoice, showChoice } from "./choice.js";
+import { addressOf, parseAddress } from "./address.js";
+import { onChoice, showAddress, showChoice } from "./choice.js";
 import { draw } from "./draw.js";
 import { asked, waits } from "./patience.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
@@ -14,20 +14,21 @@ async function wait() {
   message.textContent = "";
   const catalogue = await fetchJson("catalogue.json");
   const show = async (/** @type {Place} */ place, isNew = true, unknown = "") => {
-    showChoice(catalogue, place, isNew);
+    showAddress(`#${addressOf(place)}`, isNew);
+    showChoice(catalogue, place);
     message.textContent = unknown;
     message.classList.toggle("wrong", unknown !== "");
     const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
     if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === place.seed) ?? scenes[0]).scene);
   };
-  const showAddress = () => {
+  const showHash = () => {
     const { unknown, ...place } = parseAddress(location.hash, catalogue);
     return show(place, false, unknown);
   };
   onChoice(catalogue, show);
   if (catalogue.model || location.hash === "#file") return;  // no scene
-  addEventListener("hashchange", showAddress, begun);
-  await showAddress();
+  addEventListener("hashchange", showHash, begun);
+  await showHash();
 }
 
 /** @param {import("./draw.js").Look} look @param {import("./scene.js").Scene} scene */

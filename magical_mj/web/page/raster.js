@@ -16,7 +16,7 @@ export class Raster {
   /**
    * @param {any} mujoco  the module
    * @param {any} model  of a scene
-   * @param {string} mjcf  its file
+   * @param {string} mjcf  its file, with all digits
    * @param {import("./scene.js").Scene} scene
    */
   constructor(mujoco, model, mjcf, scene) {
@@ -59,10 +59,11 @@ function polygonsOf(model, mjcf, { regions }) {
   const kinds = [[], []];
   let region = 0;
   const meshes = [...model.mesh_vertadr];
-  const first = meshes.length - borders.length;  // borders come after the meshes that all models have
+  const first = meshes.length - borders.length;  // borders come after all other meshes
   for (let geom = 0; geom < model.ngeom; geom++) {
     if (!DRAWN.includes(model.geom_group[geom])) continue;
-    const body = model.geom_bodyid[geom], mesh = model.geom_dataid[geom], colour = packed(model.geom_rgba.subarray(4 * geom, 4 * geom + 4));
+    const body = model.geom_bodyid[geom], mesh = model.geom_dataid[geom], material = model.geom_matid[geom];
+    const colour = packed(model.mat_rgba.subarray(4 * material, 4 * material + 4));
     let parts;
     if (model.geom_type[geom] !== MESH) parts = [filling(regions[region++])];
     else if (mesh >= first) parts = dashes(borders[mesh - first]);

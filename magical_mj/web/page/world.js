@@ -72,6 +72,11 @@ export class World {
     this.mujoco.mj_step(this.model, this.data);
   }
 
+  /** Computes what follows from the state, which a step of MuJoCo leaves as it was before: places, contacts, sensors. The next step is the same to the bit. */
+  update() {
+    this.mujoco.mj_forward(this.model, this.data);
+  }
+
   /** The state as plain data. */
   state() {
     const { time, qpos, qvel, act, ctrl } = this.data;
