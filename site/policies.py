@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import onnxruntime
 import torch
 
 import magical_mj
 from magical_mj.learners import load_policy, load_settings, train
 from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories
+from magical_mj.policies.models import onnx_runtime
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 
 ROOT: Final = Path(__file__).parent.parent
@@ -51,7 +51,7 @@ def check(run: Path, file: Path, task: str) -> None:
     seen = every[np.linspace(0, len(every) - 1, STATES).astype(int)]
     with torch.inference_mode():
         ours = load_policy(run).actor(torch.as_tensor(seen), torch.zeros(STATES, dtype=torch.long)).argmax(1).numpy()
-    (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+    (logits,) = onnx_runtime().InferenceSession(file).run(None, {"observations": seen})
     if (ours != np.asarray(logits).argmax(1)).any():
         raise SystemExit(f"{file} acts differently than {run}")
 

@@ -51,7 +51,13 @@ Count = Annotated[
 ]
 Policy = Annotated[str, typer.Option(help="random, noop, module:object, the folder of a training, or a model file.")]
 Steps = Annotated[int, typer.Option(min=1, max=LARGEST_SETTING, help="At least so many in each environment.")]
-Preset = Annotated[str, typer.Option(help="What the policy observes; what is exported may be something else.")]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        help="What the policy observes; what is exported may be something else.",
+        show_default="what it was trained on, or LoRes4E",
+    ),
+]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
@@ -120,7 +126,7 @@ def rollouts(
     tasks: option.Tasks = "all",
     variants: option.Variants = "Demo,All",
     steps: Steps = 10_000,
-    preset: Preset = "LoRes4E",
+    preset: Preset = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Record episodes of a policy, as data without labels. Called again, it continues; nothing is overwritten.
@@ -139,7 +145,7 @@ def rollouts(
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=preset)))
+    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=source.preset)))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
     console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)

@@ -6,6 +6,7 @@ import shlex
 import time
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
+from dataclasses import replace as changed
 from math import isnan
 from operator import attrgetter
 from pathlib import Path
@@ -30,6 +31,7 @@ from magical_mj.cli.console import (
 )
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, film_episodes, replay, views_of
+from magical_mj.envs.presets import DEFAULT_PRESET
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores, read_settings
@@ -81,6 +83,7 @@ def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
         raise typer.BadParameter(f"{out} is the name of a file; --out is a folder, for {SCORES} and run.json.")
     evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options))
     screen = console()
+    _print_preset(screen, options["preset"], evaluation.settings.observed)
     if evaluation.scores:
         number = len(evaluation.scores)
         screen.print(f"{counted(number, 'episode')} {'is' if number == 1 else 'are'} done already")
@@ -111,13 +114,16 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), **options)
-    first = SPLITS[settings.split] + seed
     shift = shift_label(parse_shifts(shifts, pair[0]))
+    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
+    first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
+    settings = changed(settings, preset=listed[0].preset)
+    settings.shift_labels(pair[0], listed)  # an error if a policy does not notice the shifts
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0
+    _print_preset(screen, options["preset"], settings.observed)
     showing = nullcontext() if video is None else film(video, size, views=views, overwrite=force)
     try:
         with showing as movie, closing(Player.of(listed, settings)) as player:
@@ -144,6 +150,12 @@ def rollout(
 
 
 option.add_options(rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust")
+
+
+def _print_preset(screen: Console, given: str | None, preset: str) -> None:
+    """Says which preset was chosen by what the policy says, if it is not the default."""
+    if given is None and preset != DEFAULT_PRESET:
+        screen.print(f"preset {preset}, on which the policy was trained")
 
 
 def _line(score: EpisodeResult) -> str:

@@ -20,6 +20,7 @@ from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.export import default_target, make_data_set
 from magical_mj.demos.learning import observations
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
 
@@ -79,6 +80,11 @@ def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, pres
 Arrays = dict[str, NDArray[Any]]
 
 
+def _counts(space: gymnasium.Space[Any], rows: NDArray[Any]) -> bool:
+    """Whether both are numbers of actions, of whatever type of integers."""
+    return isinstance(space, gymnasium.spaces.Discrete) and rows.ndim == 1 and rows.dtype.kind in "iu"
+
+
 def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any, Any], Arrays, Arrays]:
     """An environment with the task's demonstrations for training and for validation, every fifth episode.
 
@@ -91,17 +97,30 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
         for each step. The demonstrations are those of the task, all in the demo scene, whatever the id's variant is.
 
     Raises:
-        SettingsError: if the observations of the id have several parts.
+        SettingsError: if it is another id, the observations have several parts, or the demonstrations have no such
+            observations or actions as the environment.
+        DemonstrationError: if there are none with the body of the options.
     """
-    env = gymnasium.make(name, **options)
     kwargs = gymnasium.spec(name).kwargs
+    if not {"task", "preset"} <= kwargs.keys():
+        raise SettingsError(f"{name} is not the id of a task's environment, such as magical_mj/FindDupe-Demo-State-v0")
+    env = gymnasium.make(name, **options)
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
         raise SettingsError(
             f"{name} has observations with several parts: take an id with one of the presets LoRes, State"
         )
-    demos = demonstrations.load(kwargs["task"])
+    demos = demonstrations.load(kwargs["task"], body=options.get("body", GRIPPER))
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
+    first = _arrays(demos[:1], kwargs["preset"])
+    for space, key in ((env.observation_space, "observations"), (env.action_space, "actions")):
+        rows = first[key]
+        if (space.shape, space.dtype) != (rows.shape[1:], rows.dtype) and not _counts(space, rows):
+            env.close()
+            raise SettingsError(
+                f"the {key} of this environment are {space}, and those of the demonstrations {rows.dtype} of shape "
+                f"{rows.shape[1:]}: leave out the options that change them"
+            )
     return env, _arrays(training, kwargs["preset"]), _arrays(parts[-1], kwargs["preset"])
 
 

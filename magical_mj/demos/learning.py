@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
+from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import Stacks, copying, preset_named
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
@@ -31,7 +32,11 @@ class Transitions(NamedTuple):
 
 
 def transitions(
-    demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True, renderer: str | None = None
+    demos: Iterable[Demonstration] | str,
+    preset: str = "LoRes4E",
+    *,
+    drop_noop: bool = True,
+    renderer: str | None = None,
 ) -> Transitions:
     """All transitions of all demonstrations in one pair of arrays; see `stream` for the arguments."""
     parts = list(stream(demos, preset, drop_noop=drop_noop, renderer=renderer))
@@ -46,7 +51,11 @@ def transitions(
 
 
 def stream(
-    demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True, renderer: str | None = None
+    demos: Iterable[Demonstration] | str,
+    preset: str = "LoRes4E",
+    *,
+    drop_noop: bool = True,
+    renderer: str | None = None,
 ) -> Iterator[Transitions]:
     """The transitions of one demonstration after the other. Pictures are drawn only when they are needed.
 
@@ -54,12 +63,18 @@ def stream(
     with its first picture. The state after the last action is left out, since no action follows it.
 
     Args:
-        demos: any demonstrations.
+        demos: any demonstrations, or the name of a task, whose own are taken.
         preset: the name of a Gymnasium preset, "" for the pair of current views.
         drop_noop: leave out the transitions with the no-op action, as the original does. Stacks still hold the frames
             of all steps.
         renderer: what draws pictures, as in `magical_mj.Engine`.
+
+    Raises:
+        DemonstrationError: if a task has none, or they are something else.
+        UnknownNameError: if there is no such task, or no such preset.
     """
+    if isinstance(demos, str):
+        demos = load(demos)
     for demo in checked(demos):
         rows = observations(demo, preset, renderer)
         steps = np.flatnonzero(demo.acts) if drop_noop else np.arange(len(demo.actions))

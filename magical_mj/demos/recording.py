@@ -296,7 +296,7 @@ def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
     body = demo.scene.robot.body
-    start: dict[str, Any] = {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
+    start = _start(demo)
     with closing(Engine(demo.task, demo.variant, body=body, **start)) as env:
         expected = env.initial_scene if demo.shifts else sample_scene(demo.task, demo.variant, demo.scene_seed, body)
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
@@ -315,6 +315,11 @@ def verify(demo: Demonstration) -> Verdict:
     return Verdict(same_scene, demo.rescored() == demo.score, same_score, same_states, same_pictures)
 
 
+def _start(demo: Demonstration) -> dict[str, Any]:
+    """The engine's arguments for the demonstration's start: shifts draw from its seed, and may change pictures, too."""
+    return {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
+
+
 def render_demo(
     demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE, renderer: str | None = None
 ) -> Iterator[dict[str, Picture]]:
@@ -329,9 +334,8 @@ def render_demo(
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    with closing(
-        Engine(demo.task, demo.variant, scene=demo.scene, renderer=renderer, body=demo.scene.robot.body)
-    ) as env:
+    body = demo.scene.robot.body
+    with closing(Engine(demo.task, demo.variant, **_start(demo), renderer=renderer, body=body)) as env:
         for positions in demo.qpos:
             env.data.qpos[:] = positions
             mujoco.mj_kinematics(env.model, env.data)

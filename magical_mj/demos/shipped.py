@@ -1,4 +1,6 @@
-"""The demonstrations that come with the package, all of a task in one file: two fifths smaller than as single files.
+"""The demonstrations of a task: those in a folder, or those that come with the package.
+
+The latter are all of a task in one file, which is two fifths smaller than single files.
 
 Such a file is a numpy archive (`*.npz`) compressed by xz: `headers`, as in the files of single demonstrations, one a
 line, and for all of them together `actions`, `offsets` and `qvel`. Offsets say how far the positions are from where
@@ -18,8 +20,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import Demonstration, packed, unpacked
+from magical_mj.demos.demonstration import Demonstration, files_in, packed, read, unpacked
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError
 
 FOLDER: Final = Path(__file__).parent / "data"
 SUFFIX: Final = ".npz.xz"
@@ -28,6 +33,33 @@ FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 
 ARRAYS: Final = ("actions", "offsets", "qvel")
 LEAST: Final = 1e-290
 """Smaller numbers count as 0 in predicted positions, since processes may be set to treat subnormal ones so."""
+
+
+def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> list[Demonstration]:
+    """The demonstrations that come with a task, or those in a folder: its files ``<Task>-<anything>.npz``; by one body.
+
+    Those in its subfolders, such as one for each player, come after them.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        DemonstrationError: if there are none, or a file is damaged.
+        SettingsError: if the task is not offered with the body.
+    """
+    task, spec = task_name(task), task_spec(task)
+    folder = spec.demonstrations if folder is None else folder
+    spec.check_body(body)
+    if folder is None and (demos := load_shipped(task, spec.name if body == GRIPPER else f"{spec.name}-{body}")):
+        return demos
+    paths = [] if folder is None else files_in(folder, f"{spec.name}-")
+    demos = [demo for demo in (read(path, task) for path in paths) if demo.scene.robot.body == body]
+    if demos:
+        return demos
+    command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"
+    where = f"in {folder}; to make some: magical-mj {command} {folder}"
+    if folder is None:
+        where = f"here: name a folder in its TaskSpec (demonstrations=...), and fill it: magical-mj {command} FOLDER"
+    by = "" if body == GRIPPER else f" with the body {body!r}"
+    raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
 
 
 def load_shipped(task: str, name: str) -> list[Demonstration]:

@@ -110,6 +110,13 @@ class Setup:
         scene = self.sample(start)
         return (scene if episode is None or self.task is None else episode.scene(scene, self.task)), episode
 
+    def instruction(self, shifts: EpisodeShifts | None) -> str:
+        """The sentence that says what is to be done in an episode with these shifts; "" for plain scenes."""
+        if self.task is None:
+            return ""
+        sentence = task_spec(self.task).summary
+        return sentence if shifts is None else shifts.instruction(sentence, self.task)
+
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self, scenes: Sequence[Scene]) -> float:
         """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last.
@@ -284,10 +291,7 @@ class Engine:
     @property
     def instruction(self) -> str:
         """The sentence that says what is to be done; "" for plain scenes."""
-        if self.task is None:
-            return ""
-        sentence, shifts = task_spec(self.task).summary, self.simulation.shifts
-        return sentence if shifts is None else shifts.instruction(sentence, self.task)
+        return self.setup.instruction(self.simulation.shifts)
 
     @property
     def over(self) -> bool:

@@ -73,8 +73,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         body: the robot's body, one that the task offers; see docs/bodies.md.
-        instruction: adds the sentence that says what is to be done: `info["instruction"]`, and "instruction" in
-            observations that are dicts. The shift "words" adds it to infos.
+        instruction: adds the sentence that says what is to be done, which `instruction` is, too: `info["instruction"]`,
+            and "instruction" in observations that are dicts. Shifts that change it add it to infos.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
@@ -144,6 +144,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def initial_scene(self) -> Scene:
         """The scene in which this episode started."""
         return self._engine.initial_scene
+
+    @property
+    def instruction(self) -> str:
+        """The sentence that says what is to be done in this episode, as its shifts make it."""
+        return self._engine.instruction
 
     @property
     def limit(self) -> int:
@@ -308,8 +313,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
-        if self._instruction or "words" in self._engine.draws:
-            sentence = self._engine.instruction  # with room for others: vectors give all worlds the first one's type
+        shifts = self._engine.simulation.shifts
+        if self._instruction or (shifts is not None and shifts.changes_instruction):
+            sentence = self.instruction  # with room for others: vectors give all worlds the first one's type
             info["instruction"] = np.array(sentence, f"U{max(len(sentence), LONGEST_SENTENCE)}")
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
@@ -366,7 +372,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 parts["fingers"] = self._engine.fingers().astype(np.float32)
         seen: dict[str, Any] = {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
         if self._instruction:
-            seen["instruction"] = self._engine.instruction
+            seen["instruction"] = self.instruction
         return seen
 
 

@@ -68,6 +68,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     }
 )
 """The presets by name; the empty name is used when an environment is made without a preset."""
+DEFAULT_PRESET: Final = "LoRes4E"
+"""What a policy gets that does not say what it observes."""
 
 
 def preset_named(name: str) -> Preset:
@@ -92,6 +94,16 @@ def observation_space(
     if instruction:
         boxes["instruction"] = spaces.Text(LONGEST_SENTENCE, charset=frozenset(map(chr, range(32, 127))))
     return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
+
+
+def observed(preset: str) -> str:
+    """The preset's name and the shape of its observations, or the shapes of their parts, in words."""
+    how = PRESETS[preset]
+    space = observation_space(how, Stacks(how, how.image_size).shapes)
+    if not isinstance(space, spaces.Dict):
+        return f"{preset} {space.shape}"
+    parts = ", ".join(f"{name} {part.shape}" for name, part in space.items())
+    return f"{preset or 'the preset without a name'}, a dict of {parts}"
 
 
 Images = NDArray[np.uint8]

@@ -290,7 +290,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _with_instructions(self) -> Any:
         """The observations of all worlds; instructions are no arrays, and are put in here."""
         if isinstance(self._observations, dict) and "instruction" in self._observations:
-            self._observations["instruction"] = tuple(env.engine.instruction for env in self.envs)
+            self._observations["instruction"] = tuple(env.instruction for env in self.envs)
         return self._observations
 
     def each_world(self, do: Callable[[int], None]) -> None:

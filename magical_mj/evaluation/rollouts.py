@@ -35,12 +35,13 @@ from magical_mj.policies.interface import (
     policy_name,
     reason,
     told_task,
+    uses_instruction,
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.shifts.registry import parse_shifts, shift_label
-from magical_mj.tasks.registry import task_name
+from magical_mj.shifts.registry import check_noticed, parse_shifts, shift_label
+from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils.errors import (
     EvaluationError,
     InvalidActionError,
@@ -100,10 +101,11 @@ def rollouts(
     Raises:
         EvaluationError: if the environment has other actions, or is not that of the episodes.
         RenderingError, TaskError, EvaluationError, Exception: see `play`.
-        SettingsError: if the policy must be copied, and cannot be.
+        SettingsError: if the policy must be copied, and cannot be; if shifts change the sentence that says what is to
+            be done, and the policy does not read it.
     """
     episodes = list(episodes)
-    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, episodes)}
+    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, policy, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
@@ -119,11 +121,14 @@ def rollouts(
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
 
 
-def _checked_facts(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> dict[str, Any]:
+def _checked_facts(
+    env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
+) -> dict[str, Any]:
     """What an environment is besides task and variant, as in results.
 
     Raises:
         EvaluationError: unless it is the environment of the episodes.
+        SettingsError: if it changes the sentence that says what is to be done, and the policy does not read it.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
@@ -136,6 +141,7 @@ def _checked_facts(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episo
         space, engine = env.action_space, engine_of(env)
         task, variant, rules = engine.task, engine.variant, engine.rules
         shifts, body = engine.shifts, engine.setup.body
+    check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"sentence"}))
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
@@ -183,6 +189,7 @@ def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> 
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
+            episode = replace(episode, instruction=engine.instruction)
             begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
         while not over:
             with policy_errors():
@@ -206,8 +213,10 @@ def play_side_by_side(
     scores, over = np.zeros(count), False
     with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
+        sentences = _instructions(envs, episodes)
+        begun = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
         with policy_errors():
-            batch.reset_batch(episodes)
+            batch.reset_batch(begun)
         while not over:
             with policy_errors():
                 actions = np.array([action_number(action) for action in batch.act_batch(observations)])
@@ -221,6 +230,17 @@ def play_side_by_side(
         _check_whole(whole.actions, envs)
     whole.seconds /= count
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
+
+
+def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
+    """The sentence of each environment that says what is to be done in the episode that it is in."""
+    worlds: Any = envs.unwrapped
+    if not hasattr(worlds, "get_attr"):  # batched worlds, which have no shifts
+        return [task_spec(episode.task).summary for episode in episodes]
+    try:
+        return worlds.get_attr("instruction")
+    except AttributeError:
+        raise EvaluationError(NO_SCORE) from None
 
 
 def late(seconds: float) -> str:

@@ -6,12 +6,14 @@ import inspect
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import cloudpickle
 
 from magical_mj._version import __version__
+from magical_mj.envs.presets import observed
 from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, check_runs, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
@@ -98,7 +100,6 @@ class Evaluation:
             check_extra("batched worlds", "gpu")
         if settings.backend != "local":
             check_extra(f"workers of {settings.backend}", settings.backend)
-        self.settings = settings
         self._sources = playable(
             policy,
             settings.environments,
@@ -109,6 +110,7 @@ class Evaluation:
             like=settings.like,
         )
         check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self._sources)
+        self.settings = settings = replace(settings, preset=self._sources[0].preset)
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # an error now
@@ -206,10 +208,11 @@ class Evaluation:
 def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:
     result, count = results[0], len(results)
     run = f", run {result.run}," if result.run else ""
+    given = "" if result.preset is None else f"; it was given {observed(result.preset)}"
     which = "the first episode" if count == 1 else f"the first {count} episodes"
     return EvaluationError(
         f"{which} of {result.policy}{run} failed, so none of them is kept; {result.task} {result.variant}, "
-        f"seed {result.seed}: {result.failure}"
+        f"seed {result.seed}: {result.failure}{given}"
     )
 
 

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
 from magical_mj._version import __version__
-from magical_mj.envs.presets import preset_named
+from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.shifts.registry import BODY
+from magical_mj.shifts.registry import BODY, Effect, check_noticed
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
@@ -65,7 +66,13 @@ class EvaluationSettings(Settings):
         Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: others, to look at and tune."),
     ] = "test"
     first_seed: Annotated[Natural, Meta(description="The number of the first scene in its split.")] = 0
-    preset: Annotated[str, Meta(description="The observations: a preset's name, or an empty one.")] = "LoRes4E"
+    preset: Annotated[
+        str | None,
+        Meta(
+            description="The observations: a preset's name, or an empty one; by default the one that the policies say "
+            "they were trained on, or LoRes4E."
+        ),
+    ] = None
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | None, Meta(description="The folder for the scores.")] = None
     resume: Annotated[bool, Meta(description="Go on with what is in the folder.")] = False
@@ -114,7 +121,7 @@ class EvaluationSettings(Settings):
         for task, _ in self.environments:
             self.shift_labels(task)
             task_spec(task).check_body(self.body)
-        preset_named(self.preset)
+        preset_named(self.observed)
         check_backend(self.backend, self.address)
         if self.resume and self.out is None:
             raise SettingsError("resume goes on with what is in a folder: give out, too")
@@ -131,6 +138,11 @@ class EvaluationSettings(Settings):
                 "batched worlds have neither shifts nor wrappers nor other bodies: leave them out, or --simulator warp"
             )
 
+    @property
+    def observed(self) -> str:
+        """The preset of the observations; until policies are known, the default."""
+        return DEFAULT_PRESET if self.preset is None else self.preset
+
     @cached_property
     def batched(self) -> bool:
         """Whether MuJoCo Warp plays the episodes, in batches."""
@@ -141,9 +153,19 @@ class EvaluationSettings(Settings):
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
 
-    def shift_labels(self, task: str) -> list[str]:
-        """What is shifted in a task, one setting after another, as in rows; the first one is nothing."""
-        labels = dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))])
+    def shift_labels(self, task: str, policies: Sequence[Source] = ()) -> list[str]:
+        """What is shifted in a task, one setting after another, as in rows; the first one is nothing.
+
+        "all" leaves out what one of the policies does not notice, whose score would show a robustness that it lacks.
+
+        Raises:
+            SettingsError: if an axis is named that one of the policies does not notice.
+        """
+        unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
+        settings = expand_shifts(self.shifts, task, unnoticed)
+        for policy, setting in product(policies, settings):
+            check_noticed(setting, policy.name, policy.unnoticed)
+        labels = dict.fromkeys(["", *map(shift_label, settings)])
         return [label for label in labels if label != shift_label({BODY: self.body})]
 
     @cached_property
@@ -159,7 +181,8 @@ class EvaluationSettings(Settings):
             **({"policies": [policy.described() for policy in policies]} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
-            **{name: getattr(self, name) for name in ("preset", "rules", "time_limit")},
+            "preset": self.observed,
+            **{name: getattr(self, name) for name in ("rules", "time_limit")},
             "worlds": WORLDS[self.simulator],
             "protocol": PROTOCOL,
             "shift_protocol": SHIFT_PROTOCOL,
@@ -167,7 +190,9 @@ class EvaluationSettings(Settings):
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": drawn_by(self.renderer),
-            "shifts": list(dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task))),
+            "shifts": list(
+                dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task, policies))
+            ),
             "wrap": self.wrap,
             "like": self.like,
             "body": self.body,

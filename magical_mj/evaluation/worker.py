@@ -20,7 +20,7 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, late, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, PolicyError, told_task, uses_simulation
+from magical_mj.policies.interface import Act, Episode, PolicyError, told_task, uses_instruction, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -83,7 +83,7 @@ def plan(
     """
     units: list[Unit] = []
     for task, variant in settings.environments:
-        for source, shift in product(policies, settings.shift_labels(task)):
+        for source, shift in product(policies, settings.shift_labels(task, policies)):
             every = Unit(source.name, source.run, task, variant, tuple(settings.seeds), shift)
             together = settings.batched or (source.batches and not settings.wrap)
             size = SIDE_BY_SIDE[settings.simulator] if together else 1
@@ -151,12 +151,14 @@ class Player:
         """What plays episodes of a unit within so many seconds."""
         settings, place = self.settings, (unit.task, unit.variant, unit.shift)
         policy = self._policy(unit)
+        reads = uses_instruction(policy)
         if settings.batched or len(unit.seeds) > 1:
             size = len(unit.seeds)
-            envs = self._keep("vector", (*place, size), lambda: _vector_env(unit, settings))
+            envs = self._keep("vector", (*place, size, reads), lambda: _vector_env(unit, settings, reads))
             return lambda episodes, seconds: play_side_by_side(envs, policy, episodes, seconds)
         observed = bool(settings.wrap) or not uses_simulation(policy)
-        env = self._keep("environment", (*place, observed), lambda: single_env(unit, settings, observed))
+        key = (*place, observed, reads)
+        env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
         return lambda episodes, seconds: [play(env, policy, episode, seconds) for episode in episodes]
 
     def _play(self, unit: Unit, playing: Playing, seconds: float, results: Results) -> Played | Split[Unit]:
@@ -172,7 +174,7 @@ class Player:
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
-            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
+            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.observed,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
@@ -210,14 +212,16 @@ def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
     return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
-def single_env(unit: Unit, settings: EvaluationSettings, observed: bool) -> Env:
+def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruction: bool = False) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
+    With `instruction`, observations that are dicts hold the sentence that says what is to be done.
     The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
     """
     how = _arguments(unit, settings)
     if observed:
-        env = gymnasium.make(env_id(unit.task, unit.variant, settings.preset), **how).unwrapped
+        name = env_id(unit.task, unit.variant, settings.observed)
+        env = gymnasium.make(name, instruction=instruction, **how).unwrapped
         return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
 
@@ -254,14 +258,15 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     return outer
 
 
-def _vector_env(unit: Unit, settings: EvaluationSettings) -> Envs:
+def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> Envs:
     number = len(unit.seeds)
-    how: dict[str, Any] = {"preset": settings.preset, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
+    how: dict[str, Any] = {"preset": settings.observed, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores
-        return make_vec(unit.task, number, variant=unit.variant, threads=threads, **how, **_arguments(unit, settings))
+        how |= {"threads": threads, "instruction": instruction, **_arguments(unit, settings)}
+        return make_vec(unit.task, number, variant=unit.variant, **how)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 

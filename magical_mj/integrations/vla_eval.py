@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
 from magical_mj.scene.actions import to_discrete
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import VIEWS
+from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import MissingExtraError, check_name
 
@@ -42,15 +44,24 @@ class MagicalBenchmark(StepBenchmark):
         variants: names of variants, separated by commas, or "all".
         views: any of "ego" and "allo", separated by commas.
         image_size: side of the pictures in pixels.
+        shifts: shifts and their strengths, such as "camera:3,latency:1"; see docs/shifts.md.
+        body: the robot's body, one that the tasks offer; see docs/bodies.md.
 
     Raises:
-        UnknownNameError: if there is no such task, variant or view.
+        UnknownNameError: if there is no such task, variant, view or shift.
+        SettingsError, InvalidSceneError: if a task cannot have the shifts or the body.
     """
 
     render_backends = frozenset({"gpu", "cpu"})
 
     def __init__(
-        self, tasks: str = "all", variants: str = "Demo", views: str = "ego", image_size: int = IMAGE_SIZE
+        self,
+        tasks: str = "all",
+        variants: str = "Demo",
+        views: str = "ego",
+        image_size: int = IMAGE_SIZE,
+        shifts: Shifts = None,
+        body: str = GRIPPER,
     ) -> None:
         super().__init__()
         self._recorder = NullEpisodeRecorder()  # until an episode starts
@@ -59,6 +70,9 @@ class MagicalBenchmark(StepBenchmark):
         for view in self._views:
             check_name("view", view, VIEWS)
         self._size = image_size
+        self._shifts, self._body = shifts, body
+        for task, _ in self._pairs:
+            task_spec(task).check_body(split_body(shifts, task, body)[1])
         self._env: Engine | None = None
 
     @classmethod
@@ -77,7 +91,8 @@ class MagicalBenchmark(StepBenchmark):
     def reset(self, task: Mapping[str, Any]) -> Pictures:
         """Starts the episode in the scene of the seed ``task["episode_idx"]``."""
         self.cleanup()
-        self._env = Engine(task["task"], task["variant"], seed=int(task.get("episode_idx", 0)))
+        seed = int(task.get("episode_idx", 0))
+        self._env = Engine(task["task"], task["variant"], seed=seed, shifts=self._shifts, body=self._body)
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
@@ -91,8 +106,11 @@ class MagicalBenchmark(StepBenchmark):
         return StepResult(obs=self._pictures(env), reward=score, done=over, info={})
 
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
-        """The pictures and the task's sentence."""
-        return {"images": raw_obs, "task_description": task_spec(task["task"]).summary}
+        """The pictures, and the sentence of the episode that has begun."""
+        del task
+        if self._env is None:
+            raise ResetNeeded("no episode has begun")
+        return {"images": raw_obs, "task_description": self._env.instruction}
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
         """The score of the episode that has ended."""
@@ -104,7 +122,9 @@ class MagicalBenchmark(StepBenchmark):
 
     def get_metadata(self) -> dict[str, Any]:
         """The longest episode; each ends by itself at its task's horizon."""
-        return {"max_steps": max(task_spec(task).horizon() for task, _ in self._pairs), "action_dim": 3}
+        bodies = {task: split_body(self._shifts, task, self._body)[1] for task, _ in self._pairs}
+        longest = max(task_spec(task).horizon(body=body) for task, body in bodies.items())
+        return {"max_steps": longest, "action_dim": 3}
 
     def get_hold_action(self, last_action: Mapping[str, Any] | None) -> dict[str, Any]:
         """In real time, nothing is done while the model thinks, and the fingers stay as they were commanded."""

@@ -41,6 +41,8 @@ class Episode:
         variant: the variant's name.
         seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
+        instruction: the sentence that says what is to be done, as the shifts of the episode make it; "" before it is
+            played.
         env: the engine of the environment, for policies with `uses_simulation = True`; None for all others.
     """
 
@@ -48,10 +50,11 @@ class Episode:
     variant: str
     seed: int
     run: int = 0
+    instruction: str = ""
     env: Engine | None = None
 
     def rng(self) -> np.random.Generator:
-        """A random generator for the policy; it depends only on the fields of this episode."""
+        """A random generator for the policy; it depends only on the task, the variant, the seed and the run."""
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
 
 
@@ -64,9 +67,11 @@ class Policy(Protocol):
     """An agent. A plain function from observation to action is accepted too.
 
     A class attribute `uses_simulation = True` means that the policy does not use observations: none are made, which is
-    much faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_shapes` (a list
-    of those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
-    error.
+    much faster, and `reset` gets the environment instead. `uses_instruction = True` means that it reads the sentence
+    that says what is to be done, `episode.instruction`: observations that are dicts then hold it, too, as
+    "instruction", and the policy can be evaluated under the shift "words". Attributes `preset`, `tasks` and
+    `observation_shapes` (a list of those that it accepts, with None for any size) say what it was trained on;
+    evaluations of anything else raise an error.
     """
 
     def reset(self, episode: Episode) -> None:
@@ -127,6 +132,11 @@ def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
 def uses_simulation(policy: object) -> bool:
     """Whether the policy gets the simulation itself, and no observations."""
     return bool(getattr(policy, "uses_simulation", False))
+
+
+def uses_instruction(policy: object) -> bool:
+    """Whether the policy reads the sentence that says what is to be done."""
+    return bool(getattr(policy, "uses_instruction", False))
 
 
 def policy_name(policy: object) -> str:

@@ -5,22 +5,42 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
+from inspect import ismethod
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.envs.presets import PRESETS, Stacks, observation_space
-from magical_mj.policies.interface import AGENTS, Act, BatchPolicy, policy_name, reason, told_task, uses_simulation
+from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, Stacks, observation_space, preset_named
+from magical_mj.policies.interface import (
+    AGENTS,
+    Act,
+    BatchPolicy,
+    policy_name,
+    reason,
+    told_task,
+    uses_instruction,
+    uses_simulation,
+)
 from magical_mj.policies.models import LOADERS, Shape
+from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
 from magical_mj.utils.imports import resolve, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+)
+WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
+"""How names of files end in which there are weights."""
+TORCH: Final = (
+    "To evaluate a network of PyTorch, give --policy mine:Policy, where mine.py has a class Policy that loads it in "
+    "__init__(self) and answers in __call__(self, observation) with an action, such as "
+    "int(network(torch.as_tensor(observation)[None]).argmax()); or export it: torch.onnx.export writes a file that "
+    "--policy takes. docs/evaluation.md has both"
 )
 FOLDERS: Final = "magical_mj.policy_folders"
 """The group of entry points that load the policy in a folder; the name of each is that of a file in its folders."""
@@ -37,7 +57,9 @@ class Source:
         trust: whether files that hold code may be loaded.
         digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
             if there is no file, or any will do.
-        batches: whether it acts in batches of observations; known once it was loaded.
+        batches: whether it acts in batches of observations; known once it was loaded, as are
+        preset: the preset of the observations that it gets, and
+        unnoticed: which effects of shifts it does not notice.
     """
 
     name: str
@@ -46,6 +68,8 @@ class Source:
     trust: bool = False
     digest: Mapping[str, str] = field(default_factory=dict)
     batches: bool = False
+    preset: str = DEFAULT_PRESET
+    unnoticed: frozenset[Effect] = frozenset()
 
     def load(self) -> Act:
         """The policy.
@@ -55,6 +79,7 @@ class Source:
         """
         was_imported = isinstance(self.origin, str) and source_of(self.origin) is not None
         policy = self._load()
+        check_policy(policy, self.name)
         if self.digest and not was_imported and self.digest != self._hash():
             raise SettingsError(
                 f"{self.origin} was changed while it was evaluated, so that its scores would be of two policies: "
@@ -78,7 +103,10 @@ class Source:
             return _folder_loader(path).load()(self.origin)
         if ":" in self.origin:
             return _imported(self.origin)
-        raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *(f"FILE{s}" for s in LOADERS)))
+        if path.suffix in WEIGHTS:
+            raise SettingsError(f"{path} holds the weights of a network and not the network. {TORCH}")
+        files = (f"FILE{suffix}" for suffix in LOADERS)
+        raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *files, "a run's folder"))
 
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
@@ -126,7 +154,7 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
 def playable(
     policies: Any,
     pairs: Sequence[Pair],
-    preset: str,
+    preset: str | None,
     *,
     first_run: int = 0,
     trust: bool = False,
@@ -135,20 +163,60 @@ def playable(
 ) -> list[Source]:
     """The policies of `sources`, each of which was loaded once and can play; if its file changes, `load` refuses it.
 
-    What is played is given as for `check_fit`; with `batched`, MuJoCo Warp simulates it.
+    What is played is given as for `check_fit`; with `batched`, MuJoCo Warp simulates it. Without a preset, it is the
+    one on which all policies say that they were trained, or whose observations alone have their shapes, or else
+    `DEFAULT_PRESET`.
+
+    Warns if statistics of VecNormalize are in the folder of a stable-baselines3 archive: it is played without them.
 
     Raises:
         SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
     """
+    loaded = [(source, source.load()) for source in sources(policies, first_run, trust)]
+    if preset is None:
+        known = {_own_preset(policy) for _, policy in loaded if not uses_simulation(policy)}
+        preset = known.pop() if len(known) == 1 else DEFAULT_PRESET
     checked = []
-    for source in sources(policies, first_run, trust):
-        policy = source.load()
+    for source, policy in loaded:
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
+        if statistics := statistics_of(source.origin):
+            warnings.warn(
+                f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
+                "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
+                stacklevel=4,  # where `evaluate` was called
+            )
+        facts: dict[str, Any] = {"preset": preset, "unnoticed": _unnoticed(policy, preset)}
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
-        checked.append(replace(source, digest=source._hash(), batches=batches))
+        checked.append(replace(source, digest=source._hash(), batches=batches, **facts))
     return checked
+
+
+def statistics_of(origin: object) -> Path | None:
+    """The statistics of VecNormalize in the folder of a stable-baselines3 archive, or in the folder of its name."""
+    path = Path(origin) if isinstance(origin, str) else Path()
+    if path.suffix != ".zip":
+        return None
+    found = (file for folder in (path.parent, path.with_suffix("")) for file in folder.glob("*vecnormalize*.pkl"))
+    return min(found, default=None)
+
+
+def _own_preset(policy: object) -> str:
+    """The preset on which a policy was trained, as far as it says so."""
+    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
+    fitting = [] if shapes is None else _fitting(list(shapes))
+    by_shape = fitting[0] if len(fitting) == 1 else DEFAULT_PRESET
+    return getattr(policy, "preset", by_shape)
+
+
+def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
+    """Which effects of shifts a policy does not notice; one that uses no observations counts as seeing."""
+    missing: dict[Effect, bool] = {
+        "pictures": preset_named(preset).layout == "state" and not uses_simulation(policy),
+        "sentence": not uses_instruction(policy),
+    }
+    return frozenset(effect for effect, is_missing in missing.items() if is_missing)
 
 
 def _parse_policies(policies: Any) -> Iterator[Source]:
@@ -162,10 +230,7 @@ def _parse_policies(policies: Any) -> Iterator[Source]:
             yield from _parse_policies(policy)
     else:
         policy = _instantiate(policies, policies.__name__) if isinstance(policies, type) else policies
-        if not callable(policy):
-            raise SettingsError(
-                f"{short_repr(policy)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}"
-            )
+        check_policy(policy, short_repr(policy))
         yield Source(policy_name(policies), 0, policy)
 
 
@@ -211,11 +276,28 @@ def _imported(origin: str) -> Act:
         raise
     except (Exception, SystemExit) as error:
         raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
-    if inspect.isclass(policy):
-        policy = _instantiate(policy, origin)
+    return _instantiate(policy, origin) if inspect.isclass(policy) else policy
+
+
+def check_policy(policy: Any, name: str) -> None:
+    """Raises a `SettingsError` unless a policy can be called with an observation, as far as its type says."""
+    model = policy.__self__ if getattr(policy, "__name__", "") == "predict" and ismethod(policy) else policy
+    kinds = type(model).__mro__
+    if any("__call__" in vars(kind) and not kind.__module__.startswith("torch.") for kind in kinds):
+        return  # a function, or of a class of one's own, which may be derived from one of theirs
+    modules = {kind.__module__ for kind in kinds}
+    if any(module.startswith(("stable_baselines3.", "sb3_contrib.")) for module in modules):
+        raise SettingsError(
+            f"{name} is of stable-baselines3, whose models answer with an action and a state: give the file that "
+            'model.save("model.zip") writes, or lambda observation: model.predict(observation, deterministic=True)[0]'
+        )
+    if "torch.nn.modules.module" in modules:
+        raise SettingsError(f"{name} is a network, and takes tensors. {TORCH}")
     if not callable(policy):
-        raise SettingsError(f"the policy {origin} is of the type {type(policy).__name__}, and cannot be called")
-    return policy
+        raise SettingsError(
+            f"{name} is not a policy: it is of the type {type(policy).__name__}, and cannot be called; give one "
+            f"of {ACCEPTED_POLICIES}, or a function"
+        )
 
 
 def _instantiate(kind: type, name: str) -> Any:
@@ -259,22 +341,29 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
 
 def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
     """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
+    fitting = _fitting(accepted)
+    if preset not in fitting:
+        remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has such observations"
+        gives = _shape_of(preset) or "a dict"
+        raise SettingsError(
+            f"the policy takes observations of shape {accepted[0]}, and {preset} gives {gives}: {remedy}"
+        )
 
-    def shape_of(name: str) -> tuple[int, ...]:  # empty if observations are dicts
-        kind = PRESETS[name]
-        return observation_space(kind, Stacks(kind, kind.image_size).shapes).shape or ()
+
+def _shape_of(preset: str) -> tuple[int, ...]:
+    """The shape of a preset's observations; empty if they are dicts."""
+    kind = PRESETS[preset]
+    return observation_space(kind, Stacks(kind, kind.image_size).shapes).shape or ()
+
+
+def _fitting(accepted: Sequence[Shape]) -> list[str]:
+    """The presets whose observations have one of these shapes."""
 
     def fits(name: str) -> bool:
-        shape = shape_of(name)
+        shape = _shape_of(name)
         return any(
             len(sizes) == len(shape) and all(size in (None, real) for size, real in zip(sizes, shape, strict=True))
             for sizes in accepted
         )
 
-    if not fits(preset):
-        others = [name for name in PRESETS if fits(name)]
-        remedy = f"give --preset {' or '.join(others)}" if others else "no preset has such observations"
-        raise SettingsError(
-            f"the policy takes observations of shape {accepted[0]}, and {preset} gives {shape_of(preset) or 'a dict'}: "
-            f"{remedy}"
-        )
+    return [name for name in PRESETS if fits(name)]

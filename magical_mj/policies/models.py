@@ -13,11 +13,13 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +31,6 @@ from magical_mj.policies.interface import HISTORY, Episode, History, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError
-from magical_mj.utils.extras import check_extra
 
 OTHER_ACTIONS: Final = (
     f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
@@ -277,9 +278,9 @@ def _trusted(path: Path) -> Any:
 def load_onnx(path: Path, trust: bool = False) -> Model:
     """An ONNX network that outputs actions, or a value for each action, of which the best is taken."""
     del trust  # ONNX files contain no code
-    check_extra("ONNX files", "onnx")
-    import onnxruntime
-
+    if find_spec("onnxruntime") is None:
+        raise MissingExtraError(f"{path} needs ONNX Runtime: pip install onnxruntime")
+    onnxruntime = onnx_runtime()
     if path.stat().st_size > MOST_BYTES:
         raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()
@@ -290,9 +291,16 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     options.add_session_config_entry("optimization.constant_folding_max_output_size_in_bytes", FOLDED)
     with _refused(f"{path} is not an ONNX file that can be run"):
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    (entry, *others), output = session.get_inputs(), session.get_outputs()[0]
-    if others:
-        raise SettingsError(f"{path} wants {1 + len(others)} inputs, and presets give one array: choose its preset")
+    entries, output = session.get_inputs(), session.get_outputs()[0]
+    if len(entries) != 1:
+        raise SettingsError(f"{path} wants {len(entries)} inputs, and presets give one array: choose its preset")
+    entry = entries[0]
+    most = entry.shape[0] if len(entry.shape) > 1 else 0  # a name, or None, where the batch may have any size
+    if isinstance(most, int) and most != 1:
+        raise SettingsError(
+            f"{path} has an input of shape {entry.shape}, whose first axis should be a batch of any size: export it "
+            'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/evaluation.md'
+        )
     if len(output.shape) == 2 and isinstance(output.shape[1], int) and output.shape[1] not in (1, len(ACTIONS)):
         raise SettingsError(f"{path} gives {output.shape[1]} values, and there are {len(ACTIONS)} actions")
     kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
@@ -300,7 +308,9 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
 
     def act(observations: Any) -> Any:
         try:
-            values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+            rows = np.asarray(observations, kind)
+            batches = rows[:, None] if most == 1 else [rows]
+            values = np.concatenate([session.run([output.name], {entry.name: batch})[0] for batch in batches])
         except Exception as error:  # ONNX Runtime's own have no common base
             if "Available memory" not in str(error):
                 raise
@@ -317,11 +327,18 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     return model
 
 
+def onnx_runtime() -> Any:
+    """The module, imported with its telemetry off, which writes into the user's home."""
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime
+
+    return onnxruntime
+
+
 @cache
 def _bound_memory() -> None:
     """Has all networks of this process take their memory from one arena, whose size is bounded."""
-    import onnxruntime
-
+    onnxruntime = onnx_runtime()
     kind, use = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, onnxruntime.OrtMemType.DEFAULT
     bound = {
         "max_mem": MOST_MEMORY,

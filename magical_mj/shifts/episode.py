@@ -45,6 +45,7 @@ class EpisodeShifts:
         filters: whether one of them changes pictures after they were drawn, ground and all.
         changes_ground: whether one of them changes the look of the ground.
         changes_pictures: either of these.
+        changes_instruction: whether one of them changes the sentence that says what is to be done.
     """
 
     def __init__(self, draws: Draws) -> None:
@@ -55,6 +56,7 @@ class EpisodeShifts:
         self.changes_ground = bool(self._laying)
         self.filters = bool(self._drawing)
         self.changes_pictures = self.changes_ground or self.filters
+        self.changes_instruction = bool(self._with("instruction"))
         self.changes_model = self.changes_ground or bool(self._with("model"))
         self.steps = 0
         self.commands: dict[str, list[int]] = {name: [] for name in self._acting}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from magical_mj.scene.bodies import BODIES, check_body_name
 from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
@@ -32,7 +32,25 @@ AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, 
 SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in AXES})
 """Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
 
-PHYSICAL: Final = tuple(kind.name for kind in AXES if kind.scene is not Shift.scene or kind.action is not Shift.action)
+Effect = Literal["world", "pictures", "sentence"]
+"""What a shift changes: what happens, what is seen in pictures, or what is read."""
+
+
+def effects(kind: type[Shift]) -> frozenset[Effect]:
+    """What a shift changes, by the methods that it has; of a shift of one's own, `model` may change anything."""
+
+    def has(*methods: str) -> bool:
+        return any(getattr(kind, method) is not getattr(Shift, method) for method in methods)
+
+    changed: dict[Effect, bool] = {
+        "world": has("scene", "action") or (kind not in AXES and has("model")),
+        "pictures": has("model", "ground", "picture"),
+        "sentence": has("instruction"),
+    }
+    return frozenset(effect for effect, is_changed in changed.items() if is_changed)
+
+
+PHYSICAL: Final = tuple(kind.name for kind in AXES if "world" in effects(kind))
 """Those that change the scene, its dynamics or the actions, and not only what is seen or read."""
 
 EFFECTS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
@@ -182,7 +200,7 @@ def _strength(name: str, value: object) -> int:
 
 
 def expand_shifts(
-    shifts: str | Iterable[Mapping[str, int | str]], task: str | None = None
+    shifts: str | Iterable[Mapping[str, int | str]], task: str | None = None, unnoticed: Collection[Effect] = ()
 ) -> list[dict[str, int | str]]:
     """The shifts of an evaluation, one dict for each setting that is to be played, without repeats.
 
@@ -191,6 +209,7 @@ def expand_shifts(
             all from 1 to 5; or several of one strength each, joined by "+". "all" stands for all our axes with
             strengths, and "body" for all bodies that the task offers. Or dicts.
         task: the task that is to have them; "all" leaves out what it cannot have. None: any task.
+        unnoticed: what a policy does not notice; "all" leaves out the axes that change nothing else.
 
     Raises:
         UnknownNameError, ShiftError, SettingsError: as `parse_shifts`.
@@ -201,7 +220,8 @@ def expand_shifts(
     settings: list[dict[str, int | str]] = []
     for part in filter(None, (part.strip() for part in shifts.split(","))):
         if part == "all":
-            able = [name for name, kind in SHIFTS.items() if task is None or not kind.supports(task)]
+            noticed = [kind for kind in AXES if not effects(kind) <= set(unnoticed)]
+            able = [kind.name for kind in noticed if task is None or not kind.supports(task)]
             settings += [parse_shifts({name: strength}) for name in able for strength in range(1, STRENGTHS + 1)]
         elif part == BODY:
             settings += [parse_shifts({BODY: name}) for name in (BODIES if task is None else task_spec(task).bodies)]
@@ -211,6 +231,25 @@ def expand_shifts(
             name, least, most = _range(part)
             settings += [parse_shifts({name: strength}, task) for strength in range(least, most + 1)]
     return _unique(settings)
+
+
+UNNOTICED: Final[Mapping[Effect, str]] = MappingProxyType(
+    {
+        "pictures": "it changes pictures, and the observations have none: leave it out, or give another preset",
+        "sentence": "it changes the sentence that says what is to be done, and only policies with the attribute "
+        "uses_instruction = True read it (docs/evaluation.md): leave it out",
+    }
+)
+"""Why a policy does not notice a shift, and what to do."""
+
+
+def check_noticed(shifts: Iterable[str], who: str, unnoticed: frozenset[Effect]) -> None:
+    """Raises a `SettingsError` if one of the shifts changes nothing but what the policy `who` does not notice."""
+    for name in shifts:
+        changed = frozenset() if name == BODY else effects(shift_class(name))
+        if changed and changed <= unnoticed:
+            why = UNNOTICED["pictures" if "pictures" in changed else "sentence"]
+            raise SettingsError(f"{who} does not notice the shift {name}: {why}")
 
 
 def named_in(part: str) -> str:

@@ -15,7 +15,6 @@ import dm_control.suite
 import gymnasium
 import mujoco
 import numpy as np
-import onnxruntime
 
 sys.path.append(str(Path(__file__).parents[1]))
 from shifted import SUITE, SWEPT, described, offered, scenes
@@ -26,6 +25,7 @@ from magical_mj.engine.export import mjcf_text
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories
+from magical_mj.policies.models import onnx_runtime
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import BODIES, GRIPPER
@@ -161,7 +161,7 @@ def policies() -> Iterator[dict[str, Any]]:
         demo = magical_mj.demos.load(task)[0]
         played = _played(task, Engine(task, scene=demo.scene), demo.actions[:SEEN].tolist())
         states = np.asarray(magical_mj.demos.observations(demo, "State"))[:SEEN]
-        session = onnxruntime.InferenceSession(POLICIES / f"{task}.onnx")
+        session = onnx_runtime().InferenceSession(POLICIES / f"{task}.onnx")
         (logits,) = session.run(None, {"observations": histories(states)})
         best = np.asarray(logits).argmax(1).tolist()
         yield {**played, "states": states.tolist(), "best": best}
@@ -197,7 +197,7 @@ def looking(folder: Path) -> Iterator[dict[str, Any]]:
             train(load_settings("bc", task, quick=True, preset=preset, **BRIEF), run)
             file = export_policy(run, folder / f"{preset}.onnx", overwrite=True)
         seen = np.asarray(magical_mj.demos.observations(demo, preset, renderer="software"))[:count]
-        (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+        (logits,) = onnx_runtime().InferenceSession(file).run(None, {"observations": seen})
         yield {"preset": preset, **start, "best": np.asarray(logits).argmax(1).tolist()}
 
 

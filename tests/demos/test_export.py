@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from PIL import Image
 
 import magical_mj
 from magical_mj import demos
@@ -94,6 +95,13 @@ def test_an_environment_with_data_for_training_and_validation() -> None:
     assert (training["terminals"].sum(), validation["terminals"].sum()) == (20, 5)
     assert env.observation_space.contains(training["next_observations"][0])
     assert len(training["observations"]) == len(training["actions"]) == len(training["terminals"])
+    for options in ({"action": "continuous"}, {"image_size": 48}):
+        with pytest.raises(SettingsError, match=r"of this environment are .*: leave out the options that change them"):
+            magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-LoRes4E-v0", **options)
+    with pytest.raises(SettingsError, match="CartPole-v1 is not the id of a task's environment"):
+        magical_mj.datasets.make_env_and_datasets("CartPole-v1")
+    with pytest.raises(DemonstrationError, match="of MoveToRegion with the body 'shortstick'"):
+        magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", body="shortstick")
     with pytest.raises(SettingsError, match="several parts"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
 
@@ -221,8 +229,9 @@ def test_what_are_no_demonstrations_is_said(given: Any, demo: Demonstration, tmp
         for call in (demos.to_npz, to_robomimic):
             with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
                 call(one, tmp_path / "set")
+    if given != "FixColour":  # a task
         with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
-            demos.transitions(one)
+            demos.transitions(given)
 
 
 @pytest.fixture(scope="module")
@@ -288,3 +297,60 @@ def test_robomimic_reads_it(two: list[demos.Demonstration], tmp_path: Path) -> N
     wanted = demos.observations(two[1], "LoResFingers")["ego"]
     np.testing.assert_array_equal(item["obs"]["ego_image"][3], wanted[1])
     np.testing.assert_array_equal(item["actions"][3:], to_vector(two[1].actions[1:9]))
+
+
+SOURCES: list[Any] = [
+    ("FixColour", "Demo", {}),
+    ("MoveToRegion", "Jitter", {"shifts": "clutter:2,slip:3"}),
+    ("MoveToRegion", "Layout", {"body": "shortstick"}),
+]
+
+
+@pytest.mark.parametrize(("task", "variant", "how"), SOURCES, ids=["plain", "shifted", "stick"])
+def test_the_environment_that_a_data_set_names_observes_what_it_holds(
+    task: str, variant: str, how: dict[str, str], tmp_path: Path, minari: Any
+) -> None:
+    """In every format: its first and its last observation are those of the file, and so is the score."""
+    h5py = pytest.importorskip("h5py")
+    demo = demos.demonstrate(task, variant, 5, **how)
+
+    def check(env: gymnasium.Env[Any, Any], seen: Any, seed: int, *, actions: Any = demo.actions) -> None:
+        """`seen` gives what the file holds before each action."""
+        observation, info = env.reset(seed=seed)
+        for step, action in enumerate(actions):
+            if step in (0, len(actions) - 1):
+                for name, wanted in seen(step).items():
+                    assert np.array_equal(observation[name] if name else observation, wanted), (step, name)
+            observation, *_, info = env.step(action)
+        assert info["eval_score"] == demo.score
+        env.close()
+
+    for views, preset in (("both", ""), ("ego", ""), ("state", "State")):
+        to_robomimic([demo], tmp_path / f"{views}.hdf5", views=views)
+        with h5py.File(tmp_path / f"{views}.hdf5") as file:
+            about, group = json.loads(file["data"].attrs["env_args"]), file["data/demo_0"]
+            names = {"": "state"} if preset else {key.removesuffix("_image"): key for key in group["obs"]}
+            made, seed = gymnasium.make(about["env_name"], **about["env_kwargs"]), int(group.attrs["seed"])
+            check(made, lambda step, g=group, n=names: {k: g["obs"][v][step] for k, v in n.items()}, seed,
+                  actions=group["actions"][()])  # fmt: skip
+    data = minari.load_dataset(demos.to_minari([demo], preset="LoResFingers"))
+    seed = next(iter(data.storage.get_episode_metadata([0])))["seed"]
+    for made in (data.recover_environment(), data.recover_environment(eval_env=True)):
+        check(made, lambda step: {name: rows[step] for name, rows in data[0].observations.items()}, seed)
+    demos.to_npz([demo], tmp_path / "set.npz", "State", drop_noop=False)
+    with np.load(tmp_path / "set.npz", allow_pickle=False) as file:
+        task, variant, body, shifts, seed = (file[f][0] for f in ("tasks", "variants", "bodies", "shifts", "seeds"))
+        name = magical_mj.env_id(str(task), str(variant), "State")
+        made = gymnasium.make(name, body=str(body), shifts=str(shifts))
+        check(made, lambda step, rows=file["observations"]: {"": rows[step]}, int(seed))
+    archive = demos.export.folders.to_webdataset([demo], tmp_path / "set", "LoRes4A")
+    with tarfile.open(archive) as stream:
+        parts = {member.name: stream.extractfile(member).read() for member in stream}  # pyright: ignore[reportOptionalMemberAccess]
+    about = json.loads(parts["_metadata.json"])
+    made = gymnasium.make(about["gymnasium"]["id"], **about["gymnasium"]["kwargs"])
+    check(made, lambda step: {"": np.load(io.BytesIO(parts[f"000-{step:04}.obs.npy"]))}, about["scene_seeds"][0])
+    assert f'`gymnasium.make("{about["gymnasium"]["id"]}"' in (tmp_path / "set" / "README.md").read_text()
+    demos.export.folders.to_xirl([demo, demo], tmp_path / "xirl")
+    folder = tmp_path / "xirl" / "valid" / demo.scene.robot.body / "0"
+    made = gymnasium.make(magical_mj.env_id(demo.task, demo.variant), **how, renderer="software")
+    check(made, lambda step: {"allo": np.asarray(Image.open(folder / f"{step}.png"))}, demo.scene_seed)

@@ -13,7 +13,7 @@ import magical_mj
 from magical_mj import demos
 from magical_mj.demos import Demonstration
 from magical_mj.envs.presets import PRESETS
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.errors import DemonstrationError, UnknownNameError
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,14 @@ def test_transitions_leave_out_no_ops_but_stack_their_frames(demo: Demonstration
     assert all(np.array_equal(start[..., :3], start[..., k : k + 3]) for k in (3, 6, 9))
     with pytest.raises(DemonstrationError):
         demos.transitions([])
+
+
+def test_transitions_of_a_task_are_those_of_its_demonstrations() -> None:
+    wanted = demos.transitions(demos.load("MoveToRegion"), "State")
+    for got, want in zip(demos.transitions("MoveToRegion", "State"), wanted, strict=True):
+        np.testing.assert_array_equal(got, want)
+    with pytest.raises(UnknownNameError, match="Did you mean 'MoveToRegion'"):
+        demos.transitions("MoveToRegoin")
 
 
 def test_streams_draw_nothing_before_it_is_asked_for(demo: Demonstration) -> None:

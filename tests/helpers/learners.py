@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
@@ -16,6 +15,7 @@ from magical_mj.learners import METHODS, Progress, TrainingSettings, checkpoint,
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import CHECKPOINT
+from magical_mj.policies.models import onnx_runtime
 from magical_mj.utils.errors import DemonstrationError
 
 TINY = {
@@ -146,6 +146,6 @@ def compare_exported(actor: torch.nn.Module, file: Path, seen: np.ndarray, head:
     actor.eval()
     with torch.inference_mode():
         ours = [actor(as_input(one[None], torch.device("cpu")), torch.tensor([head]))[0].numpy() for one in seen]
-    (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+    (logits,) = onnx_runtime().InferenceSession(file).run(None, {"observations": seen})
     np.testing.assert_allclose(logits, ours, rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(np.argmax(logits, 1), np.argmax(ours, 1))

@@ -12,7 +12,9 @@ from gymnasium.error import ResetNeeded
 
 import magical_mj
 from magical_mj.scene.actions import to_vector
-from magical_mj.utils.errors import InvalidActionError, MissingExtraError, UnknownNameError
+from magical_mj.shifts import SHIFTS
+from magical_mj.utils.errors import InvalidActionError, MissingExtraError, SettingsError, UnknownNameError
+from tests.shifts import test_received as received
 
 pytestmark = pytest.mark.filterwarnings("default")  # theirs are not ours to mend
 
@@ -111,6 +113,32 @@ def test_vla_eval_plays_the_official_scenes(benchmark: Any) -> None:
     assert [task["task"] for task in result["tasks"]] == ["FixColour-Layout"]
     assert [episode["steps"] for episode in result["tasks"][0]["episodes"]] == [60, 60]
     assert (result["mean_score"], result["mean_success"]) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("axis", SHIFTS)
+def test_shifts_reach_vla_eval(axis: str, benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAGICAL_MJ_RENDERER", "software")
+    made = benchmark(received.TASK, views="ego,allo", shifts=f"{axis}:5")
+    task = {"task": received.TASK, "variant": "Demo", "episode_idx": received.SEED}
+    pictures, sentences, seen = [], set(), made.reset(task)
+    for action in received.ACTIONS:
+        observation = made.make_obs(seen, task)
+        pictures.append(received.newest(observation["images"]))
+        sentences.add(observation["task_description"])
+        seen = made.step({"actions": to_vector(action)}).obs
+    made.cleanup()
+    assert (pictures, sentences) == received.by_engine(f"{axis}:5")
+
+
+def test_bodies_in_vla_eval(benchmark: Any) -> None:
+    made = benchmark("MoveToRegion", body="shortstick")
+    made.reset({"task": "MoveToRegion", "variant": "Demo", "episode_idx": 0})
+    assert made._env.scene.robot.body == "shortstick"
+    made.cleanup()
+    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
+        benchmark("MoveToRegion", body="longstick")
+    with pytest.raises(SettingsError, match="MoveToCorner cannot have the shift 'pose'"):
+        benchmark("MoveToCorner", shifts="pose:1")
 
 
 def test_vla_eval_wrong_inputs(benchmark: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -18,11 +19,10 @@ from gymnasium.utils.env_checker import check_env
 import magical_mj
 from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.export.lerobot import to_lerobot
-from magical_mj.utils.errors import (
-    DemonstrationError,
-    MagicalError,
-    UnknownNameError,
-)
+from magical_mj.scene.actions import to_vector
+from magical_mj.shifts import SHIFTS
+from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UnknownNameError
+from tests.shifts import test_received as received
 
 ROOT = Path(__file__).parents[2]
 needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
@@ -159,6 +159,47 @@ def test_workers_of_their_own_give_the_same(plugin: Any) -> None:
         seen.append(observations["pixels"])
         envs.close()
     np.testing.assert_array_equal(*seen)
+
+
+@needs_lerobot
+@pytest.mark.parametrize("axis", SHIFTS)
+def test_shifts_reach_lerobot(axis: str, plugin: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures, effects of actions, and the sentence, which lerobot reads at each step."""
+    monkeypatch.setenv("MAGICAL_MJ_RENDERER", "software")
+    config = plugin.MagicalConfig(task=received.TASK, views="both", shifts=f"{axis}:5")
+    envs = config.create_envs(1)[received.TASK][0]
+    (observation, _), pictures, sentences = envs.reset(seed=[received.SEED]), [], set()
+    for action in received.ACTIONS:
+        pictures.append(received.newest({view: rows[0] for view, rows in observation["pixels"].items()}))
+        sentences |= set(envs.call("task_description"))
+        observation, *_ = envs.step(to_vector(action)[None])
+    envs.close()
+    assert (pictures, sentences) == received.by_engine(f"{axis}:5")
+
+
+@needs_lerobot
+def test_bodies_in_lerobot(plugin: Any) -> None:
+    env = plugin.LeRobotEnv("MoveToRegion", "Demo", body="shortstick")
+    env.reset(seed=0)
+    assert env.unwrapped.scene.robot.body == "shortstick"
+    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
+        plugin.MagicalConfig(body="longstick").create_envs(1)
+
+
+@needs_lerobot
+def test_the_card_of_a_data_set_has_the_options_of_its_environment(plugin: Any, tmp_path: Path) -> None:
+    demo = magical_mj.demos.demonstrate("MoveToRegion", "Jitter", 5, shifts="clutter:2,slip:3")
+    made = to_lerobot([demo], tmp_path / "set", views="both", fingers=True)
+    line = next(line for line in (tmp_path / "set" / "README.md").read_text().splitlines() if "--env.type" in line)
+    found = dict(re.findall(r"--env\.(\w+)=([^ `]+)", line))
+    assert found.pop("type") == "magical"
+    options = {**found, "fingers": found["fingers"] == "true"}
+    envs = plugin.MagicalConfig(**options).create_envs(1)["MoveToRegion"][0]
+    observation, _ = envs.reset(seed=[demo.scene_seed])
+    for view, pictures in observation["pixels"].items():
+        held = (made[0][f"observation.images.{view}"].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8)
+        np.testing.assert_array_equal(held, pictures[0])
+    envs.close()
 
 
 @needs_lerobot

@@ -100,6 +100,19 @@ def test_a_checkpoint_sees_here_what_it_sees_in_lerobot(tmp_path: Path, options:
     ours.close()
 
 
+def test_a_checkpoint_gets_the_sentence_and_act_does_not_read_it(tmp_path: Path) -> None:
+    folder, sentences = tiny_checkpoint(tmp_path / "pretrained_model", views="state"), []
+    policy = plugin.load_checkpoint(folder)
+    before = policy._before
+    policy._before = lambda batch: (sentences.extend(batch["task"]), before(batch))[1]  # what the checkpoint gets
+    state, _ = gymnasium.make("magical_mj/FixColour-Demo-State-v0").reset(seed=3)
+    policy.reset(Episode("FixColour", "Demo", 3, instruction="put it elsewhere"))
+    policy(state)
+    assert sentences == ["put it elsewhere"]
+    with pytest.raises(SettingsError, match="does not notice the shift words"):
+        magical_mj.evaluate(str(folder), tasks="FixColour", episodes=1, preset="State", shifts="words:5")
+
+
 def _batch(value: Any) -> Any:
     return {view: picture[None] for view, picture in value.items()} if isinstance(value, dict) else value[None]
 

@@ -115,9 +115,9 @@ def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path
             ours = actor(torch.as_tensor(histories(np.array(kept))[-1:]), torch.tensor([1])).argmax()
         assert loaded(kept[-1]) == ours
         env.step(int(ours))
-    assert magical_mj.evaluate(file, tasks="MakeLine", preset="State", episodes=2)["failure"].isna().all()
+    assert magical_mj.evaluate(file, tasks="MakeLine", episodes=2)["failure"].isna().all()
     with pytest.raises(SettingsError, match="give --preset State"):
-        magical_mj.evaluate(str(file), tasks="MakeLine", episodes=1)
+        magical_mj.evaluate(str(file), tasks="MakeLine", preset="LoRes4E", episodes=1)
     with pytest.raises(SettingsError, match="cannot act in MoveToRegion"):
         magical_mj.evaluate(str(file), tasks="MoveToRegion", preset="State", episodes=1)
 

@@ -153,7 +153,7 @@ def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path) -> None:
     ]
     assert scores[0].tolist() == scores[1].tolist() == scores[2].tolist()
     with pytest.raises(SettingsError, match="preset State"):
-        magical_mj.evaluate(trained, tasks="MoveToRegion", variants="Demo", episodes=1)
+        magical_mj.evaluate(trained, tasks="MoveToRegion", variants="Demo", preset="LoRes4E", episodes=1)
     with pytest.raises(SettingsError, match="cannot act in MakeLine: give --tasks MoveToRegion"):
         magical_mj.evaluate(trained, tasks="MakeLine", preset="State", episodes=1)
 

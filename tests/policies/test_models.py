@@ -274,7 +274,7 @@ def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
         magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
     linear(tmp_path / "state.onnx", 18)
     with pytest.raises(SettingsError, match=r"takes observations of shape .* give --preset State"):
-        magical_mj.evaluate(str(tmp_path / "state.onnx"), **SMALL)
+        magical_mj.evaluate(str(tmp_path / "state.onnx"), preset="LoRes4E", **SMALL)
     (tmp_path / "broken.onnx").write_bytes(b"nothing")
     with pytest.raises(SettingsError, match="not an ONNX file"):
         magical_mj.evaluate(str(tmp_path / "broken.onnx"), preset="State", **SMALL)

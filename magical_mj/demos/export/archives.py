@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, checked, only_environment
 from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
+from magical_mj.demos.export.source import source_of
 from magical_mj.demos.learning import observations, stream
 from magical_mj.demos.recording import render_demo
-from magical_mj.envs.registration import env_id
 from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
@@ -42,8 +42,9 @@ def to_npz(
 
     Arrays with a row for each transition: `observations` (for presets with several parts, one for each, such as
     `observations_ego`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
-    from 0). Arrays with a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`,
-    `lengths` (in steps) and `scores`.
+    from 0). Arrays with a row for each episode: `tasks`, `variants`, `bodies`, `shifts` (such as "clutter:3", or ""),
+    `seeds` (of the scenes), `demonstrators`, `lengths` (in steps) and `scores`. The environment of an episode is
+    ``gymnasium.make(magical_mj.env_id(task, variant, preset), body=body, shifts=shifts)``.
 
     Args:
         demos: demonstrations of any environments.
@@ -74,6 +75,8 @@ def to_npz(
                 "steps": steps,
                 "tasks": [demo.task],
                 "variants": [demo.variant],
+                "bodies": [demo.scene.robot.body],
+                "shifts": [demo.shifts],
                 "seeds": [demo.scene_seed],
                 "demonstrators": [demo.demonstrator],
                 "lengths": [len(demo.actions)],
@@ -95,7 +98,9 @@ def to_robomimic(
 
     Each becomes ``data/demo_0`` and so on: ``obs`` and ``next_obs`` (``ego_image`` and ``allo_image``, uint8, height x
     width x channels; or ``state``), ``actions`` (float32, drive, turn, grip), ``rewards`` (the score at the last step),
-    ``dones`` (1 at the last step) and ``states`` (positions and velocities, exact).
+    ``dones`` (1 at the last step) and ``states`` (positions and velocities, exact). The file's ``env_args`` name the
+    Gymnasium environment with the same observations: the state, or a dict whose "ego" is ``ego_image``. Its
+    ``reset(seed=...)`` with a demonstration's ``seed`` starts in the demonstration's scene.
 
     Raises a `DemonstrationError` if they are not of one environment, or their actions are speeds.
     """
@@ -108,13 +113,14 @@ def to_robomimic(
         raise DemonstrationError("robomimic gets the 18 actions as vectors; speeds go to minari, lerobot or webdataset")
     path = files.to_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    name, kwargs = env_id(demos[0].task, demos[0].variant), {"action": "continuous", "reward": "score"}
+    seen = {"image_size": IMAGE_SIZE} if VIEWS[views] else {}
+    source = source_of(demos[0], "" if VIEWS[views] else "State", **seen, action="continuous", reward="score")
     content = io.BytesIO()  # since HDF5 ends the process if the disk is full
     with files.new_file(path, overwrite=overwrite) as unfinished:
         with h5py.File(content, "w") as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(demo.actions) for demo in demos)
-            data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
+            data.attrs["env_args"] = json.dumps({"env_name": source.id, "type": GYM, "env_kwargs": source.kwargs})
             for number, demo in enumerate(demos):
                 group = data.create_group(f"demo_{number}")
                 group.attrs["num_samples"] = len(demo.actions)

@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.export.source import source_of
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene.actions import ACTIONS
@@ -59,7 +60,9 @@ def to_webdataset(
     if the demonstrations are not of one environment, and a `FileExistsError` if the folder exists.
     """
     folder = files.to_path(folder)
-    metadata = {**about(demos), "preset": preset, "features": dict(FEATURES)}
+    facts = about(demos)
+    source = source_of(demos[0], preset)
+    metadata = {**facts, "preset": preset, "gymnasium": source._asdict(), "features": dict(FEATURES)}
     with files.new_folder(folder, overwrite=overwrite) as unfinished:
         unfinished.mkdir()
         with (
@@ -74,7 +77,8 @@ def to_webdataset(
                         content = io.BytesIO()
                         np.save(content, value, allow_pickle=False)
                         _add(archive, f"{number:03}-{step:04}.{name}.npy", content.getvalue())
-        (unfinished / CARD).write_text(card(demos, f"the preset {preset}", FEATURES), encoding="utf-8")
+        made_in = f"`gymnasium.make({source})`"
+        (unfinished / CARD).write_text(card(demos, f"the preset {preset}", made_in, FEATURES), encoding="utf-8")
     return folder / ARCHIVE
 
 
@@ -95,10 +99,11 @@ def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
     }
 
 
-def card(demos: Sequence[Demonstration], observed: str, features: Mapping[str, str]) -> str:
+def card(demos: Sequence[Demonstration], observed: str, made_in: str, features: Mapping[str, str]) -> str:
     """The data card of demonstrations of one environment, Markdown with the header that hubs of data sets read.
 
-    `observed` says in words what the observations are, and `features` what each name in the data holds.
+    `observed` says in words what the observations are, `made_in` how to make the environment, and `features` what each
+    name in the data holds.
     """
     facts, spec = about(demos), task_spec(demos[0].task)
     what = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
@@ -120,6 +125,7 @@ tags: [imitation-learning, magical, mujoco]
 {rows}
 
 - **Observations**: {observed}.
+- **Environment**: {made_in}, reset with the scenes' seeds.
 - **How made**: {made}; replayed exactly from the actions. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
 {", ".join(facts["magical_mj"])}.
 - **Scenes**: of the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are the same one;

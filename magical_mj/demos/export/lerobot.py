@@ -99,8 +99,16 @@ def to_lerobot(
         data_set.finalize()
         what = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
         shapes = {key: f"{part['dtype']}, shape {part['shape']}" for key, part in features.items()}
-        (unfinished / CARD).write_text(card(demos, what, shapes), encoding="utf-8")
+        options = " ".join(f"--env.{name}={value}" for name, value in env_options(demos[0], views, fingers).items())
+        (unfinished / CARD).write_text(card(demos, what, f"`{options}`", shapes), encoding="utf-8")
     return LeRobotDataset(name, root=folder)
+
+
+def env_options(demo: Demonstration, views: str, fingers: bool) -> dict[str, str]:
+    """The environment of a demonstration, with a data set's observations, as LeRobot's commands take it."""
+    facts = {"task": demo.task, "variant": demo.variant, "body": demo.scene.robot.body, "shifts": demo.shifts}
+    chosen = {**facts, "views": views, "fingers": str(fingers).lower()}
+    return {"type": "magical", **{name: value for name, value in chosen.items() if value}}
 
 
 STATE_VECTOR: Final = "observation.environment_state"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from contextlib import closing
@@ -13,8 +14,8 @@ import gymnasium
 import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
+from magical_mj.demos.export.source import source_of
 from magical_mj.demos.learning import observations
-from magical_mj.envs.registration import env_id, suite_id
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
@@ -28,9 +29,10 @@ HDF5_BYTES: Final = 32_000
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
     """The id of a Minari data set of demonstrations, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
 
-    It names all demonstrators, the preset of the observations and the number of the protocol, here 1.
+    It names all demonstrators, the preset of the observations and the number of the protocol, here 1; and shifts and
+    another body, as in ``Demo-clutter2-slip3-expert-State-p1-v0``.
     """
-    task, variant = task_spec(demos[0].task).name, demos[0].name.partition("-")[2]
+    task, variant = task_spec(demos[0].task).name, re.sub(r"[^\w.-]+", "-", demos[0].name.partition("-")[2])
     return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
 
 
@@ -76,24 +78,11 @@ def to_minari(
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
     with (
-        closing(_environment(first, preset)) as env,
+        closing(source_of(first, preset, reward="score").make()) as env,
         files.new_folder(path, overwrite=overwrite) as unfinished,
     ):
         _fill(unfinished, name, env, about, episodes)
     return name
-
-
-def _environment(demo: Demonstration, preset: str) -> gymnasium.Env[Any, Any]:
-    """The environment of a demonstration, with the rewards of the data set.
-
-    Raises:
-        DemonstrationError: if the suite xmagical has no such observations.
-    """
-    if not task_spec(demo.task).speeds:
-        return gymnasium.make(env_id(demo.task, demo.variant, preset), reward="score")
-    if preset != "State":
-        raise DemonstrationError(f"data sets of {demo.task} have the preset State, not {preset or 'views'}")
-    return gymnasium.make(suite_id(demo.scene.robot.body, demo.variant))
 
 
 def dataset_path(name: str) -> Path:

@@ -94,6 +94,11 @@ class Environment(composer.Environment):
         """Number of control steps of an episode; None if it never ends."""
         return self.task.setup.horizon
 
+    @property
+    def instruction(self) -> str:
+        """The sentence that says what is to be done in this episode, as its shifts make it; "" for plain scenes."""
+        return self.task.setup.instruction(self.task.shifts)
+
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
         return self.task.score(self._opened())

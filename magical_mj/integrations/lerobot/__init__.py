@@ -5,7 +5,9 @@ LeRobot's commands find this module by ``--env.discover_packages_path=magical_mj
 for each task). Observations are ``pixels`` (96 px pictures, height x width x channels, uint8; a dict of views with
 ``--env.views=both``), or with ``--env.views=state`` ``environment_state``; and ``agent_pos``: three zeros, or with
 ``--env.fingers=true`` the angles of the two fingers. Actions are vectors (drive, turn, grip), and the
-score is the reward of the last step. ``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
+score is the reward of the last step. ``--env.shifts=camera:3,latency:1`` shifts them (docs/shifts.md; the sentence that
+policies get is that of the episode), and ``--env.body=shortstick`` gives the robot another body (docs/bodies.md).
+``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import itertools
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import gymnasium
 import numpy as np
@@ -38,8 +40,10 @@ from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_discrete
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
 from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import SettingsError, check_name
 
@@ -65,19 +69,31 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         variant: a variant's name.
         views: "ego", "allo" or "both"; with "state", ``environment_state`` is the state vector, without pictures.
         fingers: whether ``agent_pos`` holds the angles of the fingers (rad), shape (2,), or zeros, shape (3,).
+        shifts: shifts and their strengths, such as "camera:3,latency:1"; see docs/shifts.md.
+        body: the robot's body, one that the task offers; see docs/bodies.md.
 
     Raises:
-        UnknownNameError: if there is no such task, variant or choice of views.
+        UnknownNameError: if there is no such task, variant, choice of views or shift.
+        SettingsError, InvalidSceneError: if the task cannot have the shifts or the body.
     """
 
-    def __init__(self, task: str, variant: str, views: str = "ego", *, fingers: bool = False) -> None:
+    def __init__(
+        self,
+        task: str,
+        variant: str,
+        views: str = "ego",
+        *,
+        fingers: bool = False,
+        shifts: Shifts = None,
+        body: str = GRIPPER,
+    ) -> None:
         check_name("choice of views", views, VIEWS)
-        env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array")
+        world: dict[str, Any] = {"shifts": shifts, "body": body}
+        env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array", **world)
         super().__init__(cast("gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]", env))
         self._engine, self._views, self._with_fingers = env.engine, VIEWS[views], fingers
         self.task = task
-        self.task_description = task_spec(task).summary
-        self._max_episode_steps = task_spec(task).horizon()
+        self._max_episode_steps = self._engine.horizon
         parts: dict[str, spaces.Space[Any]] = {"environment_state": env.observation_space}
         if self._views:
             picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
@@ -87,6 +103,11 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         self.observation_space = spaces.Dict(
             {**parts, "agent_pos": spaces.Box(-STATE_BOUND, STATE_BOUND, state_shape, np.float32)}
         )
+
+    @property
+    def task_description(self) -> str:
+        """The sentence that says what is to be done in this episode, as its shifts make it."""
+        return self._engine.instruction
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -113,6 +134,8 @@ class MagicalConfig(EnvConfig):
     variant: str = "Demo"
     views: str = "ego"
     fingers: bool = False
+    shifts: str = ""
+    body: str = GRIPPER
     fps: int = c.CONTROL_RATE
     features: dict[str, Any] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
@@ -143,7 +166,8 @@ class MagicalConfig(EnvConfig):
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):
-            make = [partial(LeRobotEnv, task, variant, self.views, fingers=self.fingers)] * n_envs
+            how: dict[str, Any] = {"fingers": self.fingers, "shifts": self.shifts, "body": self.body}
+            make = [partial(LeRobotEnv, task, variant, self.views, **how)] * n_envs
             suite = suites.setdefault(task, {})
             if use_async_envs and n_envs > 1:  # spawned: OpenGL does not survive a fork
                 vector: Any = gymnasium.vector.AsyncVectorEnv(make, context="spawn", autoreset_mode=mode)
@@ -153,10 +177,15 @@ class MagicalConfig(EnvConfig):
         return suites
 
 
+WITHOUT_LANGUAGE: Final = ("act", "diffusion", "gaussian_actor", "tdmpc", "vqbet")
+"""The kinds of lerobot's policies that do not read the task's sentence, though each gets it."""
+
+
 class LeRobotPolicy:
     """A LeRobot checkpoint as `magical_mj.evaluate` plays policies; action chunks start anew with each episode.
 
     Attributes:
+        uses_instruction: whether it reads the sentence that says what is to be done.
         preset: the preset whose newest frames, or whose vectors, the checkpoint sees.
     """
 
@@ -164,6 +193,7 @@ class LeRobotPolicy:
         config = PreTrainedConfig.from_pretrained(folder)
         self._views, self._fingers = _observed(folder, config)
         config.device = "cpu"
+        self.uses_instruction = config.type not in WITHOUT_LANGUAGE
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = make_pre_post_processors(
             config, str(folder), preprocessor_overrides={"device_processor": {"device": "cpu"}}
@@ -177,7 +207,7 @@ class LeRobotPolicy:
         """Forgets the chunk of the last episode, and draws noise by the episode's seed."""
         self._noise = torch.Generator().manual_seed(int(episode.rng().integers(2**63))).get_state()
         self._policy.reset()
-        self._sentence = task_spec(episode.task).summary
+        self._sentence = episode.instruction or task_spec(episode.task).summary
 
     def __call__(self, observation: Any) -> int:
         """The action for the newest frames of the preset, or for the state."""

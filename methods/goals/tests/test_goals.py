@@ -212,7 +212,7 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     assert set(first["preset"]) == {"State"}
     assert list(magical_mj.evaluate(load_goals(tmp_path / "run"), **asked)["actions"]) == list(first["actions"])
     with pytest.raises(SettingsError, match="give --preset State"):
-        magical_mj.evaluate(str(tmp_path / "run"), tasks="FixColour", variants="Demo", episodes=1)
+        magical_mj.evaluate(str(tmp_path / "run"), tasks="FixColour", variants="Demo", preset="LoRes4E", episodes=1)
 
 
 def test_ones_own_demonstrations_are_learnt_from(tmp_path: Path) -> None:
