@@ -1,4 +1,4 @@
-"""Two shifts of one's own: fog in the pictures, and an arena that tilts."""
+"""Two shifts: fog in pictures, and a force on every object."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magical_mj.shifts import Factor, Frame, Picture, Shift
 
 
 class Fog(Shift):
-    """Everything fades into grey, the more the farther it is from the middle of the picture."""
+    """Fades pictures into grey, more strongly far from their middle."""
 
     name = "fog"
     summary = "grey fog, thicker far from the middle of the picture"
@@ -28,7 +28,7 @@ class Fog(Shift):
 
 
 class Magnet(Shift):
-    """The arena tilts: a constant force pulls everything that is loose the same way."""
+    """A constant acceleration in one direction, as if the arena were tilted."""
 
     name = "magnet"
     summary = "a constant force on everything"
@@ -38,6 +38,6 @@ class Magnet(Shift):
     )
 
     def model(self, model: Any) -> None:
-        """Turns gravity, which otherwise is 0 in this flat world."""
+        """Sets gravity in the plane, which is 0 without this shift."""
         towards = math.pi * self.values["towards"]
         model.opt.gravity[:2] = self.values["pull"] * np.array([math.cos(towards), math.sin(towards)])

@@ -58,10 +58,9 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Every block in the region goes to the nearest place outside of it that is still free then.
+    """Brings every block in the region to the nearest free position outside of it.
 
-    `scene_after` is the scene after the subgoals so far; `places_outside` are points where a block lies clear of the
-    regions.
+    `scene_after` returns the scene after the subgoals so far; `places_outside` returns positions clear of all regions.
     """
     todo: list[Subgoal] = []
     for number in inside(now.regions[0], now.blocks):
@@ -82,5 +81,5 @@ SPEC: Final = TaskSpec(
     shape=any_shapes,
     count=count,
     region_size=(0.7, 0.9),  # layouts draw the region's sides between these (world units)
-    inner_margin=0.1,  # and keep the blocks' centres at least so far inside of it
+    inner_margin=0.1,  # and keep the blocks' centres at least this far inside of it
 )
