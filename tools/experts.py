@@ -20,10 +20,14 @@ from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.web.page_data import EXPERT, SCENES
 
 INTRODUCTION: Final = """\
-The expert is scripted. It knows the true state, and plans with the task's own subgoals and score: it tries manoeuvres
-on a copy of the simulation, and keeps the best. Use it as `--policy expert`, or as
-`magical_mj.policies.expert.Expert(env, task, seed)`; with another seed it acts differently. How it drives:
-[demonstrations.md](demonstrations.md#how-they-are-made). These are the scores of
+How well does the scripted expert solve the environments, and how long does it take? It knows the true state and plans with
+the task's own subgoals and score: it tries manoeuvres on a copy of the simulation and keeps the best. Use it as
+`--policy expert`, or as `magical_mj.experts.Expert(engine, task, seed)`; with other seeds it acts differently
+([how it drives](demonstrations.md#how-they-are-made)).
+
+![The expert in seven demonstrations, from left to right](experts.png)
+
+These are the scores of
 
 ```console
 $ magical-mj evaluate --policy expert --episodes 20 --out out/experts
@@ -37,7 +41,7 @@ def page(scores: Sequence[EpisodeResult]) -> str:
     return "\n".join(
         [
             f"# The experts\n\n{INTRODUCTION}\n",
-            f"{len(scores) // len(ENVIRONMENTS)} episodes in each environment, rules of the paper. Mean scores:\n",
+            f"{len(scores) // len(ENVIRONMENTS)} episodes in each environment, by the paper's rules. Mean scores:\n",
             *_table(scores, lambda some: f"{fmean(score.score for score in some):.3f}"),
             "\nSeconds for an episode, on one core:\n",
             *_table(scores, lambda some: f"{fmean(score.seconds for score in some):.1f}"),
