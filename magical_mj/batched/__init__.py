@@ -1,7 +1,7 @@
-"""Worlds by the hundred on one accelerator: physics by MuJoCo Warp, pictures by a kernel of ours, tensors all the way.
+"""Many environments on one accelerator: MuJoCo Warp simulates them, a Warp kernel draws them, and all data are tensors.
 
-Arithmetic is in single precision, so episodes are statistically like those of `magical_mj.load`, not digit by digit:
-made for learning. Official results come from `magical_mj.evaluate`.
+The package is made for learning. It computes in single precision, so its episodes agree statistically with those of
+`magical_mj.load`, not digit by digit. `magical_mj.evaluate` gives the official results.
 
 Example:
     >>> env = magical_mj.batched.make("MoveToRegion", "Demo", num_envs=1024, device="cuda", seed=0)
@@ -40,27 +40,27 @@ def make(
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
     workers: int = 0,
 ) -> BatchedEnv:
-    """A vector environment of many worlds on one device.
+    """A vector environment of many worlds (simulated environments) on one device.
 
     Args:
         task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
-        variant: a variant, or several; the worlds take turns among all pairs that exist.
-        num_envs: how many worlds, at least one for each pair.
-        preset: of the observations; one of `magical_mj.envs.presets.PRESETS`.
-        device: "cuda", "cuda:1" or "cpu" (slow; for tests).
-        seed: of the scenes that are sampled when `reset` is given no seed.
-        image_size: side of the pictures in pixels, instead of the preset's.
+        variant: a variant, or several. The worlds alternate between all pairs of task and variant that exist.
+        num_envs: the number of worlds, at least one for each pair.
+        preset: the preset of the observations, one of `magical_mj.envs.presets.PRESETS`.
+        device: "cuda", "cuda:1" or "cpu" (slow, for tests).
+        seed: determines the sampled scenes if `reset` is given no seed.
+        image_size: side of the pictures in pixels; None means the preset's.
         rules: "paper" or "released".
         reward: "none", or "score" for the score as reward at the last step.
-        autoreset_mode: `gymnasium.vector.AutoresetMode.SAME_STEP` or `DISABLED` of it.
-        workers: processes that sample scenes ahead; 0 samples them when they are needed, half a millisecond each.
+        autoreset_mode: `gymnasium.vector.AutoresetMode.SAME_STEP` or `DISABLED`.
+        workers: processes that sample scenes in advance. 0 samples a scene when it is needed, in half a millisecond.
 
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if there is no such device, or a setting is not possible; for tasks whose score depends on the
-            scenes of all steps.
-        UnknownNameError: if there is no such task, variant or preset.
+        SettingsError: if the device does not exist, a setting is invalid, or a task's score depends on the scenes of
+            all steps.
+        UnknownNameError: if the task, variant or preset does not exist.
     """
     check_extra("batched worlds", "gpu")
     from magical_mj.batched.environment import BatchedEnv
@@ -71,11 +71,11 @@ def make(
     pairs = environments(task, variant)
     if whole := [name for name in dict.fromkeys(name for name, _ in pairs) if task_spec(name).trajectory]:
         raise SettingsError(
-            f"batched worlds do not keep the scenes of all steps, on which the score of {whole[0]} depends; "
+            f"batched worlds do not store the scenes of all steps, but the score of {whole[0]} depends on them; "
             "use gymnasium.make or make_vec"
         )
     if num_envs < len(pairs):
-        raise SettingsError(f"these are {len(pairs)} environments, for which num_envs={num_envs} is too few")
+        raise SettingsError(f"num_envs={num_envs} must be at least {len(pairs)}, one world for each task and variant")
     return BatchedEnv(
         [pairs[world % len(pairs)] for world in range(num_envs)],
         preset=preset,

@@ -1,4 +1,4 @@
-"""A vector environment of hundreds to thousands of worlds, whose observations, rewards and ends are torch tensors."""
+"""A vector environment of hundreds to thousands of worlds. Observations, rewards and episode ends are torch tensors."""
 
 from __future__ import annotations
 
@@ -39,26 +39,27 @@ from magical_mj.variants import check_seed
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
 OVERFLOW: Final = (
-    "worlds had more contacts than there is room for, and some were dropped: do not trust the episodes that "
-    'info["overflowed"] marks'
+    "some worlds had more contacts than the allocated maximum, so that contacts were lost: do not use the episodes "
+    'marked by info["overflowed"]'
 )
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Worlds of one or more environments, stepped and drawn together on one device; see `magical_mj.batched.make`.
 
-    As in every vector environment, `reset(seed=7)` gives the worlds the scenes of seeds 7, 8, 9..., and a list gives
-    each its own. With SAME_STEP, a world whose episode ends starts the next one at once: observation and info are the
-    new episode's, and `info["final_obs"]` and `info["final_info"]` those of the episodes that ended, in the worlds that
-    `info["_final_info"]` marks. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds.
+    As in every vector environment, `reset(seed=7)` starts the worlds with the scenes of seeds 7, 8, 9..., and a list
+    contains a seed for each world. With SAME_STEP, a world whose episode ends starts the next one at once: observation
+    and info are the new episode's. `info["final_obs"]` and `info["final_info"]` are those of the episodes that ended,
+    in the worlds marked by `info["_final_info"]`. With DISABLED, `reset(options={"reset_mask": mask})` resets the
+    masked worlds.
 
-    An info holds tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
+    An info contains tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
     `broken` (the state is not finite: the episode ends with score 0), and `overflowed` (since the reset there were more
-    contacts than there is room for, and some were dropped).
+    contacts than the allocated maximum, so that some were lost).
 
     Attributes:
         physics: the simulation of all worlds.
-        observer: what makes observations of it.
+        observer: the object that computes observations of the simulation.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._rules: Rules = check_rules(rules)
         observed = preset_named(preset)
         if observed.depth == 1:
-            raise SettingsError(f"batched worlds draw no segmentations: choose another preset than {preset}")
+            raise SettingsError(f"batched worlds cannot draw segmentations: choose another preset than {preset}")
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
         self._specs = [task_spec(task) for task, _ in pairs]
@@ -118,16 +119,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Tensor]]:
-        """Starts episodes in all worlds, or in those of `options["reset_mask"]`, shape (num_envs,), bool.
+        """Starts episodes in all worlds, or in those selected by `options["reset_mask"]`, shape (num_envs,), bool.
 
         Args:
-            seed: of the first world's scene, the others have the next ones; without a mask, also of the scenes of all
-                later episodes. Or a sequence with one for each world, of this episode alone. None: sampled scenes.
-            options: see above; others are ignored, with a warning.
+            seed: the seed of the first world's scene. The others use the next ones. Without a mask, it also determines
+                the scenes of all later episodes. A sequence contains a seed for each world, for this episode only.
+                None: the next sampled scenes.
+            options: may contain "reset_mask". Other options are ignored with a warning.
 
         Raises:
             InvalidSeedError: if a seed is not an integer, or negative.
-            SettingsError: if there is not one seed, or entry of the mask, for each world; if the options are no dict.
+            SettingsError: if the number of seeds or of mask entries is not that of the worlds; if the options are not a
+                dict.
             ClosedError: if the environment is closed.
         """
         self._check_open()
@@ -148,13 +151,13 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.observer.observe_start(self.physics, where)
 
     def _put(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Puts scenes, at rest, into these worlds."""
+        """Places scenes into these worlds, at rest."""
         self._scenes.write(scenes, worlds.cpu().numpy())
         self.physics.reset(scenes, worlds)
         self.observer.set_scenes(scenes, worlds)
 
     def get_state(self) -> dict[str, Any]:
-        """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
+        """The state of all worlds, including the pictures in the stacks, as tensors, arrays and plain values."""
         self._check_open()
         return {
             "kind": self._kind,
@@ -167,13 +170,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
 
     def set_state(self, state: Mapping[str, Any]) -> Observation:
-        """Goes back to a state, of this environment or another of the same worlds; returns what is seen then.
+        """Restores a state of this environment, or of another one with the same worlds. Returns its observation.
 
-        What follows is the same to the bit on Warp's CPU device. On an accelerator the state is the same, and what
-        follows is as near as any two runs are there: contacts are taken down in the order in which threads find them.
+        On Warp's CPU device, the following steps are identical to the bit. On an accelerator, the state is identical,
+        but the following steps agree only as well as any two runs there: the order of contacts depends on the threads'
+        timing.
 
         Raises:
-            StateError: if it is not a state of such worlds with such observations; then nothing is changed.
+            StateError: if the state is from other worlds or observations. Then nothing is changed.
             ClosedError: if the environment is closed.
         """
         self._check_open()
@@ -188,23 +192,23 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """One action in every world.
 
         Args:
-            actions: numbers in 0..17, a tensor or an array. Shape (num_envs,).
+            actions: integers in 0..17, a tensor or an array. Shape (num_envs,).
 
         Raises:
-            InvalidActionError: if they are anything else.
+            InvalidActionError: if the actions are invalid.
             ResetNeeded: if the episode of a world has ended and was not reset.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         if not self._running.all():
-            raise ResetNeeded("worlds have no running episode: reset them, all at once or options={'reset_mask': ...}")
+            raise ResetNeeded("some worlds have no running episode: reset all, or with options={'reset_mask': ...}")
         self.physics.step(check_actions(actions, self.num_envs, self.device))
         self._steps += 1
         broken = self.physics.broken
         ended = (self._steps >= self._horizons) | broken
         scores = self._scores(ended & ~broken)
         info = self._info(scores, broken)
-        if bool(broken.any()):  # put at rest what cannot be drawn
+        if bool(broken.any()):  # reset states that cannot be drawn
             where = broken.nonzero()[:, 0]
             self.physics.reset(self._scenes[where.cpu().numpy()], where)
         if bool((ended & info["overflowed"]).any()):
@@ -236,48 +240,48 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the processes that sample scenes, and frees the worlds."""
+        """Stops the processes that sample scenes, and frees the worlds."""
         del kwargs
         self._sampler.close()
         del self.physics, self.observer
 
     def _check_open(self) -> None:
         if self.closed:
-            raise ClosedError("the environment is closed; make another one")
+            raise ClosedError("the environment is closed; create a new one")
 
 
 class Arrays(gymnasium.vector.VectorWrapper[Any, Any, Any, Any]):
-    """A `BatchedEnv` whose observations, rewards, ends and infos are numpy arrays, copied from the device.
+    """A `BatchedEnv` with numpy arrays, copied from the device, as observations, rewards, episode ends and infos.
 
-    States stay as they are.
+    The states of `get_state` are unchanged.
     """
 
     env: BatchedEnv  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @property
     def device(self) -> str:
-        """Warp's name of the device that the worlds are on."""
+        """Warp's name of the device of the worlds."""
         return self.env.device
 
     def reset(self, **settings: Any) -> tuple[Any, dict[str, Any]]:
-        """As the environment's own."""
+        """Like the environment's."""
         return arrays(self.env.reset(**settings))
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """As the environment's own."""
+        """Like the environment's."""
         return arrays(self.env.step(actions))
 
     def get_state(self) -> dict[str, Any]:
-        """The environment's own."""
+        """The environment's state."""
         return self.env.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> Any:
-        """As the environment's own."""
+        """Like the environment's."""
         return arrays(self.env.set_state(state))
 
 
 def arrays(value: Any) -> Any:
-    """The same with arrays instead of tensors, in dicts and tuples too."""
+    """Converts tensors to arrays, also inside dicts and tuples."""
     if isinstance(value, Tensor):
         return value.cpu().numpy()
     if isinstance(value, dict):
@@ -288,11 +292,11 @@ def arrays(value: Any) -> Any:
 
 
 def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
-    """The actions on a device; raises an `InvalidActionError` if there is not one in 0..17 for each world."""
+    """The actions on a device. Raises an `InvalidActionError` unless there is an integer in 0..17 for each world."""
     try:
         given = torch.as_tensor(actions, device=device)
         whole = not (given.dtype == torch.bool or given.is_floating_point() or given.is_complex())
-    except (TypeError, ValueError, RuntimeError):  # they make no tensor
+    except (TypeError, ValueError, RuntimeError):  # they cannot be converted to a tensor
         given, whole = torch.empty(0), False
     numbers = given.long()
     if not whole or numbers.shape != (worlds,) or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
@@ -303,10 +307,12 @@ def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
 
 
 def check_state(state: Any, own: Mapping[str, Any]) -> None:
-    """Raises a `StateError` unless a state that a user gives is of the same kind of worlds as their `own` one."""
+    """Raises a `StateError` unless a user's state is of the same kind of worlds as the environment's `own` state."""
     kind = state.get("kind") if isinstance(state, Mapping) else None
     if not isinstance(kind, Mapping) or state.keys() != own.keys() or kind.keys() != own["kind"].keys():
-        raise StateError(f"set_state() takes what get_state() gave, not {short_repr(state)}")
+        raise StateError(f"set_state() needs a state from get_state(), not {short_repr(state)}")
     for name, value in own["kind"].items():
         if kind[name] != value:
-            raise StateError(f"the state has {name} {short_repr(kind[name])}, and these worlds {short_repr(value)}")
+            raise StateError(
+                f"the state has {name} {short_repr(kind[name])} instead of these worlds' {short_repr(value)}"
+            )

@@ -1,10 +1,10 @@
-"""The Warp kernel that paints a batch: a thread for each pixel of each world.
+"""The Warp kernel that draws a batch, with a thread for each pixel of each world.
 
-A pixel is the mean of 2 x 2 samples, rounded as the renderer rounds. Each sample looks for the topmost thing that
-covers it: robot, blocks, regions, the arena's border. So pictures differ from the renderer's only where a sample lies
-within rounding of an edge.
+A pixel is the mean of 2 x 2 samples, rounded in the same manner as in the renderer. For each sample, the kernel finds
+the topmost object that covers it: robot, blocks, regions, or the arena's border. So pictures differ from the renderer's
+only where a sample is within rounding of an edge.
 
-Warp compiles these functions from their source and reads their annotations, which are its own types, not Python's.
+Warp compiles these functions from their source. Their annotations are Warp's types, not Python's.
 """
 
 from typing import Final
@@ -24,10 +24,10 @@ ROBOT_LAYERS: Final = (
     ("left_finger_fill", 1, style.LIGHT_GREY),
     ("left_finger_outline", 1, style.GREY),
 )
-"""From the top down: the part, whether it moves with the body (0), the left (1) or the right finger (2), its colour."""
+"""From top to bottom: the part; the index of what it moves with, body (0), left (1) or right finger (2); its colour."""
 
-MAX_THINGS: Final = 30
-"""Blocks and regions of a world: `neighbours` has a bit for each."""
+MAX_OBJECTS: Final = 30
+"""The maximum number of blocks and regions of a world: `neighbours` has a bit for each."""
 
 _LAYERS: Final = wp.constant(len(ROBOT_LAYERS))
 _ARENA: Final = wp.constant(c.ARENA_HALF_WIDTH)
@@ -35,8 +35,8 @@ _BORDER: Final = wp.constant(style.ARENA_BORDER_WIDTH / 2)
 _LINE: Final = wp.constant(style.REGION_BORDER_WIDTH / 2)
 _ROOT_X: Final = wp.constant(c.FINGER_ROOT[0])
 _ROOT_Y: Final = wp.constant(c.FINGER_ROOT[1])
-_ROBOT_REACH: Final = wp.constant(0.45)  # of the open fingers' tips, world units
-_BLOCK_REACH: Final = wp.constant(0.16)  # of a star's tips
+_ROBOT_REACH: Final = wp.constant(0.45)  # distance of the open fingers' tips, world units
+_BLOCK_REACH: Final = wp.constant(0.16)  # distance of a star's tips
 
 
 def packed(rgb: style.Rgb) -> int:
@@ -52,28 +52,28 @@ _NOTHING: Final = wp.constant(-1)
 
 @wp.struct
 class Outlines:
-    """Polygons: a part is one or two loops of points."""
+    """Polygons. A part consists of one or two loops of points."""
 
     points: wp.array(dtype=wp.vec2)
     loops: wp.array(dtype=wp.vec2i)
-    """The first point of each loop, and the one after its last."""
+    """The index of each loop's first point, and the index after its last."""
     parts: wp.array(dtype=wp.vec2i)
-    """Likewise of loops. First the layers of the robot, then outline and fill of each block shape."""
+    """The same of each part's loops. The layers of the robot come first, then outline and fill of each block shape."""
     reach: wp.array(dtype=float)
-    """Squared distance of each part's furthest point from its origin."""
+    """The squared distance of each part's furthest point from its origin."""
     frames: wp.array(dtype=int)
-    """What each of the robot's layers moves with, as in ROBOT_LAYERS."""
+    """The index of what each of the robot's layers moves with, as in ROBOT_LAYERS."""
     colours: wp.array(dtype=int)
-    """Of the robot's layers."""
+    """The colours of the robot's layers."""
     palette: wp.array2d(dtype=int)
-    """By what is filled (block's outline, block, region, region's border) and colour."""
+    """Row: block's outline, block, region, or region's border. Column: colour."""
 
 
 @wp.struct
 class Worlds:
-    """What is where, in every world."""
+    """The poses of the objects in every world."""
 
-    places: wp.array2d(dtype=wp.vec4)
+    poses: wp.array2d(dtype=wp.vec4)
     """x, y, cosine and sine of the robot and of each block."""
     fingers: wp.array2d(dtype=wp.vec2)
     """Cosine and sine of both fingers' angles."""
@@ -86,7 +86,7 @@ class Worlds:
 
 @wp.func
 def covers(part: int, x: float, y: float, outlines: Outlines) -> bool:
-    """Whether a point lies in one of the part's loops: an odd number of edges crosses the ray to its right."""
+    """Whether a point is inside one of the part's loops: an odd number of edges crosses the ray to its right."""
     if x * x + y * y > outlines.reach[part]:
         return False
     loops = outlines.parts[part]
@@ -108,10 +108,10 @@ def covers(part: int, x: float, y: float, outlines: Outlines) -> bool:
 @wp.func
 def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
     """The colour of the robot at a point, or -1."""
-    place = worlds.places[world, 0]
-    dx, dy = x - place[0], y - place[1]
-    px = place[2] * dx + place[3] * dy
-    py = place[2] * dy - place[3] * dx
+    pose = worlds.poses[world, 0]
+    dx, dy = x - pose[0], y - pose[1]
+    px = pose[2] * dx + pose[3] * dy
+    py = pose[2] * dy - pose[3] * dx
     for layer in range(_LAYERS):
         qx, qy = px, py
         frame = outlines.frames[layer]
@@ -131,10 +131,10 @@ def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outli
 @wp.func
 def block_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
     """The colour of a block at a point, or -1."""
-    place = worlds.places[world, 1 + slot]
-    dx, dy = x - place[0], y - place[1]
-    px = place[2] * dx + place[3] * dy
-    py = place[2] * dy - place[3] * dx
+    pose = worlds.poses[world, 1 + slot]
+    dx, dy = x - pose[0], y - pose[1]
+    px = pose[2] * dx + pose[3] * dy
+    py = pose[2] * dy - pose[3] * dx
     part = _LAYERS + 2 * worlds.shapes[world, slot]
     if covers(part + 1, px, py, outlines):
         return outlines.palette[1, worlds.colours[world, slot]]
@@ -160,7 +160,7 @@ def region_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, out
 
 @wp.func
 def sample(world: int, x: float, y: float, near: int, worlds: Worlds, outlines: Outlines) -> int:
-    """The colour at a point, topmost first; -1 for the white floor. `near` says what can be there, a bit for each."""
+    """The colour of the topmost object at a point; -1 for the white floor. `near` has a bit for each candidate."""
     blocks = worlds.shapes.shape[1]
     regions = worlds.regions.shape[1]
     if near & 1:
@@ -189,16 +189,16 @@ def sample(world: int, x: float, y: float, near: int, worlds: Worlds, outlines: 
 
 @wp.func
 def neighbours(world: int, x: float, y: float, margin: float, worlds: Worlds) -> int:
-    """What may cover points within `margin` of this one: bits for the robot, the blocks, the regions."""
+    """The objects that may cover points within `margin` of this one, as bits of robot, blocks and regions."""
     blocks = worlds.shapes.shape[1]
     near = int(0)
-    place = worlds.places[world, 0]
-    if wp.length(wp.vec2(x - place[0], y - place[1])) < _ROBOT_REACH + margin:
+    pose = worlds.poses[world, 0]
+    if wp.length(wp.vec2(x - pose[0], y - pose[1])) < _ROBOT_REACH + margin:
         near = 1
     for slot in range(blocks):
         if worlds.shapes[world, slot] >= 0:
-            place = worlds.places[world, 1 + slot]
-            if wp.length(wp.vec2(x - place[0], y - place[1])) < _BLOCK_REACH + margin:
+            pose = worlds.poses[world, 1 + slot]
+            if wp.length(wp.vec2(x - pose[0], y - pose[1])) < _BLOCK_REACH + margin:
                 near = near | (1 << (1 + slot))
     for slot in range(worlds.regions.shape[1]):
         if worlds.region_colours[world, slot] >= 0:
@@ -218,13 +218,13 @@ def paint(
     forward: float,
     out: wp.array4d(dtype=wp.uint8),
 ):
-    """One pixel of one world."""
+    """Computes one pixel of one world."""
     world, row, column = wp.tid()
     size = float(out.shape[1])
     step = visible / size
     turn = wp.vec4(0.0, 0.0, 1.0, 0.0)
     if ego > 0:
-        turn = worlds.places[world, 0]
+        turn = worlds.poses[world, 0]
     red, green, blue, alpha = int(0), int(0), int(0), int(0)
     u = step * (float(column) + 0.5) - visible / 2.0
     v = visible / 2.0 - step * (float(row) + 0.5) + forward * float(ego)

@@ -1,6 +1,6 @@
-"""What learners see of a batch, on the device: state vectors, or stacks of pictures.
+"""Observations of a batch on the device: state vectors, or stacks of pictures.
 
-Pictures are painted from the outlines of the renderer's meshes.
+Pictures are drawn from the outlines of the renderer's meshes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
-from magical_mj.batched.kernels import MAX_THINGS, ROBOT_LAYERS, Outlines, Worlds, packed, paint
+from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
@@ -40,12 +40,12 @@ class States:
         self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
 
     def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Episodes begin in these worlds: writes what stays as it is."""
+        """Starts episodes in these worlds, and stores the constant entries."""
         fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(worlds))])
         self._fixed[worlds] = torch.from_numpy(fixed).to(self._fixed)
 
     def observe(self, physics: Physics) -> Tensor:
-        """The present states, in a fresh tensor."""
+        """The current states, in a new tensor."""
         state, poses, speeds = self._fixed.clone(), physics.poses, physics.velocities
         state[:, :8] = torch.cat([poses[:, 0], speeds[:, 0], physics.fingers], dim=-1)
         rows = state[:, _BLOCK:_REGION].view(len(state), MAX_BLOCKS, _BLOCK_ENTRIES)[:, : physics.blocks]
@@ -53,16 +53,16 @@ class States:
         return state
 
     def observe_start(self, physics: Physics, worlds: Tensor) -> Tensor:
-        """Observations after resets: the same as any."""
+        """The observations after resets, like any others."""
         del worlds
         return self.observe(physics)
 
     def get_state(self) -> dict[str, Tensor]:
-        """Nothing: they are the present ones."""
+        """An empty state: observations depend only on the current physics."""
         return {}
 
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Tensor:
-        """Goes back to a state; returns what is seen then."""
+        """Restores a state, and returns its observation."""
         del state
         return self.observe(physics)
 
@@ -98,18 +98,18 @@ class Painter:
     """Draws the worlds of a batch on one of Warp's devices.
 
     Raises:
-        SettingsError: if the worlds have too many slots for blocks and regions.
+        SettingsError: if the worlds have too many blocks and regions.
     """
 
     def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
         worlds, blocks = scenes.shapes.shape
-        if blocks + scenes.regions.shape[1] > MAX_THINGS:
-            raise SettingsError(f"batched worlds show at most {MAX_THINGS} blocks and regions: use make_vec")
+        if blocks + scenes.regions.shape[1] > MAX_OBJECTS:
+            raise SettingsError(f"batched worlds can draw at most {MAX_OBJECTS} blocks and regions: use make_vec")
         self._outlines = _outlines(device)
-        self._places = torch.zeros((worlds, 1 + blocks, 4), device=device)
+        self._poses = torch.zeros((worlds, 1 + blocks, 4), device=device)
         self._fingers = torch.zeros((worlds, 2, 2), device=device)
         self._worlds: Any = Worlds()
-        self._worlds.places = wp.from_torch(self._places, dtype=wp.vec4)
+        self._worlds.poses = wp.from_torch(self._poses, dtype=wp.vec4)
         self._worlds.fingers = wp.from_torch(self._fingers, dtype=wp.vec2)
         self._fixed: dict[str, Tensor] = {}
         for name in ("shapes", "colours", "region_colours", "regions", "dashes"):
@@ -121,40 +121,40 @@ class Painter:
         self.set_poses(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
 
     def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Puts other scenes into some of the worlds."""
+        """Replaces the scenes of some worlds."""
         for name, tensor in self._fixed.items():
             tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)
 
     def set_poses(self, poses: Tensor, fingers: Tensor) -> None:
-        """Moves everything: poses (worlds, 1 + blocks, 3), angles of the left and right finger (worlds, 2)."""
-        self._places[..., :2] = poses[..., :2]
-        self._places[..., 2], self._places[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
+        """Sets poses (worlds, 1 + blocks, 3), and angles of the left and right finger (worlds, 2)."""
+        self._poses[..., :2] = poses[..., :2]
+        self._poses[..., 2], self._poses[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
         self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
 
     def draw(self, view: str, out: Tensor) -> None:
-        """Paints all worlds from "ego" or "allo" into `out`, of any strides, (worlds, size, size, 3) uint8."""
+        """Draws all worlds in the view "ego" or "allo" into `out`, of any strides, (worlds, size, size, 3) uint8."""
         inputs = [self._worlds, self._outlines, int(view == "ego"), c.VISIBLE_SIZE]
         inputs += [c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), wp.from_torch(out, dtype=wp.uint8)]
         wp.launch(paint, dim=out.shape[:3], inputs=inputs, device=self._device)
 
 
 class Frames:
-    """Stacks of pictures as a preset orders them, uint8: one tensor, or for the layout "dict" by view.
+    """Stacks of pictures in a preset's order, uint8: one tensor, or for the layout "dict" one for each view.
 
-    Where the preset says so, the dict also holds the angles of the fingers, float32.
+    For presets with finger angles, the dict also contains these, float32.
     """
 
     def __init__(self, preset: Preset, size: int, scenes: WorldScenes, device: str) -> None:
         self._painter = Painter(scenes, device)
         self._preset, worlds = preset, len(scenes.shapes)
-        self._places: list[tuple[str, str, int, int]] = []
-        """Of each view: its stack, its name, and its channels there, from the first to the one after the last."""
+        self._channels: list[tuple[str, str, int, int]] = []
+        """For each view: the stack, the view, the first of its channels in the stack, and the index after the last."""
         channels: dict[str, int] = {}
         for view, count in preset.frames:
             name = view if preset.layout == "dict" else "all"
             first = channels.get(name, 0)
             channels[name] = first + 3 * count
-            self._places.append((name, view, first, channels[name]))
+            self._channels.append((name, view, first, channels[name]))
         self._stacks = {
             name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
             for name, count in channels.items()
@@ -163,43 +163,43 @@ class Frames:
         self.space = observation_space(preset, shapes)
 
     def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Episodes begin in these worlds."""
+        """Starts episodes in these worlds."""
         self._painter.set_scenes(scenes, worlds)
 
     def observe(self, physics: Physics) -> Observation:
-        """Adds the present pictures to the stacks; fresh tensors."""
-        for name, _, first, end in self._places:
+        """Adds the current pictures to the stacks. Returns new tensors."""
+        for name, _, first, end in self._channels:
             stack = self._stacks[name]
             stack[..., first : end - 3] = stack[..., first + 3 : end].clone()
         self._draw(physics)
         return self._observation(physics)
 
     def observe_start(self, physics: Physics, worlds: Tensor) -> Observation:
-        """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
+        """Fills these worlds' stacks with their current pictures. Returns new tensors, of all worlds."""
         self._draw(physics)
-        for name, _, first, end in self._places:
+        for name, _, first, end in self._channels:
             stack = self._stacks[name]
             newest = stack[worlds, :, :, end - 3 : end]
             stack[worlds, :, :, first:end] = newest.repeat(1, 1, 1, (end - first) // 3)
         return self._observation(physics)
 
     def get_state(self) -> dict[str, Tensor]:
-        """The stacks; copies."""
+        """Copies of the stacks."""
         return {name: stack.clone() for name, stack in self._stacks.items()}
 
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Observation:
-        """Goes back to a state; returns what is seen then."""
+        """Restores a state, and returns its observation."""
         self._stacks = {name: state[name].to(stack, copy=True) for name, stack in self._stacks.items()}
         return self._observation(physics)
 
     def _draw(self, physics: Physics) -> None:
-        """The present pictures, each where the newest of its view belongs."""
+        """Draws the current pictures into the channels of each view's newest one."""
         self._painter.set_poses(physics.poses, physics.fingers)
-        for name, view, _, end in self._places:
+        for name, view, _, end in self._channels:
             self._painter.draw(view, self._stacks[name][..., end - 3 : end])
 
     def _observation(self, physics: Physics) -> Observation:
-        """Copies: whoever changes an observation in place does not change the next ones."""
+        """Copies, so that changing an observation in place does not affect later ones."""
         observation = {name: self._shaped(stack.clone()) for name, stack in self._stacks.items()}
         if self._preset.fingers:
             observation["fingers"] = physics.fingers

@@ -1,8 +1,9 @@
-"""The physics of a batch on MuJoCo Warp: the one file that knows its names, for it calls itself alpha.
+"""The physics of a batch on MuJoCo Warp. Only this file uses its API, which is still declared alpha.
 
-Single precision, so worlds move as MuJoCo's do within rounding, until heaps make that chaotic. Three things are put
-right: the solver's tolerance, which `put_model` raises; the friction of feet and wheels, whose impedance of 0.9999 is
-off by 2e-4 of its distance to 1 in single precision; and the mid-phase, a flag that Warp does not know.
+Warp computes in single precision, so worlds move like MuJoCo's within rounding, until heaps make that chaotic. Three
+settings are corrected: the solver's tolerance, which `put_model` raises; the friction of feet and wheels, as the
+difference of their impedance, 0.9999, and 1 has a relative error of 2e-4 in single precision; and the mid-phase, a flag
+that Warp does not support.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from magical_mj.scene.constants import SHAPES, Shape
 from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.utils.errors import SettingsError
 
-wp.config.log_level = wp.LOG_ERROR  # or it tells of every kernel that it compiles
+wp.config.log_level = wp.LOG_ERROR  # otherwise it reports each compiled kernel
 
 CONTACTS: Final = 64
-"""Room for contacts in each world on average: all share one pool. More are reported as an overflow."""
+"""The maximum number of contacts per world on average: all share one pool. An excess is reported as an overflow."""
 ROWS: Final = 224
-"""Room for constraints in each world: contacts, dry friction, limits."""
+"""The maximum number of constraints in each world: contacts, dry friction, limits."""
 
 DROPPED: Final = int(
     mjw.OverflowType.NEFC
@@ -44,10 +45,10 @@ DROPPED: Final = int(
     | mjw.OverflowType.NARROWPHASE
     | mjw.OverflowType.CCD
 )
-"""The overflows by which contacts or constraints are lost; others say that the solver used all its iterations."""
+"""The overflows that lose contacts or constraints. Others report that the solver used all its iterations."""
 
 STATE: Final = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
-"""The arrays of the simulation that the next step depends on, by their names."""
+"""The names of the simulation's arrays that determine the next step."""
 
 GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
 BODY_FIELDS: Final = ("body_inertia", "body_invweight0")
@@ -59,33 +60,33 @@ FIELDS: Final = (
     "pair_friction",
     "tendon_frictionloss",
 )
-"""What differs between the worlds of a batch, by the names of MuJoCo's model."""
+"""The names of the model's arrays that differ between the worlds of a batch."""
 
-PARKED: Final = 1000.0  # world units above the plane; each geom at a height of its own, or they would meet there
-OUTSIDE: Final = 10.0  # world units from the centre, where slots without a block wait, two apart
+PARKED: Final = 1000.0  # world units above the plane; each geom has its own height, so that they do not collide
+OUTSIDE: Final = 10.0  # distance of slots without a block from the centre, world units; they are two apart
 
 Kind = tuple[int, int, int]
-"""Type, contype and conaffinity of a geom."""
+"""The type, contype and conaffinity of a geom."""
 Fields = dict[str, NDArray[np.float64]]
 """Arrays by the names of MuJoCo's model."""
 
 
 def check_device(name: str) -> str:
-    """Warp's name of a device; raises a `SettingsError` if it is not there."""
+    """Warp's name of a device. Raises a `SettingsError` if it does not exist."""
     try:
         return str(wp.get_device(str(name)).alias)
     except (RuntimeError, ValueError) as error:
         devices = ", ".join(str(device.alias) for device in wp.get_devices())
-        raise SettingsError(f"there is no device {name!r} here; there is {devices}") from error
+        raise SettingsError(f"this machine has no device {name!r}; it has {devices}") from error
 
 
 class Physics:
-    """Steps all worlds of a batch at once; all later scenes must have room in as many slots as the first ones.
+    """Steps all worlds of a batch together. Later scenes must fit into as many slots as the first ones.
 
     Attributes:
-        worlds: how many.
-        blocks: slots for blocks in each.
-        model: the one model of all worlds, as MuJoCo compiles it.
+        worlds: the number of worlds.
+        blocks: the number of slots for blocks in each world.
+        model: the MuJoCo model that all worlds share.
         data: Warp's arrays of the simulation.
     """
 
@@ -94,13 +95,13 @@ class Physics:
         self._device = device
         self.model = slotted_model(self.blocks)
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-        self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # takes twice as long there
+        self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # takes twice as long in Warp
         self._slots = [Slot.of(self.model, number) for number in range(self.blocks)]
         with wp.ScopedDevice(device):
             self._warp = mjw.put_model(self.model, batch_sizes=dict.fromkeys(FIELDS, self.worlds))
             self.data = mjw.make_data(self.model, nworld=self.worlds, nconmax=CONTACTS, njmax=ROWS)
         self._warp.opt.tolerance.fill_(SETTINGS.tolerance)
-        self._warp.opt.warn_overflow = 0  # told by `overflowed` instead of printed
+        self._warp.opt.warn_overflow = 0  # reported by `overflowed` instead
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
         self._state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self._overflow = wp.to_torch(self.data.overflow)
@@ -113,7 +114,7 @@ class Physics:
         self.reset(scenes, torch.arange(self.worlds, device=device))
 
     def reset(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Puts scenes, at rest, into the worlds of these numbers, shape (n,), int64; there is a row for each."""
+        """Places scenes, at rest, into the worlds with these numbers, shape (n,), int64. There is a scene for each."""
         fields = self._fields_of(scenes)
         impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
         error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
@@ -141,7 +142,7 @@ class Physics:
         return fields
 
     def _write_block(self, fields: Fields, worlds: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
-        """In these worlds, the slot holds this block."""
+        """Writes this block into the slot of these worlds."""
         free: dict[Kind, list[int]] = {}
         for geom in slot.geoms.tolist():
             free.setdefault(_kind(self.model, geom), []).append(geom)
@@ -154,7 +155,7 @@ class Physics:
         fields["dof_invweight0"][rows, slot.joints] = block.dof_invweight0
 
     def _write_dynamics(self, fields: Fields, dynamics: NDArray[np.float64]) -> None:
-        """The force caps of each world."""
+        """Writes the force caps of each world."""
         drive, turn, finger, force, torque = dynamics.T
         feet = {f"block{number}_foot": force for number in range(len(self._slots))}
         for name, forces in (wheel_caps(drive) | feet).items():
@@ -176,16 +177,16 @@ class Physics:
         return qpos
 
     def get_state(self) -> dict[str, Tensor]:
-        """All that the steps to come depend on, scenes aside; copies."""
+        """Copies of all data that determine later steps, except the scenes."""
         return {name: values.clone() for name, values in self._lasting.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
-        """Goes back to a state of worlds that hold the same scenes."""
+        """Restores a state of worlds with the same scenes."""
         for name, values in self._lasting.items():
             values[:] = state[name].to(values)
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
-        """One action, 0..17, in every world, (worlds,) int64; without `graph` launched one by one, to be watched."""
+        """One action in 0..17 in every world, (worlds,) int64. Without `graph`, kernels can be traced one by one."""
         self._state["ctrl"][:] = self._controls[actions]
         if graph and wp.get_device(self._device).is_cuda:
             self._launch_graph()
@@ -193,11 +194,11 @@ class Physics:
             self._substeps()
 
     def _launch_graph(self) -> None:
-        """All launches of a control step as one: there are about a hundred in a substep."""
+        """Launches a control step as one graph: each substep has about a hundred launches."""
         if self._graph is None:
             before = {name: values.clone() for name, values in self._state.items()}
             with wp.ScopedDevice(self._device):
-                self._substeps()  # compiles what a capture may not
+                self._substeps()  # compiles kernels, which is not possible during a capture
                 with wp.ScopedCapture() as capture:
                     self._substeps()
             self._graph = capture.graph
@@ -221,18 +222,18 @@ class Physics:
 
     @property
     def velocities(self) -> Tensor:
-        """Of what `poses` holds, in units/s and rad/s. Shape (worlds, 1 + blocks, 3), float32."""
+        """The velocities of `poses`, in units/s and rad/s. Shape (worlds, 1 + blocks, 3), float32."""
         return self._state["qvel"][:, self._planar]
 
     @property
     def broken(self) -> Tensor:
-        """Worlds whose state is not finite, or too large for MuJoCo. Shape (worlds,), bool."""
+        """Whether a world's state is not finite, or too large for MuJoCo. Shape (worlds,), bool."""
         state = torch.cat([self._state["qpos"], self._state["qvel"]], dim=-1)
         return ~(state.abs() <= MAX_NUMBER).all(-1)
 
     @property
     def overflowed(self) -> Tensor:
-        """Worlds that had, since their reset, more contacts or constraints than there is room for: some were dropped.
+        """Whether a world has exceeded the maximum of contacts or constraints since its reset, so that some were lost.
 
         Shape (worlds,), bool.
         """
@@ -240,24 +241,24 @@ class Physics:
 
 
 class BlockParts(NamedTuple):
-    """What MuJoCo makes of a block of one shape."""
+    """The compiled model of a block of one shape."""
 
     classes: list[tuple[str, int]]
-    """Default class and type of each of its collision geoms."""
+    """The default class and type of each collision geom."""
     kinds: list[Kind]
-    """Of each collision geom."""
+    """The kind of each collision geom."""
     geoms: Fields
-    """A row for each collision geom."""
+    """The geoms' arrays, with a row for each collision geom."""
     bodies: Fields
-    """Rows for the block's body and for the body of its geoms."""
+    """The bodies' arrays, with rows for the block's body and for the body of its geoms."""
     dof_invweight0: NDArray[np.float64]
 
 
 class Slot(NamedTuple):
-    """Where a block is in a model."""
+    """The indices of a block in a model."""
 
     bodies: list[int]
-    """The block's body, and the body that holds its collision geoms."""
+    """The block's body, and the body with its collision geoms."""
     geoms: NDArray[np.int64]
     """The collision geoms."""
     joints: NDArray[np.int64]
@@ -265,7 +266,7 @@ class Slot(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, number: int) -> Slot:
-        """Where this block is."""
+        """The indices of block `number`."""
         body = model.body(f"block{number}").id
         solid = body + 1
         geoms = model.body_geomadr[solid] + np.arange(model.body_geomnum[solid])
@@ -274,7 +275,7 @@ class Slot(NamedTuple):
 
 @cache
 def block_parts(shape: Shape) -> BlockParts:
-    """What MuJoCo makes of a block of this shape."""
+    """Compiles a block of this shape."""
     scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
     spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=""))
     model = spec.compile()
@@ -294,20 +295,20 @@ def _kind(model: mujoco.MjModel, geom: int) -> Kind:
 
 
 def slotted_model(blocks: int) -> mujoco.MjModel:
-    """One model for many scenes: slots for blocks, each with the collision geoms of every shape it may take.
+    """One model for many scenes. It has slots for blocks, each with the collision geoms of every shape.
 
-    MuJoCo Warp gives worlds their own sizes and poses of geoms, but not their own types. So a slot holds as many geoms
-    of each kind as the shape with most of them needs; those that a world's shape does not use are parked far above the
-    plane, and slots without a block far outside the arena. What a block or a force cap is in a model,
-    `magical_mj.assets` says: blocks are copied from models with one block of each shape.
+    In MuJoCo Warp, worlds have their own geom sizes and poses, but not their own geom types. So for each kind of geom,
+    a slot has as many as the shape with the most of them. Geoms that a world's shape does not use are parked far above
+    the plane, and slots without a block far outside the arena. The parts of a block and a force cap in the model are
+    defined by `magical_mj.assets`: blocks are copied from models with one block of each shape.
     """
     apart = tuple(Block("circle", "red", 2.0 * index, 0.0, 0.0) for index in range(blocks))
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
     needed: Counter[tuple[str, int]] = Counter()
     for shape in SHAPES:
-        needed |= Counter(block_parts(shape).classes)  # the greater number of each
+        needed |= Counter(block_parts(shape).classes)  # the maximum number of each
     drawn = [geom for geom in spec.geoms if geom.classname.name == "visual"]
-    for element in (*drawn, *spec.lights, *spec.cameras):  # each kind would cost a launch in every substep
+    for element in (*drawn, *spec.lights, *spec.cameras):  # each kind would need a launch in every substep
         spec.delete(element)
     for index in range(blocks):
         body = spec.body(f"block{index}").first_body()
@@ -319,5 +320,5 @@ def slotted_model(blocks: int) -> mujoco.MjModel:
                 geom.type, geom.size = mujoco.mjtGeom(kind), [0.01, 0.01, 0.01]
     model = spec.compile()
     frictionless = (model.geom_contype | model.geom_conaffinity) == 0
-    model.geom_friction[frictionless] = 1.0  # theirs is that of named pairs; Warp warns of zeros
+    model.geom_friction[frictionless] = 1.0  # unused, since their pairs define friction; Warp warns of zeros
     return model

@@ -1,4 +1,4 @@
-"""Scenes of a batch as arrays, a row for each world; sampled when they are needed, or ahead by worker processes."""
+"""Scenes of a batch as arrays with a row for each world, sampled on demand or in advance by worker processes."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from magical_mj.utils.parallel import Pool
 from magical_mj.variants import varied_axes
 
 CHUNK: Final = 64
-"""Scenes that one worker samples at a time: one takes half a millisecond."""
+"""The number of scenes in a worker's job. One scene takes half a millisecond."""
 
 ABSENT: Final = -1
-"""The shape of a block, and the colour of a region, that a scene does not have."""
+"""The shape of an empty block slot, and the colour of an empty region slot."""
 
 
 class Capacity(NamedTuple):
-    """How much the worlds of a batch can hold; at least one of each, for empty arrays have no place in memory."""
+    """The number of slots in each world of a batch, at least one of each, since empty arrays have no memory."""
 
     blocks: int
     regions: int
 
     @classmethod
     def of(cls, scenes: Sequence[Scene]) -> Capacity:
-        """What these scenes need."""
+        """The capacity that these scenes need."""
         return cls(
             blocks=max(1, *(len(scene.blocks) for scene in scenes)),
             regions=max(1, *(len(scene.regions) for scene in scenes)),
@@ -47,7 +47,7 @@ class Capacity(NamedTuple):
 
     @classmethod
     def of_environments(cls, pairs: Sequence[Pair]) -> Capacity:
-        """What all scenes of these environments need."""
+        """The capacity that all scenes of these environments need."""
         if any("count" in varied_axes(task_spec(task), variant) for task, variant in pairs):
             return cls(MAX_BLOCKS, MAX_REGIONS)
         return cls.of([sample_scene(task, "Demo", 0) for task in dict.fromkeys(task for task, _ in pairs)])
@@ -65,12 +65,12 @@ def _check_simulated(scene: Scene) -> None:
     }
     other = [what for what, is_plain in plain.items() if not is_plain]
     if other:
-        raise InvalidSceneError(f"batched worlds have no {' and no '.join(other)}; use gymnasium.make or make_vec")
+        raise InvalidSceneError(f"batched worlds do not support {' or '.join(other)}; use gymnasium.make or make_vec")
 
 
 @dataclass(frozen=True)
 class WorldScenes:
-    """The scenes of a batch as arrays, each with as many slots; unused ones are `ABSENT` and hold zeros.
+    """The scenes of a batch as arrays. All have the same slots. Unused slots are `ABSENT` and zero.
 
     Attributes:
         poses: x, y, angle of the robot and then of each block. Shape (worlds, 1 + blocks, 3).
@@ -94,7 +94,7 @@ class WorldScenes:
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> WorldScenes:
-        """These scenes; raises an `InvalidSceneError` for too many blocks or regions, or what batches do not have."""
+        """These scenes as arrays. Raises an `InvalidSceneError` if one does not fit or is not supported."""
         worlds = len(scenes)
         for scene in scenes:
             _check_simulated(scene)
@@ -128,11 +128,11 @@ class WorldScenes:
         return arrays
 
     def __getitem__(self, worlds: NDArray[np.int64]) -> WorldScenes:
-        """The scenes of these worlds, in their order."""
+        """The scenes of these worlds, in this order."""
         return WorldScenes(**{name: values[worlds] for name, values in vars(self).items()})
 
     def scene(self, world: int, poses: NDArray[np.float64] | None = None) -> Scene:
-        """The scene of a world, perhaps with other poses of the robot and of each slot, (1 + blocks, 3)."""
+        """The scene of a world, optionally with other poses of the robot and the slots, (1 + blocks, 3)."""
         robot, *poses_of_blocks = (self.poses[world] if poses is None else poses).tolist()
         blocks = zip(self.shapes[world].tolist(), self.colours[world].tolist(), poses_of_blocks, strict=True)
         regions = zip(self.region_colours[world].tolist(), self.regions[world].tolist(), strict=True)
@@ -144,7 +144,7 @@ class WorldScenes:
         )
 
     def write(self, other: WorldScenes, worlds: NDArray[np.int64]) -> None:
-        """Puts other scenes into these worlds."""
+        """Replaces the scenes of these worlds."""
         for name, values in vars(self).items():
             values[worlds] = getattr(other, name)
 
@@ -156,9 +156,10 @@ def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> W
 
 
 class SceneSampler:
-    """Samples the scenes of a batch; an episode's depends on the seed, the world's number and the episode's alone.
+    """Samples the scenes of a batch. They depend only on the seed, the world's number and the episode's number.
 
-    Workers, started when they are needed, sample ahead; without any, scenes are sampled when they are needed.
+    Workers are started when they are first needed, and sample in advance. Without workers, scenes are sampled on
+    demand.
     """
 
     def __init__(self, pairs: Sequence[Pair], capacity: Capacity, workers: int = 0) -> None:
@@ -166,27 +167,27 @@ class SceneSampler:
         self._seed = 0
         self._episodes = [0] * len(pairs)
         self._pool: Pool | None = None
-        self._ahead: dict[int, tuple[Future[WorldScenes], int]] = {}  # by world: its scene to come, and the row
+        self._ahead: dict[int, tuple[Future[WorldScenes], int]] = {}  # world -> its next scenes, and its row in them
 
     def seed(self, seed: int) -> None:
-        """Starts the seeds of all episodes anew."""
+        """Restarts the sequences of all worlds with this seed."""
         for future, _ in self._ahead.values():
             future.cancel()
         self._seed, self._episodes, self._ahead = seed, [0] * len(self._pairs), {}
 
     def get_state(self) -> dict[str, Any]:
-        """Of which episodes the next scenes are."""
+        """The seed and the next episode's number of each world."""
         return {"seed": self._seed, "episodes": list(self._episodes)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Goes back to a state."""
+        """Restores a state."""
         self.seed(state["seed"])
         self._episodes = list(state["episodes"])
 
     def scenes(self, worlds: Sequence[int], seeds: Sequence[int] | None = None) -> WorldScenes:
-        """Scenes for these worlds, in their order: those of the seeds, or each world's next one.
+        """Scenes for these worlds, in this order: those of the seeds, or each world's next one.
 
-        With workers, those to come after them are begun.
+        With workers, starts to sample the following ones.
         """
         if seeds is not None or not self._workers:
             scenes = sample([self._pairs[world] for world in worlds], seeds or self._seeds(worlds), self._capacity)
@@ -205,7 +206,7 @@ class SceneSampler:
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
 
     def _prepare(self, worlds: Sequence[int]) -> None:
-        """Has the next scenes of these worlds sampled, unless they are already."""
+        """Starts to sample the next scenes of these worlds, unless this has been done."""
         self._pool = self._pool or Pool(self._workers)
         missing = [world for world in worlds if world not in self._ahead]
         for first in range(0, len(missing), CHUNK):
@@ -215,13 +216,13 @@ class SceneSampler:
             self._ahead |= {world: (future, row) for row, world in enumerate(chunk)}
 
     def _prepared(self, worlds: Sequence[int]) -> WorldScenes:
-        """The scenes that were prepared for these worlds."""
+        """The prepared scenes of these worlds."""
         sampled = groupby((self._ahead.pop(world) for world in worlds), key=itemgetter(0))
         parts = [future.result()[np.array([row for _, row in rows])] for future, rows in sampled]
         names = [entry.name for entry in fields(WorldScenes)]
         return WorldScenes(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def close(self) -> None:
-        """Ends the workers; may be called twice."""
+        """Stops the workers. May be called twice."""
         if self._pool:
             self._pool.close()

@@ -1,4 +1,4 @@
-"""The leaderboard: results are verified by replaying episodes, packed into entries with a hash, and put into tables."""
+"""The leaderboard: verification of results by replaying episodes, entries with a hash, and tables."""
 
 from __future__ import annotations
 

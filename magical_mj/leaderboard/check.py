@@ -1,4 +1,4 @@
-"""Checks of results, evaluations' folders and entries: their episodes are replayed from their seeds and actions."""
+"""Checks of evaluations' folders and entries: their episodes are replayed from their seeds and actions."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from magical_mj.variants import check_seed
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
 MOST_REPLAYED: Final = 500
-"""The largest number of an entry's episodes that are replayed by default, so that a folder of many takes minutes. Where
-one episode in a hundred is false, such a sample misses all of them once in 150 times, and the next draws others."""
+"""The largest number of an entry's episodes that are replayed by default, so that a large folder takes minutes. If
+one episode in a hundred is false, such a sample misses all of them once in 150 times. The next check draws others."""
 
 
 @dataclass
@@ -34,8 +34,8 @@ class Findings:
     Attributes:
         episodes: the number of replayed episodes.
         differing: a sentence for each episode that differs from its record.
-        missing: a sentence for each run and environment that lacks episodes.
-        unfit: sentences about everything else that does not match this version's protocol.
+        missing: a sentence for each run and environment with missing episodes.
+        unfit: sentences about all other deviations from this version's protocol.
     """
 
     episodes: int = 0
@@ -49,7 +49,7 @@ class Findings:
         return not (self.differing or self.missing or self.unfit)
 
     def add(self, problem: str | None) -> None:
-        """Counts a replayed episode: how it differs from its record; None if it does not."""
+        """Counts a replayed episode. `problem` is its deviation from the record, None if there is none."""
         self.episodes += 1
         if problem is not None:
             self.differing.append(problem)
@@ -60,14 +60,15 @@ def verify(
 ) -> Findings:
     """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
-    Failed episodes, and those of tasks outside the benchmark, are not replayed. What was to be played is taken from the
-    settings, so that an environment or a run without any episodes is missed. An evaluation may be in several folders,
-    such as one for each task; what they hold together must be complete, and episodes that several hold must agree.
+    Failed episodes, and those of tasks outside the benchmark, are not replayed. The settings determine which episodes
+    are required, so that environments or runs without any episodes are reported. An evaluation may be split over
+    several folders, for example one for each task. Together they must be complete, and episodes in several folders must
+    agree.
 
     Args:
         folders: the folders of the evaluation, or entries of the leaderboard.
         jobs: the number of processes; None: one per core.
-        watch: called with the number of replayed episodes, and of all that will be.
+        watch: called with the number of replayed episodes, and the total.
 
     Raises:
         SettingsError: if no folder is given.
@@ -84,7 +85,7 @@ def verify(
         for episode in part.episodes:
             other, holder = seen.setdefault(episode.key, (episode, part.path))
             if holder != part.path and not _agree(other, episode):
-                problem = f"{holder} and {part.path} both hold it, with different results"
+                problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
             elif holder == part.path and _is_replayable(episode, part.settings):
                 chosen.append((where, episode))
@@ -98,7 +99,7 @@ def verify(
 
 @dataclass(frozen=True)
 class _Stored:
-    """The settings and the episodes of an evaluation's folder or of an entry, whose settings are partly unknown."""
+    """The settings and episodes of an evaluation's folder, or of an entry, whose settings are partly unknown."""
 
     path: Path
     settings: Mapping[str, Any]
@@ -107,12 +108,12 @@ class _Stored:
 
     @property
     def environments(self) -> set[Pair]:
-        """The benchmark's environments that were to be played."""
+        """The environments of the benchmark that the evaluation includes."""
         return {pair for pair in ENVIRONMENTS if "-".join(pair) in self.settings.get("environments", ())}
 
     @property
     def runs(self) -> dict[str, set[int]]:
-        """The runs of each policy that were to be played."""
+        """The runs of each policy that the evaluation includes."""
         runs: dict[str, set[int]] = defaultdict(set)
         for policy, run, _ in recorded_policies({**self.settings}):
             runs[policy].add(run)
@@ -127,7 +128,7 @@ def _stored(path: Path) -> _Stored:
 
 
 def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
-    """Whether two records of one episode say the same."""
+    """Whether two records of one episode agree."""
     return all(getattr(first, name) == getattr(second, name) for name in ("score", "actions", "failure", "rules"))
 
 
@@ -136,21 +137,21 @@ def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any]) -> bool:
 
 
 def _unfit(part: _Stored) -> list[str]:
-    """What does not match the protocol in one folder, without playing anything."""
+    """The deviations of one folder from the protocol that are visible without replaying."""
     settings, episodes, problems = part.settings, part.episodes, []
     obstacles = Counter(filter(None, (obstacle(row, settings) for row in episodes if row.task in TASKS)))
     problems += [f"{counted(count, 'episode')} cannot be replayed: {why}" for why, count in obstacles.items()]
     if others := {episode.split for episode in episodes} - {"test"}:
-        problems.append(f"split: results are those on test, and it was played on {', '.join(sorted(others))}")
+        problems.append(f"split: results must be from test, but it was played on {', '.join(sorted(others))}")
     if part.is_entry:
-        return problems + ([] if settings["protocol"] == PROTOCOL else ["no protocol's number was recorded"])
+        return problems + ([] if settings["protocol"] == PROTOCOL else ["the protocol's number is not recorded"])
     required = {"demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
     if settings.get("protocol") is None:  # another number is an obstacle
         required["protocol"] = {PROTOCOL}
     for name, values in required.items():
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
-        problems += [f"{name}: {recorded}, and it must be {value!r}" for value in others]
+        problems += [f"{name}: {recorded}, but it must be {value!r}" for value in others]
     problems += _contradictions(settings, part.environments, part.runs, episodes)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [
@@ -159,7 +160,7 @@ def _unfit(part: _Stored) -> list[str]:
 
 
 def _all_missing(stored: Sequence[_Stored]) -> list[str]:
-    """What is missing of each policy in all folders together."""
+    """The missing episodes of each policy in all folders together."""
     episodes: dict[str, list[EpisodeResult]] = defaultdict(list)
     runs: dict[str, set[int]] = defaultdict(set)
     for part in stored:
@@ -182,21 +183,23 @@ def _contradictions(
     runs: Mapping[str, Collection[int]],
     episodes: Sequence[EpisodeResult],
 ) -> list[str]:
-    """A sentence for each thing that episodes say otherwise than the settings, or than their own actions."""
+    """A sentence for each contradiction between episodes and the settings, or their own actions."""
     problems: dict[str, list[str]] = defaultdict(list)
     for episode in episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
         texts = {
-            name: f"it was played with {value!r}, and {SETTINGS} says {short_repr(settings.get(name))}"
-            for name in ("preset", "version", "mujoco")  # workers of a cluster choose the OpenGL backend themselves
-            if (value := getattr(episode, name)) not in (settings.get(name), None)  # who looks at nothing has no preset
+            name: f"it was played with {value!r}, but {SETTINGS} contains {short_repr(settings.get(name))}"
+            # not the OpenGL backend, which each worker of a cluster chooses
+            for name in ("preset", "version", "mujoco")
+            # a policy without observations has no preset
+            if (value := getattr(episode, name)) not in (settings.get(name), None)
         }
         if episode.run not in runs.get(episode.policy, ()):
-            texts["run"] = f"{SETTINGS} does not name it"
+            texts["run"] = f"{SETTINGS} does not include it"
         if pair in ENVIRONMENTS and pair not in environments:
-            texts["environment"] = f"{SETTINGS} does not name it"
+            texts["environment"] = f"{SETTINGS} does not include it"
         if episode.steps != count:
-            texts["steps"] = f"it says {episode.steps}, and holds {count} actions"
+            texts["steps"] = f"{episode.steps} are recorded, but it has {count} actions"
         for name, text in texts.items():
             problems[name].append(f"{episode.policy}, {episode.title}: {text}")
     return [
@@ -206,9 +209,9 @@ def _contradictions(
 
 
 def missing(episodes: Iterable[EpisodeResult], tasks: Collection[str], runs: Iterable[int] = ()) -> list[str]:
-    """Which episodes that the protocol requires are missing: a sentence for each run and environment.
+    """The episodes that the protocol requires and that are missing: a sentence for each run and environment.
 
-    Each run must have played in all environments of these tasks; of `runs` there may be no episodes at all.
+    Each run must have played all environments of these tasks. `runs` may include runs without any episodes.
     """
     seeds: dict[tuple[int, str, str], set[int]] = defaultdict(set)
     for episode in (episode for episode in episodes if not episode.shift):
@@ -231,17 +234,17 @@ def check_entries(
     jobs: int | None = None,
     watch: Callable[[int, int], object] = lambda *_: None,
 ) -> dict[str, Findings]:
-    """Replays a random part of the episodes of each entry that count.
+    """Replays a random sample of the episodes of each entry that count.
 
-    All of these are checked for what is seen without playing them: their length, and that failures have the score 0.
-    The choice of episodes does not depend on the file, whose author could otherwise alter it until the choice is good.
+    All of these episodes are checked without replaying: their length, and that failures have the score 0. The sample
+    does not depend on the file. Otherwise its author could alter it until the sample is favourable.
 
     Args:
-        entries: the entries by name, which problems are told by.
-        most: the largest number of episodes of an entry that are replayed, a tenth of them otherwise; None: all are.
-        seed: with which a check can be repeated: the same seed chooses the same episodes; None: nobody knows which.
+        entries: name -> entry; the names appear in the problems.
+        most: the largest number of episodes of an entry that are replayed, otherwise a tenth of them. None: all.
+        seed: determines the sample, so that a check can be repeated. None: an unpredictable sample.
         jobs: the number of processes; None: one per core.
-        watch: called with the number of replayed episodes, and of all that will be.
+        watch: called with the number of replayed episodes, and the total.
 
     Returns:
         The findings by the entries' names.
@@ -253,7 +256,7 @@ def check_entries(
     findings: dict[str, Findings] = {}
     chosen: list[Recorded] = []
     for name, entry in entries.items():
-        findings[name] = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
+        findings[name] = Findings(unfit=[] if entry.protocol == PROTOCOL else ["the protocol's number is not recorded"])
         if not entry.counted:
             findings[name].unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
         episodes = entry.episodes
@@ -270,7 +273,7 @@ def check_entries(
 
 
 def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
-    """The episodes that count and whose replay would tell something; and a sentence for each that is wrong as it is."""
+    """The counting episodes that are worth replaying, and a sentence for each one that is wrong without replaying."""
     horizons = {task: task_spec(task).horizon(entry.rules) for task in TASKS}
     playable, problems = [], []
     for episode in (*entry.counted, *entry.shifted):

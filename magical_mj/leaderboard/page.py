@@ -1,4 +1,4 @@
-"""The leaderboard as a page: self-contained HTML with charts and without external resources, and Markdown."""
+"""The leaderboard as self-contained HTML with charts, and as Markdown."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from magical_mj.utils.escape import html
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 STAR: Final = "★"
 INTRODUCTION: Final = (
-    "Each entry holds every episode of every run with its actions, and was checked by playing episodes again. "
-    "Scores lie between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested where poses, "
-    "colours, shapes, numbers or dynamics are others. Methods stand in blocks by what their policies may use while "
-    f"they are tested. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs or more; {DAGGER}: "
+    "Each entry contains every episode of every run with its actions, and was checked by replaying a sample of them. "
+    "Scores are between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested with other "
+    "poses, colours, shapes, numbers or dynamics. Methods are grouped by what their policies may use at test time. "
+    f"{STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs or more; {DAGGER}: "
     "published, the paper's in the original simulator, by the rules 'released'; all others are partial."
 )
 HEADINGS: Final = {
@@ -54,15 +54,15 @@ BEGINNINGS: Final = {
     HTML: f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>\n',
     MARKDOWN: f"# {TITLE}\n",
 }
-"""By which an earlier page is recognised, and may be replaced."""
-WIDTH: Final = 910  # pixels, as all that follow
+"""The first characters of a page. An earlier page is recognised by them and may be replaced."""
+WIDTH: Final = 910  # pixels, as the lengths below
 NAMES: Final = 310  # the width of the column with the methods' names
 LETTER: Final = 6.3  # the mean width of a letter
 ROW: Final = 26  # the height of a method's line
 
 
 def check_free(out: Path) -> None:
-    """Raises an `EvaluationError` if somebody else's file in this folder has the name of a page."""
+    """Raises an `EvaluationError` if another file in this folder has the name of a page."""
     for name, beginning in BEGINNINGS.items():
         path = out / name
         if path.exists() and not (path.is_file() and path.read_bytes().startswith(beginning.encode())):
@@ -70,7 +70,7 @@ def check_free(out: Path) -> None:
 
 
 def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
-    """Writes both pages into a folder, replacing earlier ones but no others, and returns their paths."""
+    """Writes both pages into a folder and returns their paths. Only earlier pages are replaced."""
     check_free(out)
     contents = tables(methods)
     sections = [f"## {HEADINGS[table.name]}\n\n{markdown(table)}" for table in contents]
@@ -119,7 +119,7 @@ def _table(table: Table) -> str:
 
 
 def _cell(text: str, shaded: bool) -> str:
-    """A table cell. Below a number stand its interval and its share of the environments; its shade shows its size."""
+    """A table cell. A number has its interval and its share of the environments below it, and a shade by its size."""
     figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\))?", text)
     if figure is None:
         return f"<td>{html(text)}</td>"
@@ -129,7 +129,7 @@ def _cell(text: str, shaded: bool) -> str:
 
 
 def _card(method: Standing) -> str:
-    """What an entry says of itself."""
+    """The declarations of an entry's card."""
     entry, card = method.entry, method.entry.card
     links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
     facts = {
@@ -163,7 +163,7 @@ def intervals(methods: Sequence[Standing]) -> str:
 
 
 def _name(name: str, right: float, y: float) -> str:
-    """A method's name, shortened if it is long, left of a place."""
+    """A method's name, shortened if it is long, ending at the position `right`."""
     most = int(right / LETTER)
     short = name if len(name) <= most else f"{name[: most - 1]}…"
     whole = f"<title>{html(name)}</title>" if short != name else ""
@@ -184,7 +184,7 @@ def _x(share: float) -> float:
 
 
 def tables(methods: Sequence[Standing]) -> list[Table]:
-    """The tables: scores, drops by variant, probabilities of improvement, shifts if there are any, and costs."""
+    """The tables: scores, drops by variant, probabilities of improvement, shifts if any were played, and costs."""
     shifts = [_shifts(methods)] if any(method.curves for method in methods) else []
     return [_scores(methods), _drops(methods), _improvements(methods), *shifts, _costs(methods)]
 
@@ -205,8 +205,8 @@ def _scores(methods: Sequence[Standing]) -> Table:
     return Table(
         "scores",
         "Interquartile mean of the mean scores of runs in environments, with its 95 % interval (stratified bootstrap), "
-        "and the number of environments if some are missing; of published methods, and of those with different "
-        "numbers of runs, it is taken of the mean scores over runs",
+        "and the number of environments if some are missing. For published methods, and those with different numbers "
+        "of runs, it is the interquartile mean of the mean scores over runs",
         ("Method", "rules", "looks at", *columns),
         _grouped(methods, cells),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
@@ -218,7 +218,7 @@ def _score(method: Standing, variant: str) -> str:
 
 
 def share(method: Standing, variant: str = OVERALL) -> str:
-    """How many of the variant's environments were played, such as "(14/60)"; empty for all of them and for none."""
+    """The number of the variant's environments that were played, such as "(14/60)". Empty for all and for none."""
     every = [pair for pair in ENVIRONMENTS if variant in (OVERALL, pair[1])]
     count = sum(pair in method.means for pair in every)
     return f"({count}/{len(every)})" if 0 < count < len(every) else ""
@@ -233,8 +233,8 @@ def _drops(methods: Sequence[Standing]) -> Table:
 
     return Table(
         "drops",
-        "How far the mean score falls from Demo, on the tasks that have the variant; and the variant in which it falls "
-        "most on the tasks that have all of them",
+        "Decrease of the mean score from Demo, on the tasks that have the variant; and the variant with the largest "
+        "decrease on the tasks that have all variants",
         ("Method", "Demo", *VARIANTS[1:], "falls most in"),
         _grouped(methods, cells),
     )
@@ -245,13 +245,13 @@ def _improvements(methods: Sequence[Standing]) -> Table:
     chances: dict[tuple[int, int], Estimate] = {}
     for a, b in combinations(range(len(entered)), 2):
         chance = chances[a, b] = improvement(entered[a], entered[b])
-        chances[b, a] = Estimate(1 - chance.value, 1 - chance.high, 1 - chance.low)  # who does not win loses
+        chances[b, a] = Estimate(1 - chance.value, 1 - chance.high, 1 - chance.low)  # the two probabilities add up to 1
     rows = [
         (label(method), *(_text(chances.get((a, b))) for b in range(len(entered)))) for a, method in enumerate(entered)
     ]
     return Table(
         "improvement",
-        "How probable it is that a run of the method on the left beats one of the method above, over the environments "
+        "Probability that a run of the method on the left beats one of the method above, over the environments "
         f"that both have played ({NONE} if there are none, or they were scored by different rules)",
         ("Method", *(method.name for method in entered)),
         (("", tuple(rows)),),
@@ -275,8 +275,8 @@ def _shifts(methods: Sequence[Standing]) -> Table:
     return Table(
         "shifts",
         f"Mean score in Demo over strengths 0 to {STRENGTHS} of each shift (the area under the curve), in the scenes "
-        f"of seeds 0 to {SHIFT_SEEDS - 1}, with the number of tasks if some are missing; and the shift that costs half "
-        "of the score at the lowest strength",
+        f"of seeds 0 to {SHIFT_SEEDS - 1}, with the number of tasks if some are missing; and the shift that halves the "
+        "score at the lowest strength",
         ("Method", *SHIFTS, "half lost first"),
         _grouped(entered, lambda method: (*(cell(method, axis) for axis in SHIFTS), first(method))),
     )
@@ -292,7 +292,7 @@ def _costs(methods: Sequence[Standing]) -> Table:
 
     return Table(
         "costs",
-        f"What a run cost ({NONE} where the entry does not say), and what else the method may use",
+        f"The cost of a run ({NONE} if the entry does not state it), and the other resources of the method",
         ("Method", OVERALL, "may use", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
         _grouped(_entered(methods), cells),
     )
@@ -303,7 +303,7 @@ def _entered(methods: Sequence[Standing]) -> list[Standing]:
 
 
 def _grouped(methods: Sequence[Standing], cells: Callable[[Standing], tuple[str, ...]]) -> tuple[Group, ...]:
-    """The rows of methods by their blocks, of those that there are."""
+    """The rows of methods by their blocks, without empty blocks."""
     groups = []
     for block, heading in BLOCKS.items():
         rows = tuple((label(method), *cells(method)) for method in methods if method.block == block)

@@ -1,4 +1,4 @@
-"""What a leaderboard shows: of each method its scores, what breaks first, who beats whom, and what it cost."""
+"""The figures of a leaderboard: each method's scores, decreases by variant, probabilities of improvement, and costs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BLOCKS: Final[Mapping[Block, str]] = {
     "nothing": "Without looking",
     "undeclared": "Privileges not declared",
 }
-"""Methods compare within a block: what a policy may see or try while it is tested matters more than how it learnt."""
+"""Methods are compared within a block: what a policy may use at test time matters more than how it was trained."""
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
@@ -44,7 +44,7 @@ OVERALL: Final = "all environments"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its 95 % interval; NaN where there is none."""
+    """A figure with its 95 % interval; NaN for missing values."""
 
     value: float
     low: float = np.nan
@@ -56,11 +56,11 @@ class Standing:
     """One method on the leaderboard.
 
     Attributes:
-        kind: official entries are complete; published ones are the paper's.
-        entry: the entry; of published ones it has no episodes.
-        gaps: what keeps a partial entry from being official.
-        means: mean score of each run in each environment; of published ones, the mean of five runs alone.
-        episodes: score of each episode of each run in each environment; empty for published ones.
+        kind: official entries are complete, partial ones are not, and published ones are the paper's.
+        entry: the entry; those of published methods have no episodes.
+        gaps: the reasons why a partial entry is not official.
+        means: mean score of each run in each environment; for published methods only the mean of five runs.
+        episodes: score of each episode of each run in each environment; empty for published methods.
     """
 
     kind: Kind
@@ -76,12 +76,12 @@ class Standing:
 
     @property
     def privileges(self) -> tuple[str, ...]:
-        """What it may use, as its card declares."""
+        """The privileges that its card declares."""
         return tuple(self.entry.card.privileges or ())
 
     @property
     def block(self) -> Block:
-        """The block of tables in which it stands."""
+        """Its block in the tables."""
         if self.entry.card.privileges is None:
             return "undeclared"
         if "simulator at test" in self.privileges:
@@ -91,7 +91,7 @@ class Standing:
 
     @cached_property
     def scores(self) -> Mapping[str, Estimate]:
-        """Interquartile mean over environments and runs, by variant, and `OVERALL`."""
+        """The interquartile mean over environments and runs, by variant and `OVERALL`."""
         scores = {}
         for variant in (OVERALL, *VARIANTS):
             pairs = [pair for pair in self.means if variant in (OVERALL, pair[1])]
@@ -104,9 +104,9 @@ class Standing:
 
     @cached_property
     def drops(self) -> Mapping[str, Estimate]:
-        """How much the mean score falls from Demo to each test variant, on the tasks that have both.
+        """The decrease of the mean score from Demo to each test variant, on the tasks that have both.
 
-        There is an interval only if the same runs were played in both: they are resampled together.
+        There is an interval only if the same runs were played in both, since they are resampled together.
         """
         drops = {}
         for variant in VARIANTS[1:]:
@@ -129,7 +129,7 @@ class Standing:
 
     @property
     def weakest(self) -> str | None:
-        """The variant (except All) in which the score falls most, over the tasks that were played in all of them."""
+        """The variant (except All) with the largest decrease, over the tasks that were played in all variants."""
         axes = [variant for variant in VARIANTS if variant != "All"]
         tasks = [task for task in TASKS if all((task, axis) in self.means for axis in axes)]
         totals = {axis: sum(self.means[task, axis].mean() for task in tasks) for axis in axes}
@@ -179,7 +179,7 @@ def own_standings(folder: Path) -> dict[str, Standing]:
 
 
 def gaps(entry: Entry) -> list[str]:
-    """What keeps an entry from being official, if anything does."""
+    """The reasons why an entry is not official. Empty if it is."""
     lacks = []
     if len(entry.runs) < LEAST_RUNS:
         lacks.append(f"{len(entry.runs)} of {counted(LEAST_RUNS, 'run')}")
@@ -196,9 +196,9 @@ def gaps(entry: Entry) -> list[str]:
 
 
 def published() -> list[Standing]:
-    """The paper's own results: only the mean of each method in each environment is published.
+    """The paper's results. Only the mean of each method in each environment is published.
 
-    Its methods look at pictures, and play while they learn, or need nothing else.
+    Its methods observe pictures. All except BC also play while they learn.
     """
     methods = []
     for policy, group in published_results().groupby("policy", sort=False):
@@ -212,8 +212,8 @@ def published() -> list[Standing]:
 def improvement(first: Standing, second: Standing) -> Estimate:
     """The probability that a run of the first method beats one of the second in an environment (Agarwal et al., 2021).
 
-    It is averaged over the environments that both have played; equal scores count one half. It is NaN if there are
-    none, or if they were scored by different rules.
+    It is averaged over the environments that both have played. Equal scores count one half. It is NaN if there are no
+    such environments, or if they were scored by different rules.
     """
     pairs = [pair for pair in first.means if pair in second.means]
     if not pairs or first.entry.rules != second.entry.rules:
@@ -228,15 +228,15 @@ def improvement(first: Standing, second: Standing) -> Estimate:
 
 
 def _better(first: Floats, second: Floats) -> Any:
-    """Shapes (..., n) and (..., m) -> (...): the share of pairs in which the first is larger than the second."""
+    """The share of pairs in which the first is larger than the second. Shapes (..., n) and (..., m) -> (...)."""
     difference = first[..., :, None] - second[..., None, :]
     return ((difference > SCORE_TOLERANCE) + 0.5 * (np.abs(difference) <= SCORE_TOLERANCE)).mean(axis=(-1, -2))
 
 
 def standings(entries: Sequence[Entry]) -> list[Standing]:
-    """All methods by blocks; in each official ones first, then partial and published ones, by their overall scores.
+    """All methods, by block, by kind (official, partial, published), and by overall score.
 
-    Partial ones that played all environments come before those with some, whose scores do not compare.
+    Partial ones that played all environments come before the others, whose scores are not comparable.
     """
     kinds, blocks = ("official", "partial", "published"), tuple(BLOCKS)
     return sorted(

@@ -1,6 +1,6 @@
 """The paper's learners, trained on our demonstrations: BC, GAIL, WGAIL-GP and apprenticeship learning.
 
-They need the extra `il`; nothing else in the package imports them. docs/learners.md says what each of them is.
+They need the extra `il`. No other part of the package imports them. docs/learners.md describes each learner.
 
 Example:
     >>> from magical_mj.learners import load_settings, train
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 from magical_mj.learners.config import load_settings
 from magical_mj.learners.settings import TrainingSettings
 
-_LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
+_LAZY = {  # loaded at first use, so that the command line can list its commands without importing PyTorch
     "METHODS": "training",
     "Learner": "learner",
     "Progress": "training",

@@ -15,15 +15,16 @@ from magical_mj.learners.settings import NetworkSettings, TrainingSettings
 
 
 class AIRL(GAIL):
-    """GAIL whose discriminator holds a reward: logits log pi(a | s) - f(s, a, s'), so that it must know the policy.
+    """GAIL with a discriminator that contains a reward function f: its logits are log pi(a | s) - f(s, a, s').
 
-    f(s, a, s') = g(s, a) + discount h(s') - h(s), with the discount of PPO. In the paper D is near 1 for the
-    demonstrator, and its reward is log D - log(1 - D); here D is near 1 for the policy, and log(1 - D) - log D is the
-    same: f - log pi. Its g may look at the state alone, so that the reward holds for other dynamics; here nothing is
-    learnt anew from the reward, and g looks at the action too, as the paper has it first.
+    f(s, a, s') = g(s, a) + discount h(s') - h(s), with PPO's discount. In the paper, D is near 1 for the demonstrator
+    and the reward is log D - log(1 - D). Here D is near 1 for the policy, so the same reward is log(1 - D) - log D,
+    which equals f - log pi. The paper finally lets g depend on the state alone, so that the reward transfers to other
+    dynamics. Here no policy is retrained on the reward, and g also depends on the action, as the paper first defines
+    it.
 
-    Observations are histories with the state that follows, (n, HISTORY + 1, names): the first HISTORY are s, the last
-    HISTORY are s'. Nothing follows the last step of an episode or demonstration: its own state is repeated.
+    Observations are histories with the following state, (n, HISTORY + 1, names): the first HISTORY states are s, the
+    last HISTORY are s'. The last step of an episode or demonstration has no following state: its own state is repeated.
     """
 
     observes = "states"
@@ -33,11 +34,11 @@ class AIRL(GAIL):
         self._expert = Steps(settings, drop_noop=False)
 
     def discriminator(self) -> nn.Module:
-        """A new f."""
+        """A new network for f."""
         return Shaped(self.settings.network, len(self.settings.tasks), self.settings.ppo.discount)
 
     def collect(self) -> Rollout:
-        """The rollout, each step with the state that followed."""
+        """The rollout. Each step includes the following state."""
         rollout = super().collect()
         following = self._ppo.successors()[..., -1:, :]
         return rollout._replace(observations=np.concatenate([rollout.observations, following], axis=-2))
@@ -64,7 +65,7 @@ class Shaped(nn.Module):
         self.head = Heads(tasks, self.torso.features, 1)
 
     def forward(self, steps: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """Shape (n,), of steps (n, HISTORY + 1, names) with actions and tasks (n,)."""
+        """The values of f, shape (n,), for steps (n, HISTORY + 1, names), actions (n,) and tasks (n,)."""
         before, after = steps[:, :-1], steps[:, 1:]
         shaping = self.discount * self.potential(after, tasks) - self.potential(before, tasks)
         return self.reward(before, actions, tasks) + shaping
@@ -75,7 +76,7 @@ class Shaped(nn.Module):
 
 
 class Steps(Dataset):
-    """Demonstrations whose rows hold the state that follows, too."""
+    """Demonstrations whose rows also contain the following state."""
 
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
         """The rows with these numbers, observations (n, HISTORY + 1, names)."""

@@ -21,23 +21,23 @@ METRICS: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "scor
 """The names of the metrics that updates return, in this order."""
 
 CHUNK: Final = 64
-"""Samples at a time: the output of the paper's first layer takes 2.4 MB for each."""
+"""Samples processed at once. The output of the paper's first layer takes 2.4 MB for each."""
 RECONSTRUCTED: Final = [number for number, name in enumerate(STATE_NAMES) if "velocity" not in name]
-"""The columns of states that the autoencoder reconstructs: those that it gets."""
+"""The columns of states that the autoencoder receives and reconstructs."""
 RESTART: Final = 100
-"""Batches of the autoencoder between two searches for features that are always 0."""
+"""Batches of the autoencoder between two checks for features that are always 0."""
 
 
 class Apprenticeship(RewardLearner):
-    """Finds features on which the policy differs most from the demonstrations, and rewards them.
+    """Learns features, and rewards those in which the policy differs most from the demonstrations.
 
     The first `features.batches` updates train the features as an autoencoder, on demonstrations without augmentation.
-    In all others, the weight vector w in the unit ball that maximises w . (E_demonstrations Phi - E_policy Phi) has a
-    closed form, and PPO's reward is w . Phi(s, a). (The paper's ball has radius 2, which has no effect, since rewards
-    are normalised.) With several tasks, which the paper did not try, each has its own w.
+    Each later update finds the weight vector w in the unit ball that maximises w . (E_demonstrations Phi - E_policy
+    Phi). It has a closed form. PPO's reward is w . Phi(s, a). (The paper's ball has radius 2, which has no effect,
+    since rewards are normalised.) With several tasks, which the paper did not try, each has its own w.
 
     If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used. The paper
-    draws as many from the demonstrations; here these count with all their steps.
+    draws the same number of samples from the demonstrations. Here all steps of the demonstrations are used.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -55,7 +55,7 @@ class Apprenticeship(RewardLearner):
         self._latest = torch.zeros(tasks, 0, size, device=self.device)
 
     def update(self) -> Mapping[str, float]:
-        """First batches of the autoencoder, later rollouts, weights and PPO; the other's metrics stay constant."""
+        """Trains the autoencoder first, and later weights and policy. Metrics of the other phase stay constant."""
         if self._batches < self.settings.features.batches:
             self._metrics["reconstruction"] = self._reconstruct()
             self._batches += 1
@@ -72,7 +72,8 @@ class Apprenticeship(RewardLearner):
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
         novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
-        order = torch.randperm(novice.shape[1], generator=self._draw)  # so that any part of the rollout may be left out
+        # the part of a rollout that is left out is random
+        order = torch.randperm(novice.shape[1], generator=self._draw)
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
         difference = self._demonstrated - self._latest.mean(1)
         self._weights = best_weights(difference)
@@ -88,13 +89,13 @@ class Apprenticeship(RewardLearner):
         return {**super().get_state(), **own}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         super().set_state(state)
         self._batches, self._metrics = state["batches"], dict(state["metrics"])
         self._latest = state["latest"].to(self.device)
 
     def _demonstrated_means(self) -> Tensor:
-        """The mean features of each task's demonstrations, shape (tasks, features); they are learnt by then."""
+        """The mean features of each task's demonstrations, shape (tasks, features), after the features are trained."""
         sums = torch.zeros_like(self._weights)
         for batch in self._expert.batches(CHUNK):
             observations, actions, tasks = self.on_device(batch)
@@ -121,12 +122,13 @@ def best_weights(difference: Tensor) -> Tensor:
 
 
 class Autoencoder(nn.Module):
-    """The discriminator's network without its last layer as encoder, with a decoder of observations and actions.
+    """The discriminator's network without its last layer as encoder, with a decoder of observations.
 
-    The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, since the paper does
-    not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final sigmoid, as
-    pixels are in [0, 1]; the decoder of states has two linear layers. As in the paper, actions are not reconstructed.
-    If they are, features are mostly about actions, and matching these leads nowhere (docs/state-track.md).
+    The paper removes the layer of logits and narrows the layer before it. That layer keeps its ReLU here, since the
+    paper does not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final
+    sigmoid, as pixels are in [0, 1]. The decoder of states has two linear layers. As in the paper, actions are not
+    reconstructed: features that reconstruct actions mostly describe actions, and matching them does not help
+    (docs/state-track.md).
     """
 
     def __init__(self, network: NetworkSettings, size: int, *, states: bool = False) -> None:
@@ -145,16 +147,16 @@ class Autoencoder(nn.Module):
         self.decoder = nn.Sequential(*inner)
 
     def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """The reconstructed pictures, as of `as_input`, or columns of states (n, HISTORY, len(RECONSTRUCTED))."""
+        """The reconstructed pictures, shaped as by `as_input`, or states (n, HISTORY, len(RECONSTRUCTED))."""
         return self.decoder(self.encoder(observations, actions))
 
     def loss(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Mean squared error of what is reconstructed."""
+        """Mean squared error of the reconstruction."""
         return nn.functional.mse_loss(self(observations, actions), observations[..., self.columns])
 
     @torch.no_grad()
     def features(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Phi(s, a), shape (n, size): of each sample for itself, with batch norm's running statistics."""
+        """Phi(s, a), shape (n, size), each sample independently: with batch norm's running statistics."""
         self.eval()
         parts = zip(observations.split(CHUNK), actions.split(CHUNK), strict=True)
         return torch.cat([self.encoder(*part) for part in parts])
@@ -167,7 +169,7 @@ class Autoencoder(nn.Module):
         """
         weight, bias = self.encoder.linear[2].parameters()
         dead = (features <= 0).all(0)
-        weight[dead] = nn.init.kaiming_uniform_(torch.empty_like(weight), math.sqrt(5))[dead]  # as nn.Linear draws them
+        weight[dead] = nn.init.kaiming_uniform_(torch.empty_like(weight), math.sqrt(5))[dead]  # nn.Linear's default
         bias[dead] = 1.0
         return int(dead.sum())
 

@@ -21,21 +21,22 @@ from magical_mj.learners.networks import pose_mask
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
 from magical_mj.policies.interface import HISTORY
 
-TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
+TRANSLATION: Final = 0.05  # bound of the uniform draws, as a share of the picture's width and height
 ROTATION: Final = 5.0  # degrees
-LUMINANCE: Final = 0.01  # how far its factor is from one
+LUMINANCE: Final = 0.01  # the largest deviation of the factor from one
 HUE: Final = 0.15  # radians in the plane of a and b
-NOISE: Final = 0.01  # standard deviation, of values in [0, 1]; the paper's N(0, 0.01) leaves open if it is the variance
+NOISE: Final = 0.01  # standard deviation, of values in [0, 1]; the paper's N(0, 0.01) may also mean the variance
 
-STATE_TRANSLATION: Final = 0.02  # of states, in units: the bound of the uniform draws along each axis
-STATE_ROTATION: Final = 2.0  # degrees, likewise
+STATE_TRANSLATION: Final = 0.02  # for states: bound of the uniform draws along each axis, in units
+STATE_ROTATION: Final = 2.0  # for states: bound of the uniform draws, in degrees
 STATE_NOISE: Final = 0.01  # standard deviation, in units and radians, of poses and finger angles of the present state
-PAST_NOISE: Final = 0.2  # likewise of the earlier states
-"""So much, that a policy cannot just repeat the action that it reads off the latest movements (de Haan et al., 2019:
-"Causal Confusion in Imitation Learning"), as it could in demonstrations, where four of five actions are repeated."""
+PAST_NOISE: Final = 0.2  # the same for the earlier states
+"""Large, so that a policy cannot simply repeat the action that it infers from the latest movements (de Haan et al.,
+2019: "Causal Confusion in Imitation Learning"). In demonstrations this would succeed: four of five actions are
+repeated."""
 
 CHUNK: Final = 4
-"""Stacks that are recoloured at a time on a CPU."""
+"""Stacks that are recoloured at once on a CPU."""
 
 # Linear sRGB to CIE XYZ (IEC 61966-2-1). Rows that add up to one give XYZ relative to the white point, so that greys
 # have a = b = 0 exactly.
@@ -43,38 +44,39 @@ _XYZ = torch.tensor([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193
 _XYZ /= _XYZ.sum(1, keepdim=True)
 # The cube roots of XYZ to L + 16, a and b (CIE 15).
 _LAB = torch.tensor([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]]).double()
-_ROOT_KNOT: Final = 6 / 29  # below this cube root, CIE 15 has a line instead of the root
+_ROOT_KNOT: Final = 6 / 29  # below this cube root, CIE 15 is linear
 _ROOT_SLOPE: Final = 1 / (3 * _ROOT_KNOT**2)
-_SRGB_KNOT: Final = 0.04045  # up to this value, sRGB has a line instead of the power
-# Linear values are held _SCALE times as large, so that ((v + 0.055) / 1.055)^2.4 is (v + 0.055)^2.4 here.
+_SRGB_KNOT: Final = 0.04045  # up to this value, sRGB is linear
+# Linear values are multiplied by _SCALE, so that ((v + 0.055) / 1.055)^2.4 is (v + 0.055)^2.4 here.
 _SCALE: Final = 1.055**2.4
 _SRGB_SLOPE: Final = _SCALE / 12.92
 
 
 class Augmentation:
-    """Augments batches of stacks of frames by the parts of one of the `AUGMENTATIONS`."""
+    """Augments batches of frame stacks. `preset` is one of the `AUGMENTATIONS`."""
 
     def __init__(self, preset: str = "all") -> None:
         self.parts = AUGMENTATIONS[preset]
 
     @torch.no_grad()
     def __call__(self, stacks: Tensor, generator: torch.Generator, /) -> Tensor:
-        """Returns augmented `stacks`, which are not changed; no gradients flow back to them.
+        """Returns an augmented copy of `stacks`. No gradients flow back to them.
 
         All frames of a stack are moved and recoloured equally, different stacks differently. The noise is independent.
 
-        Args:
-            stacks: RGB frames in [0, 1], float32 or float64, of shape (n, 3 * frames, height, width). Whatever their
-                memory format, the values of the result are the same.
-            generator: draws everything, on its own device.
+        stacks: RGB frames in [0, 1], float32 or float64, of shape (n, 3 * frames, height, width). Their memory
+            format does not affect the values of the result.
+                    format does not affect the values of the result.
+            generator: source of all random numbers, which are drawn on its device.
 
         Returns:
-            Stacks in [0, 1] of the same shape, type, device and memory format; `stacks` itself if there is nothing to
-            do.
+            Stacks in [0, 1] of the same shape, type, device and memory format. If no augmentation is selected, it is
+            `stacks` itself.
         """
         if not self.parts:
             return stacks
-        # Unused values are drawn too: one seed gives the same colours with and without translation and rotation.
+        # Unused values are drawn as well, so that a seed gives the same colours with and without translation and
+        # rotation.
         draws = torch.rand((5, len(stacks)), generator=generator, device=generator.device, dtype=torch.float32)
         right, down, turn, light, hue = draws.mul_(2).sub_(1).to(stacks)
         pictures = stacks
@@ -91,19 +93,18 @@ class Augmentation:
 
 
 class StateAugmentation(Augmentation):
-    """Changes histories at random.
+    """Changes histories of states at random.
 
-    The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
-    similarity in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state, and
-    larger in the earlier ones.
-    Colours and shapes are names there, which cannot be changed a little.
+    Translation and rotation of a picture correspond to a small change of the robot's pose, the same in all four states
+    of a history. Pixel noise corresponds to noise of poses, drawn for each state, and larger in the earlier ones.
+    Colours and shapes are categories in states and are not changed.
     """
 
     @torch.no_grad()
     def __call__(self, histories: Tensor, generator: torch.Generator, /) -> Tensor:
-        """Augments histories (n, HISTORY, names), also with a successor, (n, HISTORY + 1, names).
+        """Returns changed copies of histories (n, HISTORY, names), or with a successor, (n, HISTORY + 1, names).
 
-        They stay as they are, and are returned if there is nothing to do.
+        If no augmentation is selected, `histories` itself is returned.
         """
         if not self.parts:
             return histories
@@ -141,10 +142,11 @@ def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:
 def recolour(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
     """Scales the luminance L of CIELab and rotates its plane of a and b.
 
-    On a CPU, a few stacks are processed at a time, which fit into its cache: twice as fast, with equal results.
+    On a CPU, a few stacks are processed at a time, so that they fit into its cache. This is twice as fast, with equal
+    results.
 
-    L + 16, a and b are linear in the cube roots of XYZ. So conversion to CIELab, the change, and conversion back are
-    one matrix per stack, and L, a and b of the pixels need not be computed.
+    L + 16, a and b are linear in the cube roots of XYZ. So the conversion to CIELab, the change and the conversion back
+    are one matrix per stack, and L, a and b of the pixels need not be computed.
 
     Args:
         stacks: RGB pictures in [0, 1], of shape (n, 3 * frames, height, width).
@@ -152,7 +154,7 @@ def recolour(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
         hue: radians, of shape (n,).
 
     Returns:
-        Pictures in [0, 1] of the same shape; colours that RGB does not have are clipped.
+        Pictures in [0, 1] of the same shape. Colours outside RGB are clipped.
     """
     count = CHUNK if stacks.device.type == "cpu" else max(1, len(stacks))
     parts = zip(stacks.split(count), luminance.split(count), hue.split(count), strict=True)
@@ -174,8 +176,8 @@ def _recoloured(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
     offsets = (16 / 116 * (1 - luminance)).repeat_interleave(frames)[:, None, None]  # the 16 of L + 16 is not scaled
 
     values = stacks.reshape(-1, 3, stacks.shape[-2] * stacks.shape[-1])  # frames x RGB x pixels
-    # Each curve is a line below its knot and a power above. They meet there, so that each is its power at no less than
-    # the knot plus its line at what is missing: exact, and much cheaper than choosing one with torch.where.
+    # Each curve is linear below its knot and a power above, and the two meet there. So each is its power of at least
+    # the knot, plus its line at the remainder: exact, and much cheaper than a choice with torch.where.
     high = values.clamp(min=_SRGB_KNOT)
     low = values - high
     values = _power_(high.add_(0.055), 2.4).add_(low, alpha=_SRGB_SLOPE)
@@ -195,5 +197,5 @@ def _recoloured(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
 
 
 def _power_(values: Tensor, exponent: float) -> Tensor:
-    """Raises positive `values` to the power in place, three times as fast as their pow_."""
+    """Raises positive `values` to the power in place, three times as fast as Tensor.pow_."""
     return values.log2_().mul_(exponent).exp2_()

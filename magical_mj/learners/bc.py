@@ -22,14 +22,14 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
-"""Batches over which batch norm's averages are taken."""
+"""The number of batches for batch norm's averages."""
 
 
 class BehaviouralCloning(Learner):
     """Minimises -E log pi(a | s) over the demonstrations without their no-ops.
 
-    No-ops are dropped because the policy would otherwise get stuck where the demonstrator waited (appendix). With
-    several tasks the loss is the mean of the tasks' losses: batches have the same number of samples of each.
+    No-ops are dropped because the policy would otherwise get stuck at states where the demonstrator waited (appendix).
+    With several tasks, the loss is the mean of the tasks' losses: each batch has equally many samples of each task.
     """
 
     drop_noop: ClassVar[bool] = True
@@ -63,15 +63,15 @@ class BehaviouralCloning(Learner):
 
     @property
     def actor(self) -> Actor:
-        """The policy as it is now."""
+        """The current policy."""
         return self._actor
 
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
-        """What batches are drawn from, by its method `sample`."""
+        """The data set. Its method `sample` draws batches."""
         return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
 
     def update(self) -> Mapping[str, float]:
-        """Trains on one batch; returns its loss, and the share of actions that the policy ranked first."""
+        """Trains on one batch; returns its loss, and the share of samples whose action is the most probable."""
         self._actor.train()
         loss, logits, actions, others = self.loss()
         self._optimizer.zero_grad()
@@ -92,20 +92,20 @@ class BehaviouralCloning(Learner):
         return self._augment(as_input(observations, self.device), noise)
 
     def recalibrate(self) -> None:
-        """Recomputes batch norm's running averages over new batches, since those of training lag behind the weights."""
+        """Recomputes batch norm's averages on new batches: those kept during training lag behind the weights."""
         norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d)]
         draw = torch.Generator().manual_seed(self.settings.seed)
         noise = torch.Generator(self.device).manual_seed(self.settings.seed)
         for norm in norms:
             norm.reset_running_stats()
-            norm.momentum = None  # the plain mean
+            norm.momentum = None  # an unweighted mean
         self._actor.train()
         for _ in range(CALIBRATION if norms else 0):
             observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():
                 self._actor(self._augmented(observations, noise), tasks.to(self.device))
         for norm in norms:
-            norm.momentum = 0.1  # PyTorch's
+            norm.momentum = 0.1  # PyTorch's default
 
 
 def clone(
@@ -114,18 +114,19 @@ def clone(
     """Trains a policy by behavioural cloning in memory.
 
     Args:
-        settings: of "bc". If they say how many `demonstrations` of each task, the seed chooses them.
-        demonstrations: task -> demonstrations, of which all are used by default; None: those that the settings name.
-        out: a new folder for the policy, where `evaluate` finds it; None: it is not saved. Only `train` saves its
-            progress, and can be resumed.
+        settings: settings of the method "bc". If `settings.demonstrations` is a number, the seed chooses as many
+            demonstrations of each task.
+        demonstrations: task -> demonstrations. All are used by default. None: those in the settings.
+        out: a new folder for the policy, from where `evaluate` loads it; None: it is not saved. Only `train` saves its
+            progress and can be resumed.
 
     Raises:
-        DemonstrationError: if they are too few, or do not fit the settings.
-        SettingsError: if the settings are of another method.
-        TrainingError: if there is something in the folder.
+        DemonstrationError: if there are too few demonstrations, or one does not fit the settings.
+        SettingsError: if the settings are for another method.
+        TrainingError: if the folder is not empty.
     """
     if settings.method != "bc":
-        raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
+        raise SettingsError(f"clone does behavioural cloning, but these settings are for {settings.method}: use train")
     folder = None if out is None else RunFolder(files.to_path(out), settings, resume=False)
     with torch_settings(threads_for(settings)):
         learner = BehaviouralCloning(settings, demonstrations)

@@ -17,34 +17,34 @@ from magical_mj.utils.errors import TrainingError
 TENSOR: Final = "tensor:"
 """The prefix of a string in the JSON that refers to a tensor by name."""
 ARRAY: Final = "array:"
-"""The prefix of one that refers to a numpy array."""
+"""The prefix of a string that refers to a numpy array."""
 
 
 def write(path: Path, state: dict[str, Any]) -> None:
-    """Writes nested dicts and lists of tensors, arrays and plain values; if it cannot, raises a `TrainingError`."""
+    """Writes nested dicts and lists of tensors, arrays and plain values. Raises a `TrainingError` if that fails."""
     tensors: dict[str, torch.Tensor] = {}
     tree = json.dumps(_packed(state, "", tensors))
     try:
         files.write(path, save(tensors, {"tree": tree}), overwrite=True)
     except OSError as error:
-        raise TrainingError(f"cannot write {path}: {error.strerror}; what was saved before is kept") from error
+        raise TrainingError(f"cannot write {path}: {error.strerror}; the previous file is kept") from error
 
 
 def read(path: Path) -> dict[str, Any]:
-    """What was written, with tensors on the CPU; raises a `TrainingError` if the file is not there or is damaged."""
+    """Reads a file, with tensors on the CPU. Raises a `TrainingError` if the file is missing or damaged."""
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no dict)
             state = _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
         if not isinstance(state, dict):
-            raise TypeError(f"it holds a {type(state).__name__}, and not values by name")
+            raise TypeError(f"it contains a {type(state).__name__} instead of values by name")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise TrainingError(f"{path} cannot be read: {error}") from error
+        raise TrainingError(f"cannot read {path}: {error}") from error
     return state
 
 
 def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
-    if isinstance(value, dict):  # keys may be numbers, as in optimizers' states, so pairs are kept
+    if isinstance(value, dict):  # stored as pairs, since keys may be numbers, as in optimizers' states
         return {"pairs": [[key, _packed(item, f"{name}/{key}", tensors)] for key, item in value.items()]}
     if isinstance(value, list | tuple):
         return [_packed(item, f"{name}/{number}", tensors) for number, item in enumerate(value)]
@@ -56,7 +56,7 @@ def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
         tensors[name] = torch.as_tensor(value).clone(memory_format=torch.contiguous_format)
         return ARRAY + name
     if isinstance(value, str) and value.startswith((TENSOR, ARRAY)):
-        raise ValueError(f"no text may begin with {TENSOR} or {ARRAY}")
+        raise ValueError(f"a string must not begin with {TENSOR} or {ARRAY}")
     return value
 
 

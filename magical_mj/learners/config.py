@@ -1,4 +1,4 @@
-"""Which settings a method uses, what is changed for short trainings, and the settings as TOML files."""
+"""The settings that each method uses, the changes for short trainings, and settings as TOML files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magical_mj.utils.imports import check_named, resolve_installed, with_place
 from magical_mj.utils.settings import changed
 
 START: Final = "made"
-"""The table of a config.toml that says when and with what a run was started; no setting."""
+"""The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
 GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
@@ -27,7 +27,7 @@ _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "precision": ("bc",),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
-"""Setting -> the methods that use it, where these are not all that use its part."""
+"""Setting -> the methods that use it, if not all methods with that part do."""
 _OF_PICTURES: Final = (
     "renderer",
     *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels", "frames")),
@@ -48,7 +48,7 @@ _SHORT: Final[Mapping[str, Any]] = {
     "features.batches": 1_000,
     "features.learning_rate": 1e-3,
 }
-"""The changes of trainings that are short enough for two cores, from pictures or states."""
+"""The changes for trainings that are short enough for two cores, from pictures or states."""
 
 QUICK: Final[Mapping[str, Any]] = {
     **_SHORT,
@@ -84,7 +84,7 @@ STATE_TRACK: Final[Mapping[str, Any]] = {
     "discriminator.batch_size": 128,
     "discriminator.rollouts": 4,
 }
-"""The changes for the preset State, which the paper does not have."""
+"""The changes for the preset State, which is not in the paper."""
 
 SHORT_AL: Final[Mapping[str, Any]] = {
     "ppo.learning_rate": 6e-5,
@@ -92,31 +92,31 @@ SHORT_AL: Final[Mapping[str, Any]] = {
     "ppo.clip": 0.01,
     "features.samples": 4096,
 }
-"""The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
+"""The paper's PPO settings, for short trainings of AL: its rewards change more between updates than other methods'."""
 
 
 def load_settings(
     method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
 ) -> TrainingSettings:
-    """The settings of a method: the paper's, changed for short trainings (`quick`, preset State), then by `changes`.
+    """The settings of a method: the paper's, with the changes of `quick` and the preset State, and then `changes`.
 
     Args:
-        method: one of `magical_mj.learners.METHODS`, or the name of a method of the user's own.
-        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
+        method: one of `magical_mj.learners.METHODS`, or the name of your own method.
+        tasks: the tasks, as a tuple or separated by commas; "all" means all eight.
         quick: use a smaller network and a shorter training on pictures.
-        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``. `recordings` becomes an absolute
-            path.
+        changes: values by field. Fields of parts contain a dot, as in ``**{"ppo.clip": 0.02}``. `recordings` becomes
+            an absolute path.
 
     Raises:
         UnknownNameError: for an unknown task or setting.
-        SettingsError: if a value is invalid, or `quick` is asked for with the preset State.
+        SettingsError: if a value is invalid, or `quick` is used with the preset State.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
     settings = settings_type(method)(method, tasks)
     short = QUICK if quick else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
-            raise SettingsError("quick is for pictures: learning from states is quick as it is")
+            raise SettingsError("quick is for pictures: trainings on states are already short")
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
@@ -141,12 +141,12 @@ def load_method(name: str) -> Any:
 
 
 def settings_type(method: str) -> type[TrainingSettings]:
-    """The class of a method's settings, which announced methods may extend by settings of their own."""
+    """The class of a method's settings, which announced methods may extend with their own settings."""
     return load_method(method).settings_type if method in announced_methods() else TrainingSettings
 
 
 def parts_of(method: str) -> tuple[str, ...]:
-    """The parts of the settings that a method uses; one that no package announces may use all of them."""
+    """The parts of the settings that a method uses. A method that is not announced may use all of them."""
     return PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
 
 
@@ -165,21 +165,20 @@ def uses(method: str, name: str) -> bool:
 def check_changes(
     changes: Mapping[str, Any], methods: Collection[str], preset: Any = None, *, elsewhere: Collection[str]
 ) -> None:
-    """Checks that changes of settings have an effect with the preset (None: that of the changes, or the default).
+    """Checks that each change has an effect. `preset` None means the preset in `changes`, or the default.
 
     Raises:
-        SettingsError: if a change is of what is given `elsewhere`, or none of the methods uses it, or not with this
-            preset.
+        SettingsError: if a change is of a setting in `elsewhere`, or no method uses it, or not with this preset.
     """
     preset = preset or changes.get("preset", TrainingSettings.preset)
     for name in changes:
         if name in elsewhere:
-            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
+            raise SettingsError(f"set {name} by its own option or entry, not among the changed settings")
         if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
             kind = "pictures" if preset == STATE else "states"
-            raise SettingsError(f"{name} is for {kind}, and of no use with the preset {preset}")
+            raise SettingsError(f"{name} is for {kind} and has no effect with the preset {preset}")
         if users(name) and not any(uses(method, name) for method in methods):
-            raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
+            raise SettingsError(f"{name} is for {', '.join(users(name))} and has no effect with {' or '.join(methods)}")
 
 
 def to_toml(settings: TrainingSettings) -> str:
@@ -196,7 +195,7 @@ def to_toml(settings: TrainingSettings) -> str:
 
 
 def recorded(settings: TrainingSettings) -> dict[str, Any]:
-    """Name -> value for everything that `to_toml` writes; names of nested parts contain dots."""
+    """Name -> value of every setting that `to_toml` writes. Names of nested parts contain dots."""
     return flattened(tomllib.loads(to_toml(settings)))
 
 
@@ -204,12 +203,12 @@ def from_toml(path: Path) -> TrainingSettings:
     """The settings in a file.
 
     Raises:
-        SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
-        UntrustedNameError: if it names the code of a task that the user has not named.
+        SettingsError, UnknownNameError: if it is not TOML, or contains invalid settings.
+        UntrustedNameError: if it refers to the code of a task that the user has not named.
     """
     table = read_toml(path)
     if not isinstance(table.pop(START, {}), dict):
-        raise SettingsError(f"{START} in {path} must be a table, as a training writes it; remove it")
+        raise SettingsError(f"{START} in {path} must be a table, as written by a training: remove it")
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
@@ -219,7 +218,7 @@ def from_toml(path: Path) -> TrainingSettings:
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value; names in sub-tables contain dots."""
+    """Name -> value. Names in sub-tables contain dots."""
     flat = {}
     for name, value in table.items():
         flat |= {f"{name}.{inner}": item for inner, item in value.items()} if isinstance(value, dict) else {name: value}
@@ -227,7 +226,7 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
+    """A value as TOML. Characters that cannot be encoded, such as invalid UTF-8 in a file name, are escaped twice."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, str):

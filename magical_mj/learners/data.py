@@ -38,21 +38,19 @@ class Batch(NamedTuple):
 
 
 FEW: Final = 10
-"""The number of demonstrations that come with a task from which a run learns by default, as in the paper."""
+"""The default number of shipped demonstrations of each task for training, as in the paper."""
 
 
 def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
-    """The numbers of the task's demonstrations that a run uses: the same for all methods with this seed."""
+    """The numbers of the task's demonstrations that a run uses. They depend on the seed, not on the method."""
     if count > of:
-        raise DemonstrationError(
-            f"{count} demonstrations of {task} are asked for (setting demonstrations), and there are {of}"
-        )
+        raise DemonstrationError(f"the setting demonstrations is {count}, but there are {of} demonstrations of {task}")
     rng = np.random.default_rng([seed, zlib.crc32(task.encode())])
     return sorted(rng.choice(of, count, replace=False).tolist())
 
 
 def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
-    """The number of samples of each task in a batch. They differ by at most one; which tasks get one more is random."""
+    """The number of samples of each task in a batch. They differ by at most one. The tasks with one more are random."""
     counts = [size // tasks] * tasks
     for extra in torch.randperm(tasks, generator=generator)[: size % tasks].tolist():
         counts[extra] += 1
@@ -60,23 +58,23 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
 
 
 def shipped(task: str) -> list[Demonstration]:
-    """The demonstrations that come with a task, of its demo scene; raises a `DemonstrationError` if there are none."""
+    """A task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if there are none."""
     return _of_the_demo_scene(demos.load(task), f"that come with {task}")
 
 
 def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
-    """Those of the demo scene without shifts; raises a `DemonstrationError` if there are none."""
+    """Those of the demo scene without shifts. Raises a `DemonstrationError` if there are none."""
     fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
     if not fitting:
         raise DemonstrationError(
-            f"policies learn from the demo scene, and all demonstrations {origin} are of others: "
+            f"policies learn from the demo scene, but all demonstrations {origin} are of others: "
             f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
         )
     return fitting
 
 
 def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]:
-    """The demonstrations of a task's demo scene, from the settings' folder or those that come with the task.
+    """The demonstrations of a task's demo scene, from the folder in the settings, or those shipped with the task.
 
     Raises:
         DemonstrationError: if there are none.
@@ -90,7 +88,7 @@ def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
     """The demonstrations of a task from which a run learns.
 
     Raises:
-        DemonstrationError: if there are none, or fewer than the settings ask for.
+        DemonstrationError: if there are none, or fewer than the number in the settings.
     """
     every = to_choose_from(settings, task)
     count = settings.demonstrations or (len(every) if settings.recordings else min(FEW, len(every)))
@@ -108,11 +106,11 @@ def digest(settings: TrainingSettings) -> str:
 def _given(
     settings: TrainingSettings, task: str, demonstrations: Demonstrations
 ) -> Sequence[Demonstration | Transitions]:
-    """Those of the demonstrations at hand from which a run learns: all unless the settings say how many."""
+    """The given demonstrations for training: all, or the number in the settings."""
     listed = demonstrations.get(task) if isinstance(demonstrations, Mapping) else None
     if listed is None or isinstance(listed, Demonstration | Transitions):
         raise DemonstrationError(
-            f"give a list of demonstrations for each task, as {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
+            f"give a list of demonstrations for each task, as in {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
         )
     count = settings.demonstrations or len(listed)
     return [listed[number] for number in drawn(task, settings.seed, count, len(listed))]
@@ -123,11 +121,11 @@ def _episode(
 ) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     if isinstance(demonstration, Demonstration):
         if demonstration.task != task:
-            raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
+            raise DemonstrationError(f"a demonstration given for {task} is of {demonstration.task}")
         if demonstration.scene.robot.body != GRIPPER:
             raise DemonstrationError(
-                f"one of the demonstrations given for {task} is by the body {demonstration.scene.robot.body!r}, and "
-                f"learners play with the {GRIPPER}"
+                f"a demonstration given for {task} is by the body {demonstration.scene.robot.body!r}, but learners use "
+                f"the {GRIPPER}"
             )
         demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False, renderer=settings.renderer)
     observations, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
@@ -135,11 +133,11 @@ def _episode(
     if actions.ndim != 1 or observations.shape != needed:
         raise DemonstrationError(
             f"a demonstration of {task} for the preset {settings.preset} needs the observation before each action, "
-            f"{needed}, and it has observations {observations.shape} and actions {actions.shape}"
+            f"{needed}, but it has observations {observations.shape} and actions {actions.shape}"
         )
     if actions.dtype.kind not in "iu" or not np.isin(actions, range(len(ACTIONS))).all():
         raise DemonstrationError(
-            f"actions are integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} has others"
+            f"actions must be integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} contains others"
         )
     if settings.states:
         observations = histories(observations)
@@ -148,12 +146,12 @@ def _episode(
 
 
 class Dataset:
-    """All transitions of a run's demonstrations, and batches in which all tasks have the same weight.
+    """All transitions of a run's demonstrations. Batches give all tasks the same weight.
 
     Args:
-        settings: the settings; tasks, seed, preset, and number and folder of demonstrations are used.
+        settings: their tasks, seed, preset, and number and folder of demonstrations are used.
         drop_noop: leave out the transitions with the no-op action.
-        demonstrations: task -> demonstrations, instead of those that the settings name.
+        demonstrations: task -> demonstrations, instead of those in the settings.
 
     Raises:
         DemonstrationError: if a task has too few demonstrations, or one of them does not fit the task or the preset.
@@ -176,7 +174,7 @@ class Dataset:
             self._observations.append(np.concatenate(observations))
             self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
             if not self.sizes[-1]:
-                raise DemonstrationError(f"the demonstrations of {task} hold nothing to learn from, at most no-ops")
+                raise DemonstrationError(f"the demonstrations of {task} contain no actions except no-ops")
 
     @property
     def sizes(self) -> list[int]:
@@ -193,13 +191,13 @@ class Dataset:
         return self.rows([torch.randint(total, (share,), generator=generator) for total, share in draws])
 
     def batches(self, size: int) -> Iterator[Batch]:
-        """All transitions in order, at most so many at a time, each batch of one task."""
+        """All transitions in order, in batches of at most `size`. Each batch is from one task."""
         for task, total in enumerate(self.sizes):
             for rows in torch.arange(total).split(size):
                 yield self.rows([rows if other == task else rows[:0] for other in range(len(self.sizes))])
 
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
-        """The rows with these numbers, given for each task; one task after the other."""
+        """The rows with these numbers, given for each task. The tasks follow one another."""
         return Batch(
             np.concatenate([values[rows.numpy()] for values, rows in zip(self._observations, numbers, strict=True)]),
             torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
@@ -226,7 +224,7 @@ class Rollout(NamedTuple):
         return self._batch(steps, copies)
 
     def batches(self, size: int) -> Iterator[Batch]:
-        """All of it in order, the steps one after the other."""
+        """All samples in the order of the steps."""
         for numbers in np.split(np.arange(self.actions.size), range(size, self.actions.size, size)):
             yield self._batch(*np.divmod(numbers, len(self.tasks)))
 
@@ -236,7 +234,7 @@ class Rollout(NamedTuple):
 
 
 def joined(rollouts: Sequence[Rollout]) -> Rollout:
-    """Rollouts of the same environments, one after the other."""
+    """Concatenates rollouts of the same environments."""
     if len(rollouts) == 1:
         return rollouts[0]
     observations = np.concatenate([rollout.observations for rollout in rollouts])

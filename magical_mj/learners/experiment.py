@@ -30,10 +30,10 @@ from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
 
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
-"""Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
+"""Settings that are not listed in a method's name: it shows them in another form, or they do not affect the result."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "split", "rules")}
-"""The settings that the table `evaluation` of an experiment's file may hold."""
+"""The settings that the table `evaluation` of an experiment's file may contain."""
 LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
 
@@ -42,27 +42,27 @@ Watch = Callable[[str, Progress], None]
 
 @dataclass(frozen=True)
 class ExperimentSettings(Settings):
-    """The file of an experiment; the first three are required."""
+    """The file of an experiment. The first three entries are required."""
 
     methods: tuple[str, ...] = ()
     tasks: Annotated[Names, Meta(description='tasks, or "all"')] = ()
     seeds: tuple[int, ...] = ()
     multi_task: Annotated[bool, Meta(description="one policy for all the tasks")] = False
     quick: bool = False
-    settings: Annotated[dict[str, Any], Meta(description="what is changed in all runs, as in a run's config.toml")] = (
+    settings: Annotated[dict[str, Any], Meta(description="changed settings of all runs, as in a run's config.toml")] = (
         field(default_factory=dict)
     )
     evaluation: Annotated[dict[str, Any], Meta(description="some of `EVALUATION`")] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Checks each entry."""
+        """Checks each entry, and that none is repeated."""
         super().__post_init__()
         for name, example in (("methods", '["bc"]'), ("tasks", '["MoveToRegion"]'), ("seeds", "[0, 1, 2]")):
             values = getattr(self, name)
             if not values:
                 raise SettingsError(f"an experiment must give {name}, such as: {name} = {example}")
             if not isinstance(values, str) and len(set(values)) < len(values):
-                raise SettingsError(f"one of the {name} is given twice: {', '.join(map(str, values))}")
+                raise SettingsError(f"{name} contains an entry twice: {', '.join(map(str, values))}")
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,14 @@ class Run:
 
     @property
     def method(self) -> str:
-        """The method's name in tables; runs of the same name are averaged."""
+        """The method's name in tables; runs with the same name are averaged."""
         used = {name: value for name, value in self.changes.items() if uses(self.settings.method, name)}
         changed = "".join(f", {name} {value}" for name, value in used.items() if name not in NAMED)
         return f"{self.counterparts[0]}, ours{', quick' if self.quick else ''}{changed}"
 
     @property
     def counterparts(self) -> tuple[str, str]:
-        """The paper's row with these observations and augmentations, and with its usual ones; either may not exist."""
+        """The paper's rows with these observations and augmentations, and with its usual ones. They may not exist."""
         settings = self.settings
         method, kind = settings.method.upper(), "ST" if len(settings.tasks) == 1 else "MT"
         preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
@@ -122,7 +122,7 @@ class Run:
         return {**self.evaluation, "tasks": settings.tasks, "preset": settings.preset, "run": settings.seed}
 
     def play(self, watch: Watch | None = None) -> str:
-        """Trains and evaluates, as far as that is not done yet; returns a line about it."""
+        """Trains and evaluates, and continues if part of it is done. Returns a line with the result."""
         keep_freed_memory()
         updates = 0
 
@@ -145,7 +145,7 @@ class Run:
         return f"{self.name}: {'trained' if updates else 'was trained before'}; {scores}"
 
     def standing(self, since: float) -> str:
-        """How far it has come, as its files tell; empty if none has changed since a time, or it is finished."""
+        """The progress according to its files. Empty if it is finished, or if no file has changed after `since`."""
         known = {path: path.stat().st_mtime for path in (self.trained / METRICS, self.scores / SCORES) if path.exists()}
         latest = max(known, key=known.__getitem__, default=None)
         if latest is None or known[latest] < since:
@@ -162,7 +162,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
 
     Raises:
         SettingsError, UnknownNameError: if the file holds invalid settings.
-        UntrustedNameError: if it names the code of a task that the user has not named.
+        UntrustedNameError: if it refers to the code of a task that the user has not named.
     """
     file, out = to_path(file), to_path(out)
     experiment = with_values(ExperimentSettings, read_toml(file))
@@ -174,7 +174,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
         check_named(task, file)
     tasks = tuple(dict.fromkeys(task_name(task) for task in names))
     if len(tasks) < len(names):
-        raise SettingsError(f"{file} gives one of its tasks twice: {', '.join(names)}")
+        raise SettingsError(f"{file} contains a task twice: {', '.join(names)}")
     for method in experiment.methods:
         check_name("method", method, METHODS)
     changes = flattened(experiment.settings)
@@ -183,8 +183,9 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
     groups = [tasks] if experiment.multi_task else [(task,) for task in tasks]
     for seed, method, group in product(experiment.seeds, experiment.methods, groups):
         settings = load_settings(method, group, quick=experiment.quick, **{**changes, "seed": seed})
-        run = Run(settings, experiment.quick, changes, evaluation, out.absolute())  # workers are in other folders
-        with_values(EvaluationSettings, run.played)  # an error now, not after the training
+        # workers have another working directory
+        run = Run(settings, experiment.quick, changes, evaluation, out.absolute())
+        with_values(EvaluationSettings, run.played)  # raises errors before the training
         planned.append(run)
     return planned
 
@@ -198,20 +199,20 @@ def run_experiment(
     address: str | None = None,
     watch: Watch | None = None,
 ) -> Iterator[str]:
-    """Trains and evaluates what is not done yet. Yields a line for each run, then `agreement` and the report's path.
+    """Trains and evaluates all unfinished runs. Yields a line for each run, then `agreement` and the report's path.
 
     Args:
-        planned: of `plan_experiment`.
+        planned: the runs, from `plan_experiment`.
         out: the folder of the experiment.
-        jobs: the number of simultaneous runs, each on one thread; a single run uses all cores. None: one here, or as
-            many as the cluster can do.
+        jobs: the number of simultaneous runs, each on one thread. A single run uses all cores. None: one run at a time
+            on this machine, or as many as the cluster can run.
         backend: "local" or "dask".
         address: the cluster's address.
-        watch: called with a run's name and progress after each of its updates, if the runs are not in other processes.
+        watch: called with a run's name and progress after each of its updates. Not called for runs in other processes.
 
     Raises:
-        MagicalError: if a run fails, or would do so from the start: then before the first run. Called again, it
-            continues.
+        MagicalError: if a run fails. Errors that can be found in advance are raised before the first run. Another call
+            continues the experiment.
     """
     out = to_path(out)
     check_backend(backend, address)
@@ -225,7 +226,7 @@ def run_experiment(
 
 
 def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
-    """Raises the errors that would come after hours: those with which a run or the report would begin."""
+    """Raises in advance the errors of the start of each run, and of the report."""
     check_free(out / "report")
     for run in planned:
         RunFolder(run.trained, run.settings, resume=True)
@@ -238,7 +239,7 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
 
 
 def agreement(planned: list[Run]) -> Iterator[str]:
-    """The rank correlation of each finished method's mean scores with the paper's over environments, a line each."""
+    """A line for each finished method: the rank correlation of its mean scores with the paper's, over environments."""
     ours = by_environment(gather([run.scores for run in planned]))
     paper = published_results()
     published = set(paper["policy"])
@@ -248,7 +249,7 @@ def agreement(planned: list[Run]) -> Iterator[str]:
         second = paper[paper["policy"] == counterpart].set_index(["task", "variant"])["mean"]
         shared = first.index.intersection(second.index)
         ranks = rank_correlation(first.to_dict(), second.to_dict())
-        if len(shared) >= LEAST_PAIRS and ranks == ranks:  # it is no number if all means are alike
+        if len(shared) >= LEAST_PAIRS and ranks == ranks:  # NaN if all means are equal
             by_variant = [means[shared].groupby("variant").mean().to_dict() for means in (first, second)]
             counts = f"{ranks:.2f} over {counted(len(shared), 'environment')}"
             counts += f", {rank_correlation(*by_variant):.2f} over the means of {len(by_variant[0])} variants"

@@ -24,7 +24,7 @@ Samplewise = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 class Discriminator(nn.Module):
-    """The paper's network with batch norm, or the one for states; it also gets the actions, and has a head per task."""
+    """The paper's network with batch norm, or the one for states; it also receives actions and has a head per task."""
 
     def __init__(self, network: NetworkSettings, tasks: int, *, states: bool = False) -> None:
         super().__init__()
@@ -40,7 +40,7 @@ class Adversarial(RewardLearner):
     """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
 
     def __init__(self, settings: TrainingSettings) -> None:
-        self._augment = augmentation(settings)  # raises errors before environments are made
+        self._augment = augmentation(settings)  # first, so that errors are raised before environments are made
         super().__init__(settings)
         self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
@@ -65,16 +65,16 @@ class Adversarial(RewardLearner):
 
     @abstractmethod
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
-        """The discriminator's loss and metrics, for samples of which the first half are the policy's."""
+        """The discriminator's loss and metrics. The first half of the samples are the policy's."""
 
     def get_state(self) -> dict[str, Any]:
-        """Also the rollouts that are used again."""
+        """Also the rollouts that later updates use again."""
         earlier = self.settings.discriminator.rollouts - 1
         latest = self._latest[-earlier:] if earlier else []
         return {**super().get_state(), "latest": [rollout._asdict() for rollout in latest]}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         super().set_state(state)
         self._latest = [Rollout(**rollout) for rollout in state["latest"]]
 

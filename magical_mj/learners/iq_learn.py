@@ -14,20 +14,20 @@ from magical_mj.scene.actions import NOOP
 
 
 class IQLearn(BehaviouralCloning):
-    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142), in its offline form: cloning with another loss.
+    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142) in its offline form: cloning with another loss.
 
-    One network holds a soft Q function. With it come a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature), where V
-    is the temperature times the log of the sum of exp(Q / temperature) over actions, and a reward, r(s, a) = Q(s, a) -
-    discount V(s'). With its regulariser chi^2, the paper maximises, over the demonstrations,
+    One network represents a soft Q function. It determines a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature),
+    where V is the temperature times the log of the sum of exp(Q / temperature) over actions. It also determines a
+    reward, r(s, a) = Q(s, a) - discount V(s'). With its regulariser chi^2, the paper maximises over the demonstrations
 
         E[r - r^2 / (4 alpha)] - E[V(s) - discount V(s')].
 
-    Without the square this is behavioural cloning. The square adds that the rewards that explain the demonstrator must
-    be small, so that the values of successive states have to agree. Nothing is played. The actor's logits are Q /
-    temperature, so that it draws from pi.
+    Without the square this is behavioural cloning. The square keeps the rewards that explain the demonstrator small, so
+    that the values of successive states have to agree. No episodes are played. The actor's logits are Q / temperature,
+    so that it draws actions from pi.
 
-    As in behavioural cloning, steps with the no-op are left out, but not as successors; so is the last step of each
-    demonstration, which has none.
+    As in behavioural cloning, steps with the no-op are left out, but they may be successors. The last step of each
+    demonstration is also left out, since it has no successor.
     """
 
     observes = "states"
@@ -55,7 +55,7 @@ class IQLearn(BehaviouralCloning):
 
 
 def usable(data: Dataset, task: int) -> Tensor:
-    """The numbers of a task's rows that have a successor, and no no-op."""
+    """The numbers of a task's rows that have a successor and an action other than the no-op."""
     actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
     last = torch.zeros(len(actions), dtype=torch.bool)
     last[lengths.cumsum(0) - 1] = True
@@ -63,13 +63,13 @@ def usable(data: Dataset, task: int) -> Tensor:
 
 
 def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
-    """What is minimised, divided by the temperature, so that it compares with behavioural cloning's; and rewards (n,).
+    """The loss divided by the temperature, comparable with behavioural cloning's, and the rewards (n,).
 
     Args:
         logits: Q / temperature, shape (n, 18).
-        next_logits: the same of the successors.
+        next_logits: Q / temperature of the successors, shape (n, 18).
         actions: the demonstrator's, shape (n,).
-        settings: of the method.
+        settings: the method's settings.
     """
     rewards = settings.temperature * (
         logits.gather(1, actions[:, None])[:, 0] - settings.discount * next_logits.logsumexp(1)

@@ -1,4 +1,4 @@
-"""The base class of learning methods: they improve a policy by updates, and can be saved and restored."""
+"""The base classes of learning methods. A method improves a policy by updates, and can be saved and restored."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
 
-UNUSABLE: Final = {"mps": "has no numbers of 64 bits", "meta": "holds no numbers"}
-"""Types of devices that PyTorch knows, and why nothing can be learnt on them."""
+UNUSABLE: Final = {"mps": "has no 64-bit numbers", "meta": "stores no values"}
+"""PyTorch's device types that cannot be used for training, with the reason."""
 
 
 class Method(ABC):
-    """A method: how a policy comes from demonstrations.
+    """A learning method: it learns a policy from demonstrations.
 
-    `magical_mj.learners.train` calls `update` as often as `updates` says, logs what it returns, evaluates the policy
-    now and then, and saves it and its state.
+    `magical_mj.learners.train` calls `update` `updates` times and logs the metrics that it returns. In between it
+    evaluates the policy, and saves it with the method's state.
 
     Attributes:
-        settings: what it was made with.
-        device: where its networks are.
-        updates: how many make a training.
+        settings: the settings of the training.
+        device: the device of its networks.
+        updates: the number of updates of a training.
     """
 
     parts: ClassVar[tuple[str, ...]] = ALL_PARTS
-    """The parts of the settings that it uses: only these are written into config.toml, and may be changed."""
+    """The parts of the settings that it uses. Only these are written to config.toml and may be changed."""
     settings_type: ClassVar[type[TrainingSettings]] = TrainingSettings
-    """The class of its settings: a subclass if it has settings of its own, as a part that `parts` names."""
+    """The class of its settings: a subclass if it has its own settings, as a part that is listed in `parts`."""
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Setting -> the method's own default, instead of the paper's."""
     observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
-    """What it can learn from."""
+    """The observations from which it can learn."""
     updates: int
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -53,7 +53,7 @@ class Method(ABC):
 
     @classmethod
     def check_settings(cls, settings: TrainingSettings) -> None:
-        """Raises a `SettingsError` if it cannot learn with these settings."""
+        """Raises a `SettingsError` if the method does not support these settings."""
         if settings.states and cls.observes == "pictures":
             raise SettingsError(f"{settings.method} learns from pictures: give a preset other than {STATE}")
         if not settings.states and cls.observes == "states":
@@ -61,10 +61,10 @@ class Method(ABC):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Checks what a training needs, on any device, without beginning it: for plans of many trainings.
+        """Checks the requirements of a training without starting it, for plans of experiments. Ignores the device.
 
         Raises:
-            SettingsError, DemonstrationError, MissingExtraError: the errors with which it would begin.
+            SettingsError, DemonstrationError, MissingExtraError: the errors of the start of a training.
         """
         cls.check_settings(settings)
         for task in settings.tasks:
@@ -80,21 +80,21 @@ class Method(ABC):
 
     @abstractmethod
     def save_policy(self, folder: Path) -> None:
-        """Writes the policy as it is now into a run's folder, where evaluations find it."""
+        """Writes the current policy into a run's folder, from where evaluations load it."""
 
     @abstractmethod
     def get_state(self) -> dict[str, Any]:
-        """Everything on which later updates depend: nested dicts and lists of tensors, arrays and plain values."""
+        """The state that determines later updates, as nested dicts and lists of tensors, arrays and plain values."""
 
     @abstractmethod
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
 
     def fault(self) -> str | None:
-        """Why what was learnt is useless, such as a weight that is not finite; None if it is not."""
+        """The reason why the policy is unusable, such as a weight that is not finite. None if it is usable."""
         return None
 
-    def recalibrate(self) -> None:  # noqa: B027  (of the policies, only BC's on pictures has batch norm)
+    def recalibrate(self) -> None:  # noqa: B027  (only BC's policy on pictures has batch norm)
         """Called before the policy is evaluated: updates running averages that lag behind the weights."""
 
     def demo_scores(self, episodes: int) -> dict[str, float]:
@@ -104,7 +104,7 @@ class Method(ABC):
         frame = evaluate(self.policy(), variants="Demo", split="dev", jobs=1, episodes=episodes, **asked)
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
-    def close(self) -> None:  # noqa: B027  (most hold nothing)
+    def close(self) -> None:  # noqa: B027  (most methods have no resources)
         """Frees resources such as environments."""
 
 
@@ -112,7 +112,7 @@ class Learner(Method):
     """A method whose policy is a network.
 
     Attributes:
-        stateful: all on which later updates depend, by name: modules, optimizers, generators and the like.
+        stateful: name -> object, for all objects that determine later updates: modules, optimizers, generators.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -122,10 +122,10 @@ class Learner(Method):
     @property
     @abstractmethod
     def actor(self) -> Actor:
-        """The policy that is evaluated and saved; updated in place."""
+        """The policy that is evaluated and saved. It is updated in place."""
 
     def policy(self) -> TrainedPolicy:
-        """Draws from what the network holds probable."""
+        """The policy that draws actions from the network's probabilities."""
         return TrainedPolicy(self.actor, self.settings.tasks, self.settings.preset)
 
     def save_policy(self, folder: Path) -> None:
@@ -133,12 +133,12 @@ class Learner(Method):
         save_policy(folder, self.actor, self.settings)
 
     def get_state(self) -> dict[str, Any]:
-        """The states of all that is `stateful`."""
+        """The states of all objects in `stateful`."""
         parts = self.stateful.items()
         return {name: part.state_dict() if hasattr(part, "state_dict") else part.get_state() for name, part in parts}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         for name, part in self.stateful.items():
             if isinstance(part, torch.optim.Optimizer):
                 restore_optimizer(part, state[name])
@@ -148,55 +148,53 @@ class Learner(Method):
                 part.set_state(state[name])
 
     def fault(self) -> str | None:
-        """Whether a weight, or an average of batch norm, is not finite."""
+        """A message if a weight, or an average of batch norm, is not finite."""
         finite = all(values.isfinite().all() for values in self.actor.state_dict().values())
-        return None if finite else "a weight is not finite any more"
+        return None if finite else "a weight is no longer finite"
 
 
 def device(name: str) -> torch.device:
-    """The device of that name, for "auto" an accelerator if there is one; raises a `SettingsError` if there is none."""
+    """The device of that name. "auto": an accelerator if there is one, otherwise the CPU."""
     if name == "auto":
         accelerator = torch.accelerator.current_accelerator(check_available=True)
         return torch.device("cpu") if accelerator is None or accelerator.type in UNUSABLE else accelerator
     try:
         named = torch.zeros(1, device=name).device
     except (RuntimeError, AssertionError) as error:
-        raise SettingsError(
-            f"there is no device {name!r} here: {str(error).splitlines()[0]}; cpu always works"
-        ) from error
+        raise SettingsError(f"this machine has no device {name!r}: {str(error).splitlines()[0]}; use cpu") from error
     if named.type in UNUSABLE:
-        raise SettingsError(f"{name!r} {UNUSABLE[named.type]}; cpu always works")
+        raise SettingsError(f"the device {name!r} {UNUSABLE[named.type]}; use cpu")
     return named
 
 
 def keep_freed_memory() -> None:
-    """Makes glibc keep freed memory (with other C libraries it does nothing).
+    """Makes glibc keep freed memory. With other C libraries it does nothing.
 
     Training frees and allocates blocks of many megabytes in every batch. By default these are returned to the system,
-    which must clear them again: a quick BC step would take 1.7 times as long. Raising the size above which a block is
-    returned would not do: glibc allows 32 MiB at most, and a batch of the full network needs 72 MiB at once.
+    which must clear them again: a quick BC step would take 1.7 times as long. A larger threshold for returned blocks is
+    not enough: glibc allows 32 MiB at most, and a batch of the full network needs 72 MiB at once.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError, TypeError):  # no such library
+    except (AttributeError, OSError, TypeError):  # another C library
         return
     for parameter, value in ((-1, 2**31 - 1), (-2, 2**26), (-4, 0)):  # trim threshold, top pad, mmap's maximum
         mallopt(parameter, value)
 
 
 def threads_for(settings: TrainingSettings, begun: int | None = None) -> int:
-    """The number of PyTorch's threads for a training: one for states; else as many as it was begun with, if it was.
+    """The number of PyTorch's threads for a training: one for states; otherwise `begun`, or PyTorch's default.
 
-    With another number, sums are rounded differently. The networks for states are so small that a second thread gains
-    a tenth on idle cores. On busy cores, threads wait for each other: with two, BC did 1.4 batches per second, and with
-    one 106.
+    With another number of threads, sums are rounded differently. The networks for states are so small that a second
+    thread gains a tenth on idle cores. On busy cores, threads wait for each other: BC did 1.4 batches per second with
+    two threads, and 106 with one.
     """
     return 1 if settings.states else begun or torch.get_num_threads()
 
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """A context in which PyTorch's global generators have this seed; afterwards, their states are restored."""
+    """A context in which PyTorch's global generators have this seed. At its end, their states are restored."""
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
         yield
@@ -205,7 +203,7 @@ def seeded(seed: int) -> Iterator[None]:
 def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
     """Restores an optimizer's state, with the same memory layout as its weights.
 
-    With another layout, sums are rounded differently, and fused optimizers mix up the weights.
+    With another layout, sums are rounded differently, and fused optimizers assign values to the wrong weights.
     """
     optimizer.load_state_dict(state)
     for weights, memory in optimizer.state.items():

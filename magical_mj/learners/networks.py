@@ -17,57 +17,57 @@ from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STAT
 from magical_mj.utils.errors import SettingsError
 
 SHAPE: Final = (96, 96, 12)
-"""The shape of pictures that networks look at: four RGB frames, stacked along the channels."""
+"""The shape of networks' pictures: four RGB frames, stacked along the channels."""
 ONE_HOT: Final = len(ACTIONS)
 MOST_PARAMETERS: Final = 50_000_000
-"""The largest network that is built, 30 times the paper's: its weights are 200 MB, and training needs some more."""
+"""The size limit of networks, 30 times the paper's. The weights take 200 MB, and training needs several times that."""
 
 BLOCKS: Final = slice(STATE_NAMES.index("block0.present"), STATE_NAMES.index("region0.present"))
 """Columns of all blocks: for each present, x, y, angle, three velocities, four shapes, four colours."""
 REGIONS: Final = slice(BLOCKS.stop, len(STATE_NAMES))
 """Columns of all regions: for each present, x_min, y_min, x_max, y_max, four colours."""
 SHAPES: Final = slice(7, 11)
-"""The columns of a block that tell its shape."""
+"""The columns of a block with its shape."""
 COLOURS: Final = slice(11, 15)
-"""The columns of a block that tell its colour; of a region, these are the last four."""
+"""The columns of a block with its colour. A region's colour is in its last four columns."""
 _MOVEMENT: Final = 0.1
-"""Units or radians that count as 1 in movements between two states; positions and angles count as they are.
+"""The scale of movements between two states, in units or radians. Positions and angles are not scaled.
 
-These scales are fixed. Scaled by their deviation in the demonstrations, positions that hardly vary there would
-dominate as soon as they vary a little, as in the Jitter variant.
+The scale is fixed. If features were scaled by their deviation in the demonstrations, positions that hardly vary there
+would dominate as soon as they vary a little, as in the Jitter variant.
 """
 
 _ENTITY: Final[Mapping[str, int]] = {
-    "place seen by the robot": 2,
+    "position seen by the robot": 2,
     "heading seen by the robot": 2,  # sine and cosine; all regions are parallel to the axes
-    "place": 2,
+    "position": 2,
     "shape": 4,
     "colour": 4,
     "movements": 3 * (HISTORY - 1),
     "half size": 2,
     "is a region": 1,
 }
-"""The features of a block or a region and their widths, in order; those that one of the two lacks are 0 there."""
+"""The features of a block or a region and their widths, in order. Features that do not apply are 0."""
 ENTITY_FEATURES: Final = sum(_ENTITY.values())
 ROBOT_FEATURES: Final = 6 + 5 * (HISTORY - 1)
 
 
 def as_input(observations: NDArray[Any] | Tensor, device: torch.device) -> Tensor:
-    """Observations of environments as inputs of networks: pictures (n, side, side, 3k) from 0 to 255, or histories.
+    """Observations as inputs of networks: pictures (n, side, side, 3k) from 0 to 255, or histories of states.
 
-    Pictures become stacks (n, 3k, side, side) with values in [0, 1], in memory format channels-last, which is faster;
-    histories (n, HISTORY, names) stay as they are.
+    Pictures become stacks (n, 3k, side, side) with values in [0, 1], in the memory format channels-last, which is
+    faster. Histories (n, HISTORY, names) are unchanged.
     """
     values = torch.as_tensor(observations).to(device).float()
-    # Pictures are bytes, of which `float` makes a copy; to scale it in place is faster than to make another.
+    # `float` copies the pictures, which are bytes. Scaling the copy in place is faster than a second copy.
     return values.div_(255).permute(0, 3, 1, 2) if values.dim() == 4 else values
 
 
 def check_size(numbers: int, what: str = "parameters") -> None:
-    """Raises a `SettingsError` for so many numbers in a network, which may be what a stranger's file asks for."""
+    """Raises a `SettingsError` if a network is too large: a file from elsewhere may contain any sizes."""
     if numbers > MOST_PARAMETERS:
         raise SettingsError(
-            f"a network with {numbers:,} {what} is too large, for {MOST_PARAMETERS:,} is the most: choose smaller "
+            f"a network with {numbers:,} {what} is too large, at most {MOST_PARAMETERS:,} are allowed: choose smaller "
             "sizes (network.*, features.size)"
         )
 
@@ -78,18 +78,18 @@ def convolutions(network: NetworkSettings) -> list[tuple[int, int, int]]:
 
 
 def last_layers(inputs: int, hidden: int, features: int) -> nn.Sequential:
-    """The two linear layers with which both torsos end."""
+    """The last two linear layers of both torsos."""
     return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, features), nn.ReLU())
 
 
 class Torso(nn.Module):
-    """The layers that all tasks share: from stacks of frames to features.
+    """The layers that all tasks share. They map stacks of frames to features.
 
     Args:
         network: the layers' sizes.
-        batch_norm: after each convolution; BC's policy, the discriminator and AL's encoder have it.
-        actions: join one-hot actions to the convolutions' output; the discriminator and AL's encoder do.
-        features: units of the last layer, instead of `network.hidden`.
+        batch_norm: add batch norm after each convolution, as in BC's policy, the discriminator and AL's encoder.
+        actions: append one-hot actions to the convolutions' output, as in the discriminator and AL's encoder.
+        features: units of the last layer; None means `network.hidden`.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Torso(nn.Module):
         self.linear = last_layers(inputs, network.hidden, self.features)
 
     def forward(self, stacks: Tensor, actions: Tensor | None = None) -> Tensor:
-        """Features, shape (n, features), of stacks (n, 3k, 96, 96) in [0, 1] and actions (n,), if it has any."""
+        """Features, shape (n, features), of stacks (n, 3k, 96, 96) in [0, 1] and actions (n,), if it uses them."""
         flat = self.convolutions(stacks[:, -self.channels :]).flatten(1)
         if actions is not None:
             flat = torch.cat([flat, nn.functional.one_hot(actions, ONE_HOT).to(flat.dtype)], dim=1)
@@ -130,10 +130,10 @@ class Torso(nn.Module):
 
 
 class StateTorso(nn.Module):
-    """From histories to features: attention between blocks and regions, then the maxima over them.
+    """Maps histories of states to features: attention between blocks and regions, then the maxima over them.
 
-    The order in which blocks and regions are listed changes nothing, and there may be any number of them. One-hot
-    actions are joined to what the last two layers get; otherwise the arguments are those of a `Torso`.
+    The order of blocks and regions has no effect, and their number may vary. One-hot actions are appended to the input
+    of the last two layers. The arguments are those of a `Torso`.
     """
 
     def __init__(self, network: NetworkSettings, *, actions: bool = False, features: int | None = None) -> None:
@@ -147,7 +147,7 @@ class StateTorso(nn.Module):
         self.linear = last_layers(inputs, network.hidden, self.features)
 
     def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
-        """Features, shape (n, features), of histories (n, HISTORY, names) and actions (n,), if it has any."""
+        """Features, shape (n, features), of histories (n, HISTORY, names) and actions (n,), if it uses them."""
         robot, entities, present = features_of(observations)
         rows = self.entity(torch.cat([entities, robot[:, None].expand(-1, entities.shape[1], -1)], 2))
         for layer in self.attention:
@@ -159,7 +159,7 @@ class StateTorso(nn.Module):
 
 
 class Attention(nn.Module):
-    """One layer of a transformer's encoder (Vaswani et al., 2017), without normalisation: two suffice without it."""
+    """One layer of a transformer's encoder (Vaswani et al., 2017). Two such layers need no normalisation."""
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -168,7 +168,7 @@ class Attention(nn.Module):
         self.mlp = nn.Sequential(nn.ReLU(), nn.Linear(size, size), nn.ReLU(), nn.Linear(size, size))
 
     def forward(self, rows: Tensor, present: Tensor) -> Tensor:
-        """New rows, (n, rows, size), that know of the other rows that are `present`, (n, rows)."""
+        """New rows (n, rows, size), which depend on the other rows that are `present`, (n, rows)."""
         query, key, value = self.qkv(rows).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
         # PyTorch's own attention has no second derivative, which WGAIL-GP's penalty needs.
         similarity = query @ key.transpose(2, 3) / math.sqrt(query.shape[3])
@@ -178,10 +178,10 @@ class Attention(nn.Module):
 
 
 class Heads(nn.Module):
-    """The last layer: a linear map of its own for each task.
+    """The last layer, with a separate linear map for each task.
 
-    With `normal`, weights are initialised from N(0, 1), as the original's released learners do; the paper's SGD hardly
-    learns without this. Otherwise nn.Linear's default is used.
+    With `normal`, weights are initialised from N(0, 1), as in the original's released learners: the paper's SGD hardly
+    learns otherwise. Without it, nn.Linear's default is used.
     """
 
     def __init__(self, tasks: int, inputs: int, outputs: int, *, normal: bool = False) -> None:
@@ -201,7 +201,7 @@ class Heads(nn.Module):
 
 
 class Actor(nn.Module):
-    """A policy: logits of the 18 actions, for pictures, perhaps with batch norm, or for histories of states."""
+    """A policy network: logits of the 18 actions for pictures, optionally with batch norm, or for state histories."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class Actor(nn.Module):
         self.head = Heads(tasks, self.torso.features, ONE_HOT, normal=normal)
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
-        """Logits, shape (n, 18), for observations as of `as_input` and the numbers of their tasks (n,)."""
+        """Logits, shape (n, 18), for observations from `as_input` and the numbers of their tasks (n,)."""
         return self.head(self.torso(observations), tasks)
 
 
@@ -243,28 +243,28 @@ def standardise(torso: Torso, stacks: Tensor) -> None:
 
 
 def blocks_of(states: Tensor) -> Tensor:
-    """The blocks' columns, a view of shape (..., MAX_BLOCKS, columns), of states (..., names)."""
+    """A view of the blocks' columns in states (..., names), of shape (..., MAX_BLOCKS, columns)."""
     return states[..., BLOCKS].unflatten(-1, (MAX_BLOCKS, -1))
 
 
 def regions_of(states: Tensor) -> Tensor:
-    """The regions' columns, a view of shape (..., MAX_REGIONS, columns), of states (..., names)."""
+    """A view of the regions' columns in states (..., names), of shape (..., MAX_REGIONS, columns)."""
     return states[..., REGIONS].unflatten(-1, (MAX_REGIONS, -1))
 
 
 def features_of(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Histories (n, HISTORY, names) as the robot sees them, in its frame, whatever the order of the blocks.
+    """Features of histories (n, HISTORY, names) in the robot's frame, independent of the order of the blocks.
 
-    Velocities are not used, so poses and finger angles from any source will do.
+    Velocities are not used, so poses and finger angles are sufficient.
 
     Returns:
         The robot's features (n, ROBOT_FEATURES); those of each block and region (n, rows, ENTITY_FEATURES); which of
-        these rows stand for something (n, rows). Rows that stand for nothing in the whole batch are left out, but in a
-        network that is exported.
+        these rows are present (n, rows). Rows that are empty in the whole batch are left out, except in an exported
+        network.
     """
     robot = _Robot(histories)
     blocks, regions = blocks_of(histories), regions_of(histories[:, -1])
-    if not torch.compiler.is_exporting():  # the shapes in an exported network do not depend on what it sees
+    if not torch.compiler.is_exporting():  # the shapes in an exported network are fixed
         blocks = blocks[:, :, blocks[:, -1, :, 0].any(0)]
         regions = regions[:, regions[..., 0].any(0)]
     present = torch.cat([blocks[:, -1, :, 0], regions[..., 0]], 1) > 0
@@ -273,7 +273,8 @@ def features_of(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def maxima(rows: Tensor, present: Tensor) -> Tensor:
     """The largest values, (n, size), of the rows (n, rows, size) that are `present` (n, rows)."""
-    # An exported network keeps all empty rows. A scene that is alone in its batch has none: they must not count there.
+    # An exported network keeps all empty rows, while here a batch with a single scene has none. With the lower value,
+    # the exported network's empty rows do not affect its result.
     empty = -1e4 if torch.compiler.is_exporting() else -10.0
     if not rows.shape[1]:  # a scene without blocks and regions
         return rows.new_full((len(rows), rows.shape[2]), empty)
@@ -281,7 +282,7 @@ def maxima(rows: Tensor, present: Tensor) -> Tensor:
 
 
 def pose_mask(histories: Tensor) -> Tensor:
-    """1 for the poses of the robot and of blocks that are present, and for the fingers; else 0: as `histories`."""
+    """1 for the poses of the robot and of present blocks, and for the fingers; 0 otherwise. Shape of `histories`."""
     mask = torch.zeros_like(histories)
     mask[..., :3] = mask[..., FINGERS] = 1
     blocks_of(mask)[..., 1:4] = blocks_of(histories)[..., :1]
@@ -289,41 +290,41 @@ def pose_mask(histories: Tensor) -> Tensor:
 
 
 class _Robot:
-    """The robot of each history, (n, HISTORY, names), and its view of other things."""
+    """The robot of each history (n, HISTORY, names), and other objects in its frame."""
 
     def __init__(self, histories: Tensor) -> None:
         self._histories, self._now = histories, histories[:, -1]
-        self.place, self.angle = self._now[:, :2], self._now[:, 2]
+        self.position, self.angle = self._now[:, :2], self._now[:, 2]
         self._sin, self._cos = self.angle.sin(), self.angle.cos()
         self._frame = torch.stack([self._cos, self._sin, -self._sin, self._cos], 1).unflatten(1, (2, 2))
 
     def features(self) -> Tensor:
         """Shape (n, ROBOT_FEATURES): its pose, its fingers, and the movements of both."""
         fingers = (self._now[:, None] - self._histories[:, :-1])[..., FINGERS].flatten(1) / _MOVEMENT
-        pose = [self.place, self._sin[:, None], self._cos[:, None], self._now[:, FINGERS]]
+        pose = [self.position, self._sin[:, None], self._cos[:, None], self._now[:, FINGERS]]
         return torch.cat([*pose, self.movements(self._histories[..., :3]), fingers], 1)
 
     def rotated(self, vectors: Tensor) -> Tensor:
-        """Vectors of the world, (n, ..., 2), in the robot's frame."""
+        """World vectors (n, ..., 2) in the robot's frame."""
         return torch.einsum("nij,n...j->n...i", self._frame, vectors)
 
     def movements(self, poses: Tensor) -> Tensor:
-        """From each earlier pose of (n, HISTORY, ..., 3) to the present one, (n, ..., 3 * (HISTORY - 1))."""
+        """Differences of the last pose in (n, HISTORY, ..., 3) and the earlier ones, (n, ..., 3 * (HISTORY - 1))."""
         moved = (poses[:, -1:] - poses[:, :-1]) / _MOVEMENT
         return torch.cat([self.rotated(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
 
-    def view(self, place: Tensor, angle: Tensor) -> dict[str, Tensor]:
-        """Where it sees things at these places (n, rows, 2) with these angles (n, rows, 1): some of the `_ENTITY`."""
+    def view(self, position: Tensor, angle: Tensor) -> dict[str, Tensor]:
+        """Objects with these positions (n, rows, 2) and angles (n, rows, 1) in its frame: some of the `_ENTITY`."""
         heading = angle - self.angle[:, None, None]
         return {
-            "place seen by the robot": self.rotated(place - self.place[:, None]),
+            "position seen by the robot": self.rotated(position - self.position[:, None]),
             "heading seen by the robot": torch.cat([heading.sin(), heading.cos()], -1),
-            "place": place,
+            "position": position,
         }
 
 
 def _of_blocks(blocks: Tensor, robot: _Robot) -> Tensor:
-    """Features (n, rows, ENTITY_FEATURES) of blocks (n, HISTORY, rows, columns)."""
+    """The features (n, rows, ENTITY_FEATURES) of blocks (n, HISTORY, rows, columns)."""
     now = blocks[:, -1]
     view = robot.view(now[..., 1:3], now[..., 3:4])
     names = {"shape": now[..., SHAPES], "colour": now[..., COLOURS]}
@@ -331,7 +332,7 @@ def _of_blocks(blocks: Tensor, robot: _Robot) -> Tensor:
 
 
 def _of_regions(regions: Tensor, robot: _Robot) -> Tensor:
-    """Features (n, rows, ENTITY_FEATURES) of regions (n, rows, columns)."""
+    """The features (n, rows, ENTITY_FEATURES) of regions (n, rows, columns)."""
     lower, upper = regions[..., 1:3], regions[..., 3:5]
     view = robot.view((lower + upper) / 2, torch.zeros_like(regions[..., :1]))
     half = (upper - lower) / 2
@@ -339,9 +340,9 @@ def _of_regions(regions: Tensor, robot: _Robot) -> Tensor:
 
 
 def _rows(features: Mapping[str, Tensor]) -> Tensor:
-    """Some of the `_ENTITY`, each of shape (n, rows, width), in their order; the others are 0."""
-    place = features["place"]
+    """Concatenates features of the `_ENTITY`, each of shape (n, rows, width), in its order. Missing ones are 0."""
+    position = features["position"]
     columns = []
     for name, width in _ENTITY.items():
-        columns.append(features[name] if name in features else place.new_zeros(*place.shape[:2], width))
+        columns.append(features[name] if name in features else position.new_zeros(*position.shape[:2], width))
     return torch.cat(columns, -1)

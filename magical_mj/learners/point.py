@@ -14,24 +14,24 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.utils.errors import SettingsError
 
 LEAST: Final = 4
-"""The fewest samples that have a distance correlation."""
+"""The least number of samples for a distance correlation."""
 
 
 class Point(BehaviouralCloning):
-    """Also penalises features from which it can be told where in the picture the things are that the policy looks at.
+    """Also penalises features that reveal the positions, in the picture, of the objects that the policy attends to.
 
     "Spatial generalization of visual imitation learning with position-invariant regularization" penalises features
-    that contain absolute positions of objects, so that relations between objects remain. Of its form we know the
-    abstract alone; this is ours. The position is where Grad-CAM (Selvaraju et al. 2017, arXiv:1610.02391) sees the
-    reason for the demonstrator's action: no gradient flows through it. The penalty is the squared distance
-    correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
+    that contain absolute positions of objects, so that relations between objects remain. We know only its abstract, and
+    this form is ours. The position is where Grad-CAM (Selvaraju et al. 2017, arXiv:1610.02391) locates the reason for
+    the demonstrator's action. No gradient flows through it. The penalty is the squared distance correlation (Székely
+    and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
     """
 
     observes = "pictures"
 
     @classmethod
     def check_settings(cls, settings: TrainingSettings) -> None:
-        """Also that batches are large enough."""
+        """Also checks that batches are large enough."""
         super().check_settings(settings)
         if settings.bc.batch_size < LEAST:
             raise SettingsError(
@@ -39,7 +39,7 @@ class Point(BehaviouralCloning):
             )
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also the penalty, without its weight."""
+        """Also returns the penalty, without its weight."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         inputs, actions, tasks = (
             self._augmented(observations, self._noise),
@@ -60,18 +60,18 @@ def looked_at(maps: Tensor, chosen: Tensor) -> Tensor:
 
     Args:
         maps: the last convolution's output, shape (n, channels, height, width).
-        chosen: the sum over the samples of what is explained, a function of the maps.
+        chosen: the explained value, summed over the samples, as a function of the maps.
     """
     (slopes,) = torch.autograd.grad(chosen, maps, retain_graph=True)
     with torch.no_grad():
-        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # nothing at all: the middle
+        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # if all are 0: the middle
         cam = cam / cam.sum((1, 2), keepdim=True)
         down, right = (torch.linspace(-1, 1, size, device=maps.device) for size in cam.shape[1:])
         return torch.stack([(cam.sum(1) * right).sum(1), (cam.sum(2) * down).sum(1)], 1)
 
 
 def distance_correlation(first: Tensor, second: Tensor) -> Tensor:
-    """Bias-corrected and squared, of pairs (n, size) and (n, size): about 0 if independent, at most 1."""
+    """The bias-corrected squared distance correlation of samples (n, size): about 0 if independent, at most 1."""
     one, other = centred_distances(first), centred_distances(second)
     return (one * other).sum() / (one.square().sum() * other.square().sum()).clamp(min=1e-12).sqrt()
 

@@ -1,4 +1,4 @@
-"""Trained policies: what the evaluation plays, the file they are kept in, and their export as ONNX files."""
+"""Trained policies: their class, which the evaluation plays, their files, and their export as ONNX files."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from magical_mj.utils.extras import check_extra
 from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
-"""In a run's folder."""
+"""The policy's file in a run's folder."""
 OPSET: Final = 18
 EXAMPLES: Final = 2
-"""The batch by which the network is traced; one of 1 would be taken for a constant."""
+"""The batch size for tracing the network. A batch size of 1 would be recorded as a constant."""
 
 
 class TrainedPolicy(Model):
-    """A trained policy: samples actions from the network's probabilities with the episode's generator.
+    """A trained policy. It samples actions from the network's probabilities with the episode's generator.
 
     Attributes:
-        actor: the network, which returns logits (n, 18) for observations and tasks, as `networks.Actor`.
-        tasks: those on which it was trained, in the order of its heads.
-        preset: of the observations on which it was trained.
+        actor: the network. It returns logits (n, 18) for observations and tasks, like `networks.Actor`.
+        tasks: the tasks of the training, in the order of the network's heads.
+        preset: the preset of the training's observations.
     """
 
     def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str) -> None:
@@ -48,10 +48,10 @@ class TrainedPolicy(Model):
         self._device = next(actor.parameters()).device
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Episodes begin, side by side."""
+        """Begins episodes that are played together."""
         unknown = sorted({episode.task for episode in episodes} - set(self.tasks))
         if unknown:
-            raise SettingsError(f"this policy was trained on {', '.join(self.tasks)}, and cannot act in {unknown[0]}")
+            raise SettingsError(f"this policy was trained on {', '.join(self.tasks)} and cannot play {unknown[0]}")
         super().reset_batch(episodes)
         self._heads = torch.tensor([self.tasks.index(episode.task) for episode in episodes], device=self._device)
         self._rngs = [episode.rng() for episode in episodes]
@@ -61,7 +61,7 @@ class TrainedPolicy(Model):
         shape = (len(STATE_NAMES),) if self.preset == STATE else SHAPE
         if observations.shape[1:] != shape:
             raise SettingsError(
-                f"this policy looks at arrays of shape {shape} (preset {self.preset}), not {observations.shape[1:]}"
+                f"this policy needs observations of shape {shape} (preset {self.preset}), not {observations.shape[1:]}"
             )
         return super().act_batch(observations)
 
@@ -70,14 +70,14 @@ class TrainedPolicy(Model):
         with torch_settings(1), torch.inference_mode():
             logits = self.actor(as_input(observations, self._device), self._heads[: len(observations)])
         if not logits.isfinite().all():
-            raise ValueError("the network's answer is not finite")
+            raise ValueError("the network's output is not finite")
         shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()
         points = np.array([rng.random() for rng in self._rngs[: len(observations)]])
         return np.minimum((shares < points[:, None]).sum(axis=1), shares.shape[1] - 1)
 
 
 def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
-    """Writes the policy into a run's folder, with everything that is needed to use it."""
+    """Writes the policy into a run's folder, with all data that loading it needs."""
     how = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
     of = {"tasks": list(settings.tasks), "preset": settings.preset}
     checkpoint.write(folder / POLICY, {"weights": actor.state_dict(), **how, **of})
@@ -95,18 +95,18 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     try:
         tasks, preset = contents["tasks"], contents["preset"]
         if not tasks or not all(isinstance(task, str) for task in tasks):
-            raise TypeError(f"tasks are names, not {short_repr(tasks)}")
+            raise TypeError(f"tasks must be names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
         network = changed(NetworkSettings(), contents["network"])
         actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
         actor.load_state_dict(contents["weights"])
     except Exception as error:
-        raise TrainingError(f"{path} holds something else than a policy: {error}") from error
+        raise TrainingError(f"{path} does not contain a policy: {error}") from error
     return TrainedPolicy(actor, tasks, preset)
 
 
 class _Logits(nn.Module):
-    """From observations as environments give them to the logits of a task's head."""
+    """Maps an environment's observations to the logits of a task's head."""
 
     def __init__(self, actor: nn.Module, head: int) -> None:
         super().__init__()
@@ -119,21 +119,21 @@ class _Logits(nn.Module):
 
 @torch_settings()
 def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
-    """Writes the policy of a training as an ONNX file, whose metadata name the task and the preset.
+    """Writes the policy of a training as an ONNX file. Its metadata contain the task and the preset.
 
-    Its input `observations` are stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
-    float32, oldest first, where the first state of an episode stands for those before it. Its output `logits` has a
-    value for each action, (n, 18): a trained policy draws by their softmax, `magical-mj evaluate --policy FILE` takes
-    the largest.
+    The input `observations` contains stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
+    float32, oldest first. At the start of an episode, its first state is repeated for the missing earlier ones. The
+    output `logits` has a value for each action, (n, 18). A trained policy draws actions by their softmax, while
+    `magical-mj evaluate --policy FILE` takes the largest.
 
     Args:
-        folder: of `magical-mj train`.
-        out: the file, which ends in .onnx.
-        task: which of a multi-task policy's tasks; may be left out if there is one.
+        folder: a folder written by `magical-mj train`.
+        out: the file, with the ending .onnx.
+        task: one of a multi-task policy's tasks; may be omitted if there is only one.
         overwrite: replace an existing file.
 
     Raises:
-        SettingsError: if the folder holds no trained network, or the task is not one of its.
+        SettingsError: if the folder contains no trained network, or the network was not trained on the task.
         TrainingError: if the policy is damaged.
         MissingExtraError: without the extra `onnx`.
     """
@@ -142,9 +142,9 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     loader = loader_in(folder)
     policy = None if loader is None else loader.load()(str(folder))
     if not isinstance(policy, TrainedPolicy):
-        raise SettingsError(f"{folder} holds no trained network: only what magical-mj train left can be exported")
+        raise SettingsError(f"{folder} contains no trained network: export a folder written by magical-mj train")
     if out.suffix != ".onnx":
-        raise SettingsError(f"the file must end in .onnx, not {out.name!r}")
+        raise SettingsError(f"the file name must end in .onnx, not {out.name!r}")
     if not task:
         task, *others = policy.tasks
         if others:
@@ -157,16 +157,16 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     with files.new_file(out, overwrite=overwrite) as unfinished:
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
-            part.metadata_props.clear()  # as large as the weights, and full of this machine's paths
+            part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
         program.model.metadata_props.update(task=task, preset=policy.preset)
         program.save(unfinished, external_data=False)
     return out
 
 
 def _traced(network: nn.Module, example: Tensor) -> Any:
-    """The network as an ONNX program that takes any number of such observations."""
+    """The network as an ONNX program for batches of any size."""
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings(action="ignore"):  # both are about PyTorch's own internals
+    with warnings.catch_warnings(action="ignore"):  # both warnings are about PyTorch's internals
         return torch.onnx.export(
             network,
             (example,),

@@ -1,4 +1,4 @@
-"""Stable-baselines3's PPO on our networks, and the part that GAIL, WGAIL-GP and AL share: rewards from a learner."""
+"""Stable-baselines3's PPO with our networks, and the base class of GAIL, WGAIL-GP and AL, which learn a reward."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs, tra
 from magical_mj.utils.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
-"""A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
+"""A batch on the device: observations from `as_input`, actions (n,) and numbers of tasks (n,)."""
 
 
 class ActorCritic(BasePolicy):
-    """An `Actor` and a critic as stable-baselines3 wants them: they share all but the last layer (appendix)."""
+    """An `Actor` and a critic for stable-baselines3. They share all layers except the last (appendix)."""
 
     def __init__(
         self,
@@ -48,13 +48,14 @@ class ActorCritic(BasePolicy):
         del others
         super().__init__(observation_space, action_space)
         self.actor, self.critic = actor, critic
-        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as rlpyt's
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as in rlpyt
 
     def distribution_and_values(self, observations: Mapping[str, Tensor]) -> tuple[Categorical, Tensor]:
         """The distribution of actions, and values of shape (n, 1). Pictures have the channels last."""
         tasks = observations[TASK].argmax(1)
         features = self.actor.torso(as_input(observations[OBSERVATION], self.device))
-        # Rows with room for the one-hot task: in rows of another length, trainings would end with other last bits.
+        # The rows have space for the one-hot task: rows of another length would change the last bits of trainings'
+        # results.
         features = torch.cat([features, observations[TASK]], 1)[:, : self.actor.torso.features]
         return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)
 
@@ -89,11 +90,11 @@ class EvenBuffer(DictRolloutBuffer):
         self.tasks, self.generator = tasks, generator
 
     def get(self, batch_size: int | None = None) -> Iterator[DictRolloutBufferSamples]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """All samples once, in minibatches in which the tasks' shares differ by one at most."""
+        """All samples once, in minibatches. In each, the tasks' numbers of samples differ by one at most."""
         count = int(self.tasks[-1]) + 1
         each = self.buffer_size * self.n_envs // count
         permutations = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
-        order = torch.stack(permutations, dim=1).flatten()  # one of each task, and again
+        order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
         for numbers in order.split(batch_size or len(order)):
             envs, steps = np.divmod(numbers.numpy(), self.buffer_size)
             yield DictRolloutBufferSamples(
@@ -107,7 +108,7 @@ class EvenBuffer(DictRolloutBuffer):
 
 
 class _Scores(BaseCallback):
-    """Mean score of the episodes that ended in the last update with finished episodes; 0 before."""
+    """The mean score of the episodes that ended in the last update with finished episodes; 0 before the first one."""
 
     latest = 0.0
 
@@ -127,10 +128,10 @@ class _Scores(BaseCallback):
 class ExternalRewardPPO(PPO):
     """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
-    Where the paper does not say otherwise, this follows its library rlpyt: advantages are not normalised, the clipping
+    Where the paper gives no detail, this follows its library rlpyt: advantages are not normalised, the clipping
     range falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared
-    error. Unlike there, the horizon is treated as truncation, not termination: returns are bootstrapped with the value
-    of the last state. The critic's heads are for the actor's torso; the generator draws minibatches.
+    error. Unlike rlpyt, it treats the horizon as truncation, not termination: returns are bootstrapped with the value
+    of the last state. The critic's heads use the actor's torso. The generator draws minibatches.
     """
 
     def __init__(
@@ -169,17 +170,17 @@ class ExternalRewardPPO(PPO):
 
     @staticmethod
     def _wrap_env(env: TrainingEnvs, *_: Any) -> TrainingEnvs:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As it is: stable-baselines3 would move the channels of pictures first, which is slow."""
+        """Returns `env` itself: stable-baselines3 would move the channels of pictures first, which is slow."""
         return env
 
     def collect(self) -> Rollout:
-        """Plays the settings' number of steps in each environment, and returns them."""
+        """Plays `ppo.steps` steps in each environment, and returns them."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
         return Rollout(buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks)
 
     def successors(self) -> NDArray[Any]:
-        """What was seen after each collected step, (steps, environments, ...); an episode's last step has no other."""
+        """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
         buffer = self.rollout_buffer
         seen, last = buffer.observations[OBSERVATION], cast("dict[str, NDArray[Any]]", self._last_obs)[OBSERVATION]
         ended = np.stack([*buffer.episode_starts[1:], np.asarray(self._last_episode_starts)]).astype(bool)
@@ -188,7 +189,7 @@ class ExternalRewardPPO(PPO):
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
         buffer = self.rollout_buffer
-        buffer.rewards += rewards  # in it are, as the environments give 0, the values of states that ended an episode
+        buffer.rewards += rewards  # environments give 0, but the buffer contains values of the last states of episodes
         with torch.no_grad():
             last = self.policy.predict_values(obs_as_tensor(self._last_obs, self.device))  # pyright: ignore[reportArgumentType]
         buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]
@@ -203,7 +204,7 @@ class ExternalRewardPPO(PPO):
         }
 
     def get_state(self) -> dict[str, Any]:
-        """Weights, and the states of the optimizer, the environments and the training."""
+        """The weights, and the states of the optimizer, the environments and the training."""
         return {
             "weights": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
@@ -215,7 +216,7 @@ class ExternalRewardPPO(PPO):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         self.policy.load_state_dict(state["weights"])
         restore_optimizer(self.policy.optimizer, state["optimizer"])
         self._last_obs = self._environments.set_state(state["environments"])
@@ -227,12 +228,12 @@ class ExternalRewardPPO(PPO):
 class RewardLearner(Learner):
     """Plays, computes rewards, and improves the policy by PPO.
 
-    Policy and value look at pictures as they are, without augmentation (appendix). Demonstrations keep their no-ops.
+    Policy and value receive pictures without augmentation (appendix). Demonstrations keep their no-ops.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        settings.check_reinforcement()  # of whatever method
+        settings.check_reinforcement()  # for every such method
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
         self._draw = torch.Generator().manual_seed(settings.seed)
@@ -252,18 +253,18 @@ class RewardLearner(Learner):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Also that batched worlds are installed, if these shall be played in."""
+        """Also checks that batched worlds are installed, if they are selected."""
         super().check(settings)
         if settings.ppo.simulator == "warp":
             check_extra("batched worlds", "gpu")
 
     @property
     def actor(self) -> Actor:
-        """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
+        """The moving average of the policies so far. With `ppo.averaging` 0, it is the latest policy."""
         return cast("Actor", self._average.module)
 
     def update(self) -> Mapping[str, float]:
-        """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
+        """One rollout, its rewards and PPO's step. Restores the global generators, which stable-baselines3 uses."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
@@ -275,19 +276,19 @@ class RewardLearner(Learner):
         return metrics
 
     def collect(self) -> Rollout:
-        """Plays, and returns what rewards are learnt from and computed for."""
+        """Plays a rollout. Rewards are learnt from it and computed for it."""
         return self._ppo.collect()
 
     @abstractmethod
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
-        """Learns from the policy's latest rollout, and returns metrics."""
+        """Improves the reward function with the policy's latest rollout, and returns metrics."""
 
     @abstractmethod
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """Rewards (n,) of samples, to be normalised."""
+        """The rewards (n,) of samples, before normalisation."""
 
     def on_device(self, batch: Batch) -> Samples:
-        """A batch as networks want it."""
+        """A batch as inputs of networks."""
         return as_input(batch.observations, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
 
     def close(self) -> None:
@@ -298,9 +299,9 @@ class RewardLearner(Learner):
 class RewardNormaliser:
     """Normalises each task's rewards to mean 0 and a given standard deviation, using its rewards so far.
 
-    The paper normalises rewards (appendix), but does not say whether jointly for several tasks. If it were joint, a
-    task whose samples are easy to discriminate would determine the scale of the other tasks' rewards. `tasks` has the
-    number of each environment's task, ascending from 0, shape (environments,).
+    The paper normalises rewards (appendix), but does not say whether jointly for several tasks. Joint normalisation
+    would let a task whose samples are easy to discriminate determine the scale of the other tasks' rewards. `tasks` has
+    the number of each environment's task, ascending from 0, shape (environments,).
     """
 
     def __init__(self, deviation: float, tasks: NDArray[np.int64]) -> None:
@@ -308,22 +309,22 @@ class RewardNormaliser:
         self._statistics = [RunningMeanStd() for _ in range(int(tasks[-1]) + 1)]
 
     def __call__(self, rewards: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Takes in rewards of shape (steps, environments), and returns them normalised."""
+        """Adds rewards of shape (steps, environments) to the statistics, and returns them normalised."""
         normalised = np.empty(rewards.shape, np.float32)
         for task, statistics in enumerate(self._statistics):
             own = self._tasks == task
             statistics.update(rewards[:, own].ravel())
-            spread = np.sqrt(statistics.var + 1e-12)  # rewards that are all the same are all 0
+            spread = np.sqrt(statistics.var + 1e-12)  # equal rewards are normalised to 0
             normalised[:, own] = (rewards[:, own] - statistics.mean) / spread * self._deviation
         return normalised
 
     def get_state(self) -> dict[str, Any]:
-        """Means, variances and numbers of the rewards so far, by task."""
+        """The means, variances and numbers of the rewards so far, by task."""
         names = ("mean", "var", "count")
         return {name: [float(getattr(task, name)) for task in self._statistics] for name in names}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         for task, statistics in enumerate(self._statistics):
             statistics.mean, statistics.var = np.array(state["mean"][task]), np.array(state["var"][task])
             statistics.count = state["count"][task]

@@ -1,4 +1,4 @@
-"""The folder of a training: whether it may be used, how it begins, its checkpoint, and its metrics.csv."""
+"""The folder of a training: checks of its contents, its provenance, its checkpoint, and its metrics.csv."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ FIRST_COLUMNS: Final = ["update", "seconds"]
 
 
 class Checkpoint(msgspec.Struct):
-    """A checkpoint, from which a training goes on; fields in the order of the file."""
+    """A checkpoint, from which a training continues. The fields are in the order of the file."""
 
     update: Annotated[int, Meta(ge=0)]
     """The number of updates so far."""
     updates: int
-    """That of the whole training."""
+    """The number of updates of the whole training."""
     seconds: float
-    """How long the updates took."""
+    """The duration of the updates so far."""
     device: str
-    """The type of device on which they were made."""
+    """The device type of the updates so far."""
     settings: str
     """The settings of the training, as JSON."""
     learner: dict[str, Any]
@@ -62,7 +62,7 @@ class Checkpoint(msgspec.Struct):
 
 
 class RunFolder:
-    """The folder of a training: new, or with `resume` one with a training that shall go on.
+    """The folder of a training. It is new, or with `resume` may contain a training to be continued.
 
     Raises:
         SettingsError: if the training in it has other settings.
@@ -71,8 +71,8 @@ class RunFolder:
     Attributes:
         path: the folder.
         threads: the number of PyTorch's threads for the training.
-        finished: the policy of a training that has come to its end; None if there is none, or it was lost or damaged,
-            so that the checkpoint must make it again.
+        finished: the policy of a finished training. None if the training is not finished, or if the policy is missing
+            or damaged and must be restored from the checkpoint.
     """
 
     def __init__(self, path: Path, settings: TrainingSettings, *, resume: bool) -> None:
@@ -80,22 +80,22 @@ class RunFolder:
         begun = None
         if (path / CONFIG).exists():
             if not resume:
-                raise TrainingError(f"{path} holds a training already; --resume continues it (resume=True)")
+                raise TrainingError(f"{path} already contains a training; --resume (resume=True) continues it")
             begun = self._check_config()
         elif path.exists() and not (path.is_dir() and all(map(files.is_unfinished, path.iterdir()))):
-            raise TrainingError(f"{path} holds something else than a training; give a new folder")
+            raise TrainingError(f"{path} contains files that are not from a training; give a new folder")
         self.threads = threads_for(settings, begun)
         policy = loader_in(path)
         if policy is not None and not (path / CHECKPOINT).exists():
             raise TrainingError(
-                f"{path} holds a policy ({policy.name}), and {CHECKPOINT} is missing, from which its training would go "
-                f"on: put it back; or delete {policy.name} and {METRICS}, and the training begins anew"
+                f"{path} contains a policy ({policy.name}), but {CHECKPOINT}, which is needed to continue, is missing: "
+                f"restore it; or delete {policy.name} and {METRICS} to start again"
             )
         last = self.last_checkpoint()
         self.finished = self._policy() if last is not None and last.update == last.updates else None
 
     def _policy(self) -> Policy | None:
-        """The policy in it, if it can be read; raises a `TrainingError` if it is of other tasks, or another preset."""
+        """The policy in the folder, if it can be read. Raises a `TrainingError` if its tasks or its preset differ."""
         try:
             policy = cast("Policy", sources(self.path.resolve())[0].load())
         except (SettingsError, TrainingError):
@@ -104,18 +104,18 @@ class RunFolder:
             value = getattr(policy, name, wanted)
             if value != wanted:
                 raise TrainingError(
-                    f"the policy in {self.path} is of another training ({name}: {short_repr(value)}, and here "
-                    f"{short_repr(wanted)}): move it away, and --resume writes this training's own again"
+                    f"the policy in {self.path} is from another training ({name}: {short_repr(value)} instead of "
+                    f"{short_repr(wanted)}): move it away, and --resume restores this training's own policy"
                 )
         return policy
 
     @contextmanager
     def locked(self) -> Iterator[Checkpoint | None]:
-        """A context in which no other process trains in it; makes it with its config.toml, unless it is there.
+        """A context in which no other process can train in the folder. Creates it, with its config.toml, if needed.
 
-        Yields the last checkpoint, read again, for another process may have gone on meanwhile.
+        Yields the last checkpoint. It is read again, since another process may have continued the training.
 
-        Raises a `TrainingError` if another process is training in it, or it cannot be written.
+        Raises a `TrainingError` if another process is training in the folder, or it is not writable.
         """
         config = self.path / CONFIG
         try:
@@ -124,12 +124,12 @@ class RunFolder:
                 files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance(self._settings)}")
         except OSError as error:
             raise TrainingError(f"cannot write into {self.path}: {error.strerror}") from error
-        busy = TrainingError(f"another process is training in {self.path}; wait for it, or give a new folder")
+        busy = TrainingError(f"another process is training in {self.path}; wait until it ends, or give a new folder")
         with files.locked(config, busy=busy):
             yield self.last_checkpoint()
 
     def last_checkpoint(self) -> Checkpoint | None:
-        """The last one, if any; raises a `TrainingError` if it is damaged, or of a training with other settings."""
+        """The last checkpoint, if any. Raises a `TrainingError` if it is damaged or of another training."""
         path = self.path / CHECKPOINT
         if not path.exists():
             return None
@@ -142,26 +142,26 @@ class RunFolder:
             raise self.unusable_checkpoint(error) from error
         if others:
             raise TrainingError(
-                f"{path} is of another training ({others[0]}: {short_repr(before[others[0]])}): put back this "
-                "training's own, or train anew in another folder"
+                f"{path} is from another training ({others[0]}: {short_repr(before[others[0]])}): restore this "
+                "training's own checkpoint, or train in another folder"
             )
         return last
 
     def save(self, update: int, updates: int, seconds: float, device: str, learner: dict[str, Any]) -> None:
-        """Writes a `Checkpoint` in place of the last one; if it cannot, raises a `TrainingError`, and keeps that."""
+        """Replaces the last checkpoint. If that fails, raises a `TrainingError` and keeps the last one."""
         settings = json.dumps(recorded(self._settings))
         contents = msgspec.structs.asdict(Checkpoint(update, updates, seconds, device, settings, learner))
         checkpoint.write(self.path / CHECKPOINT, contents)
 
     def unusable_checkpoint(self, error: Exception) -> TrainingError:
-        """The error for a checkpoint with which this version can do nothing."""
+        """The error for a checkpoint that this version cannot use."""
         return TrainingError(
             f"{self.path / CHECKPOINT} is damaged, or does not fit this version of {self._settings.method} "
-            f"({error!r}): continue with the version that its config.toml names, or train anew in another folder"
+            f"({error!r}): continue with the version in its config.toml, or train in another folder"
         )
 
     def _check_config(self) -> int | None:
-        """Checks that the training in it has the same settings and protocol; returns its number of threads."""
+        """Checks that the folder's training has the same settings and protocol. Returns its number of threads."""
         config = self.path / CONFIG
         trust(*self._settings.tasks)
         check_unchanged(self.path, recorded(from_toml(config)), recorded(self._settings))
@@ -169,13 +169,13 @@ class RunFolder:
         for name, number in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
             if start.get(name, number) != number:
                 raise TrainingError(
-                    f"{self.path} was begun with the {name} of number {start[name]}, and this version has number "
-                    f"{number}: continue with magical_mj {start.get('magical_mj')}, or train anew in another folder"
+                    f"{self.path} was started with {name} number {start[name]}, but this version has number "
+                    f"{number}: continue with magical_mj {start.get('magical_mj')}, or train in another folder"
                 )
         if start.get("recordings", "") != digest(self._settings):
             raise TrainingError(
-                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was begun: put them "
-                "back, or train anew in another folder"
+                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was started: restore "
+                "them, or train in another folder"
             )
         return as_integer(start.get("threads"), 1, MOST_THREADS)
 
@@ -183,8 +183,8 @@ class RunFolder:
 class Metrics:
     """Appends rows to a run's metrics.csv: updates done, seconds, the learner's metrics, the scores by task.
 
-    The same goes to TensorBoard, into a file of its own for each time that a run goes on; rows after the update where
-    it does are discarded.
+    The values also go to TensorBoard, into a new file whenever the run is continued. When a run continues from a
+    checkpoint, later rows are discarded.
 
     Attributes:
         pending: the number of updates since the last row.
@@ -200,7 +200,7 @@ class Metrics:
             self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=update + 1)
 
     def add(self, metrics: Mapping[str, float]) -> None:
-        """Takes in the metrics of one update."""
+        """Adds the metrics of one update."""
         for name, value in metrics.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         self.pending += 1
@@ -221,11 +221,11 @@ class Metrics:
 
     def close(self) -> None:
         """Closes the file for TensorBoard."""
-        with suppress(OSError):  # which was told before
+        with suppress(OSError):  # already reported
             self._board.close()
 
     def _write(self) -> None:
-        """The file as a whole: columns come when their first value comes."""
+        """Writes the whole file. A column is added with its first value."""
         columns = list(dict.fromkeys(name for row in self._rows for name in row)) or FIRST_COLUMNS
         text = io.StringIO()
         writer = csv.DictWriter(text, columns)
@@ -236,38 +236,38 @@ class Metrics:
 
 @contextmanager
 def _disk(folder: Path) -> Iterator[None]:
-    """Turns what cannot be written into a `TrainingError`."""
+    """Turns errors in writing into a `TrainingError`."""
     try:
         yield
     except OSError as error:
         where = error.filename or folder
-        raise TrainingError(f"cannot write {where}: {error.strerror}; what was saved before is kept") from error
+        raise TrainingError(f"cannot write {where}: {error.strerror}; previously saved files are kept") from error
 
 
 def read_metrics(folder: Path) -> list[dict[str, str]]:
-    """The rows of a run's metrics.csv, none if there is no such file; raises a `TrainingError` if it is damaged."""
+    """The rows of a run's metrics.csv. Empty if the file is missing. Raises a `TrainingError` if it is damaged."""
     path = folder / METRICS
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             rows, columns = list(reader), list(reader.fieldnames or [])
         if columns[:2] != FIRST_COLUMNS:
-            raise ValueError(f"its first columns are not {' and '.join(FIRST_COLUMNS)}, as a training writes them")
+            raise ValueError(f"its first columns must be {' and '.join(FIRST_COLUMNS)}")
         for row in rows:
-            if None in row or None in row.values():  # which stands for fields without a column, or the reverse
-                raise ValueError(f"the row of update {row['update']} has another number of fields than the first line")
+            if None in row or None in row.values():  # a field without a column, or a column without a field
+                raise ValueError(f"the row of update {row['update']} has the wrong number of fields")
             int(row["update"])
     except FileNotFoundError:
         return []
     except (csv.Error, KeyError, ValueError) as error:
         raise TrainingError(
-            f"{path} is damaged: {error}; delete it or move it away, and the training continues without the rows so far"
+            f"{path} is damaged: {error}; delete or move it to continue the training without the previous rows"
         ) from error
     return rows
 
 
 def _provenance(settings: TrainingSettings) -> str:
-    """The time, command, versions and threads with which a run is started, and a hash of recordings, as TOML."""
+    """The time, command, versions and threads of a run's start, and a hash of recordings, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),

@@ -1,4 +1,4 @@
-"""The settings of a training: the paper's hyperparameters are their defaults."""
+"""The settings of a training. Their defaults are the paper's hyperparameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from magical_mj.utils.settings import Count, Natural, Settings
 STATE: Final = "State"
 """The preset of the state track."""
 LEARNABLE: Final = (*(name for name, kind in PRESETS.items() if kind.layout == "hwc" and kind.depth > 1), STATE)
-"""The presets that learners can look at: one stack of pictures, the channels last, or states."""
+"""The presets that learners support: one stack of pictures with the channels last, or states."""
 AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "all": ("translation", "rotation", "colour", "noise"),
     "no-trans-rot": ("colour", "noise"),
@@ -25,10 +25,10 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
-"""The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
+"""The number of attention heads between blocks and regions. They share the units of `NetworkSettings.entity`."""
 
 Amount = Annotated[int, Meta(ge=1)]
-"""An integer of at least 1, however large."""
+"""An integer of at least 1, without an upper limit."""
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e9)]
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -36,21 +36,21 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 @dataclass(frozen=True)
 class NetworkSettings(Settings):
-    """The layers that all networks share (appendix, "Network architecture"), of at most `networks.MOST_PARAMETERS`."""
+    """The layers of all networks (appendix, "Network architecture"), at most `networks.MOST_PARAMETERS` weights."""
 
     part: ClassVar[str] = "network"
 
     first_kernel: Count = 5
     first_stride: Count = 1
     first_channels: Count = 64
-    channels: Annotated[Count, Meta(description="of each of the four 3 x 3 convolutions of stride 2 that follow")] = 128
-    frames: Annotated[int, Meta(ge=1, le=4, description="of pictures: how many of the latest are looked at")] = 4
+    channels: Annotated[Count, Meta(description="of each of the other four 3 x 3 convolutions of stride 2")] = 128
+    frames: Annotated[int, Meta(ge=1, le=4, description="pictures: how many of the latest are used")] = 4
     hidden: Annotated[Count, Meta(description="units of each of the two linear layers")] = 256
-    entity: Annotated[Count, Meta(description="of states: units for the robot, each block and each region")] = 64
-    attention: Annotated[int, Meta(ge=1, le=32, description="likewise: layers of attention between them")] = 1
+    entity: Annotated[Count, Meta(description="states: units for the robot, each block and each region")] = 64
+    attention: Annotated[int, Meta(ge=1, le=32, description="states: attention layers for blocks and regions")] = 1
 
     def __post_init__(self) -> None:
-        """Raises a `SettingsError` for sizes that cannot be."""
+        """Raises a `SettingsError` for invalid sizes."""
         super().__post_init__()
         if self.first_kernel % 2 == 0:
             raise SettingsError(f"network.first_kernel must be odd, not {self.first_kernel}")
@@ -67,37 +67,37 @@ class CloningSettings(Settings):
     batches: Amount = 20_000
     batch_size: Count = 32
     optimizer: Literal["sgd", "adam"] = "sgd"
-    learning_rate: Annotated[Positive, Meta(description="at first; from batch to batch it moves linearly")] = 1e-3
+    learning_rate: Annotated[Positive, Meta(description="at the start; it changes linearly from batch to batch")] = 1e-3
     final_learning_rate: Annotated[Positive, Meta(description="at the end")] = 1e-3
     momentum: Annotated[NotNegative, Meta(description="of SGD")] = 0.1
-    heads: Annotated[Literal["normal", "uniform"], Meta(description="how their first weights are drawn")] = "normal"
+    heads: Annotated[Literal["normal", "uniform"], Meta(description="distribution of their initial weights")] = "normal"
 
     def __post_init__(self) -> None:
-        """Raises a `SettingsError` for combinations that cannot be."""
+        """Raises a `SettingsError` for invalid combinations."""
         super().__post_init__()
         if self.optimizer == "adam" and self.momentum != CloningSettings.momentum:
-            raise SettingsError("bc.momentum is of bc.optimizer=sgd: with adam, it would have no effect")
+            raise SettingsError("bc.momentum has no effect with bc.optimizer=adam: it is for sgd")
         if self.final_learning_rate > self.learning_rate:
             raise SettingsError(
-                f"learning rates fall: bc.final_learning_rate={self.final_learning_rate} must be at most "
+                f"learning rates must not rise: bc.final_learning_rate={self.final_learning_rate} must be at most "
                 f"bc.learning_rate={self.learning_rate}; set both"
             )
 
 
 @dataclass(frozen=True)
 class InverseSettings(Settings):
-    """IQ-Learn (Garg et al. 2021); what it shares with behavioural cloning is in `bc`."""
+    """IQ-Learn (Garg et al. 2021). The settings that it shares with behavioural cloning are in `bc`."""
 
     part: ClassVar[str] = "iq"
 
     discount: Share = 0.99
-    temperature: Annotated[Positive, Meta(description="of the policy; rewards are about as small")] = 0.01
-    alpha: Annotated[Positive, Meta(description="the smaller, the smaller must rewards be")] = 0.5
+    temperature: Annotated[Positive, Meta(description="of the policy; rewards are of a similar size")] = 0.01
+    alpha: Annotated[Positive, Meta(description="smaller values enforce smaller rewards")] = 0.5
 
 
 @dataclass(frozen=True)
 class PointSettings(Settings):
-    """The position-invariant regulariser; what it shares with behavioural cloning is in `bc`."""
+    """The position-invariant regulariser. The settings that it shares with behavioural cloning are in `bc`."""
 
     part: ClassVar[str] = "point"
 
@@ -106,14 +106,14 @@ class PointSettings(Settings):
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
-    """The policy's side of GAIL, WGAIL-GP, AIRL and AL (appendix, table "Hyperparameters for GAIL experiments")."""
+    """The policy's training in GAIL, WGAIL-GP, AIRL and AL (appendix, table "Hyperparameters for GAIL experiments")."""
 
     part: ClassVar[str] = "ppo"
 
     total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
     simulator: Annotated[
         Literal["mujoco", "warp"],
-        Meta(description="What gail, wgail-gp, airl and al play in: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
+        Meta(description="The simulator of gail, wgail-gp, airl and al: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
     ] = "mujoco"
     environments: Count = 32
     steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
@@ -134,21 +134,21 @@ class PPOSettings(Settings):
         Meta(
             ge=0,
             lt=1,
-            description="the share that each update leaves of the policies' moving average, which is evaluated",
+            description="the decay of the policies' moving average, which is evaluated",
         ),
     ] = 0.0
-    reward_deviation: Annotated[Positive, Meta(description="to which rewards are normalised")] = 0.1
+    reward_deviation: Annotated[Positive, Meta(description="standard deviation of the normalised rewards")] = 0.1
 
 
 @dataclass(frozen=True)
 class DiscriminatorSettings(Settings):
-    """The discriminator's side of GAIL, WGAIL-GP and AIRL (the same table)."""
+    """The discriminator's training in GAIL, WGAIL-GP and AIRL (the same table)."""
 
     part: ClassVar[str] = "discriminator"
 
     steps: Annotated[Count, Meta(description="for each update of the policy")] = 12
     rollouts: Annotated[
-        Count, Meta(description="the latest, of which the policy's samples are; 4 in the released code")
+        Count, Meta(description="number of the latest rollouts for the policy's samples; 4 in the released code")
     ] = 1
     batch_size: Annotated[
         int, Meta(ge=2, multiple_of=2, description="half the policy's, half the expert's samples")
@@ -167,48 +167,47 @@ class FeatureSettings(Settings):
     batch_size: Count = 24
     learning_rate: Annotated[Positive, Meta(description="of Adam; the paper does not say")] = 1e-4
     size: Count = 32
-    samples: Annotated[Count, Meta(description="the policy's latest, for the weight vector")] = 512
+    samples: Annotated[Count, Meta(description="number of the policy's latest samples for the weight vector")] = 512
 
 
 @dataclass(frozen=True)
 class TrainingSettings(Settings):
-    """One training run, completely.
+    """All settings of one training run.
 
     Raises:
-        SettingsError, UnknownNameError: for values that cannot be.
+        SettingsError, UnknownNameError: for invalid values.
     """
 
-    method: Annotated[str, Meta(description="one of `magical_mj.learners.METHODS`, or the name of one's own")]
-    tasks: Annotated[tuple[str, ...], Meta(description="more than one is multi-task learning")]
+    method: Annotated[str, Meta(description="one of `magical_mj.learners.METHODS`, or the name of your own method")]
+    tasks: Annotated[tuple[str, ...], Meta(description="several tasks mean multi-task learning")]
     seed: Annotated[
         int,
-        Meta(
-            ge=0, le=2**63 - 1, description="Decides which demonstrations are learnt from, and all else that is drawn."
-        ),
+        Meta(ge=0, le=2**63 - 1, description="Determines which demonstrations are used, and all random numbers."),
     ] = 0
     demonstrations: Annotated[
         Count | None,
-        Meta(description="how many of each task's are drawn; by default 10 of the package's, and all of one's own"),
+        Meta(description="number drawn for each task; by default 10 of the package's, and all of your own"),
     ] = None
     recordings: Annotated[
-        str, Meta(description="the folder with one's own demonstrations, instead of those that come with the tasks")
+        str, Meta(description="the folder with your own demonstrations, instead of those that come with the tasks")
     ] = ""
-    preset: Annotated[str, Meta(description="What is looked at, such as LoRes4A.")] = "LoRes4E"
+    preset: Annotated[str, Meta(description="The observation preset, such as LoRes4A.")] = "LoRes4E"
     augment: Annotated[
         Literal["all", "none", "no-trans-rot"],
         Meta(description="all, none, or no-trans-rot."),
     ] = "all"
     device: Annotated[str, Meta(description="auto, cpu, cuda, ...")] = "auto"
     renderer: Annotated[
-        RendererName | None, Meta(description="What draws pictures: opengl or software; quick trainings use software.")
+        RendererName | None,
+        Meta(description="The pictures' renderer: opengl or software; quick trainings use software."),
     ] = None
     evaluations: Annotated[
-        Natural, Meta(description="how often the policy is evaluated on the demo variant during the training")
+        Natural, Meta(description="number of evaluations on the demo variant during the training")
     ] = 10
     episodes: Annotated[Count, Meta(description="in each of these evaluations, for each task")] = 10
-    checkpoints: Annotated[Count, Meta(description="how often everything is saved during the training")] = 50
+    checkpoints: Annotated[Count, Meta(description="number of checkpoints during the training")] = 50
     precision: Annotated[
-        Literal["float32", "bfloat16"], Meta(description="of most of what BC's network computes in training")
+        Literal["float32", "bfloat16"], Meta(description="of most computations of BC's network in training")
     ] = "float32"
     network: NetworkSettings = field(default_factory=NetworkSettings)
     bc: CloningSettings = field(default_factory=CloningSettings)
@@ -219,55 +218,55 @@ class TrainingSettings(Settings):
     features: FeatureSettings = field(default_factory=FeatureSettings)
 
     def __post_init__(self) -> None:
-        """Checks each setting, and what must fit together."""
+        """Checks each setting and their combinations."""
         super().__post_init__()
         for task in self.tasks:
             if task_spec(task).speeds:
                 raise SettingsError(
-                    f"learners choose among 18 actions, and those of {task} are speeds (docs/bodies.md)"
+                    f"learners choose among 18 actions, but the actions of {task} are speeds (docs/bodies.md)"
                 )
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
         preset_named(self.preset)
         if self.preset not in LEARNABLE:
             raise SettingsError(
-                f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
+                f"learners support one stack of frames or states: preset must be one of {', '.join(LEARNABLE)}"
             )
         if "ppo" in PARTS.get(self.method, ()):
             self.check_reinforcement()
         elif self.method in PARTS and self.ppo.simulator != "mujoco":
             playing = ", ".join(method for method, parts in PARTS.items() if "ppo" in parts)
-            raise SettingsError(f"{self.method} plays in no simulator that can be chosen: only {playing} do")
+            raise SettingsError(f"{self.method} has no choice of simulators: only {playing} have")
 
     @property
     def states(self) -> bool:
-        """Whether states are looked at, and not pictures."""
+        """Whether observations are states instead of pictures."""
         return self.preset == STATE
 
     def check_reinforcement(self) -> None:
-        """Raises a `SettingsError` if no method that plays can use the settings of `ppo` together."""
+        """Raises a `SettingsError` if the settings of `ppo` do not fit together."""
         ppo, tasks = self.ppo, len(self.tasks)
         rollout = ppo.environments * ppo.steps
         if ppo.environments % tasks:
             raise SettingsError(
-                f"environments are split evenly between tasks: ppo.environments={ppo.environments} "
+                f"the environments must be split evenly between tasks: ppo.environments={ppo.environments} "
                 f"must be a multiple of {tasks}"
             )
         if rollout % ppo.minibatch:
             raise SettingsError(
-                f"minibatches must be of the same size: ppo.minibatch={ppo.minibatch} does not divide "
+                f"minibatches must have the same size: ppo.minibatch={ppo.minibatch} does not divide "
                 f"ppo.environments x ppo.steps = {rollout}"
             )
         if ppo.total_steps < rollout:
-            raise SettingsError(f"ppo.total_steps={ppo.total_steps} are too few for one rollout of {rollout} steps")
+            raise SettingsError(f"ppo.total_steps={ppo.total_steps} is less than one rollout of {rollout} steps")
         if self.features.samples < tasks:
             raise SettingsError(
-                f"features.samples={self.features.samples} must be at least one for each of {tasks} tasks"
+                f"features.samples={self.features.samples} must be at least the number of tasks, {tasks}"
             )
 
 
 ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_dataclass(item.default_factory))
-"""The settings that are tables of their own."""
+"""The settings with their own tables."""
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "bc": ("network", "bc"),
     "iq-learn": ("network", "bc", "iq"),

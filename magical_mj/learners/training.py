@@ -1,4 +1,4 @@
-"""One training, in a folder of its own: config.toml, metrics.csv, tensorboard/, checkpoint and policy."""
+"""One training in its own folder: config.toml, metrics.csv, tensorboard/, checkpoint and policy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from magical_mj.utils.errors import TrainingError, unknown_name
 
 
 class _Methods(Mapping[str, type[Method]]):
-    """The methods of this package, and those that other packages announce, which are imported when asked for."""
+    """The methods of this package, and those that other packages announce, which are imported at their first use."""
 
     _OWN: Final = MappingProxyType(
         {
@@ -58,7 +58,7 @@ class _Methods(Mapping[str, type[Method]]):
 
 
 METHODS: Final = _Methods()
-"""Name -> class of every method that `train` knows by name."""
+"""Name -> class of all methods that `train` supports by name."""
 ROWS: Final = 200
 """The number of rows of metrics.csv for a whole training."""
 
@@ -71,7 +71,7 @@ class Progress:
         update: the number of updates so far.
         updates: the number of updates of a whole training.
         metrics: the learner's, means over the updates since the last report; empty between reports.
-        scores: task -> mean score in the demo variant, if it was just measured.
+        scores: task -> mean score in the demo variant, after an evaluation; otherwise empty.
     """
 
     update: int
@@ -88,23 +88,23 @@ def train(
     learner: Callable[[TrainingSettings], Method] | None = None,
     watch: Callable[[Progress], None] = lambda _: None,
 ) -> Policy:
-    """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
+    """Trains a policy and returns it. All results are written into the folder, from where `evaluate` loads the policy.
 
-    A KeyboardInterrupt, as by Ctrl-C, ends the training after the present update, and saves it there; a second one
+    A KeyboardInterrupt, for example by Ctrl-C, ends the training after the current update and saves it. A second one
     ends it at once.
 
     Args:
-        settings: the settings; see `load_settings`.
+        settings: the settings, for example from `load_settings`.
         out: the run's folder.
-        resume: continue a training in the folder, if there is one, with the same result as without interruption.
-        learner: makes the learner, for a method of your own; None: the method that the settings name.
+        resume: continue a training in the folder, if there is one, with the same result as an uninterrupted training.
+        learner: creates the learner, for your own method. None: the method in the settings.
         watch: called after each update.
 
     Raises:
         SettingsError, UnknownNameError: if the settings are invalid, or differ from those of a resumed training.
         DemonstrationError: if a task has too few demonstrations.
-        TrainingError: if the folder or its checkpoint cannot be used, a loss becomes NaN or infinite, or memory runs
-            out.
+        TrainingError: if the folder or its checkpoint cannot be used, a loss becomes NaN or infinite, or memory is
+            exhausted.
     """
     if learner is None and settings.method not in METHODS:
         raise unknown_name("method", settings.method, METHODS)
@@ -125,21 +125,21 @@ def _enough_memory(folder: Path) -> Iterator[None]:
     """Turns out-of-memory errors into `TrainingError`."""
     try:
         yield
-    except (MemoryError, RuntimeError) as error:  # PyTorch has a type of its own for accelerators only
+    except (MemoryError, RuntimeError) as error:  # PyTorch has a special type only for accelerators
         known = isinstance(error, MemoryError | torch.OutOfMemoryError)
         if not known and not (type(error) is RuntimeError and "allocate memory" in str(error)):
             raise
         raise TrainingError(
-            f"there is not enough memory for the training in {folder}: choose smaller sizes, such as batch sizes, in "
-            "another folder"
+            f"not enough memory for the training in {folder}: choose smaller sizes, such as batch sizes, in another "
+            "folder"
         ) from error
 
 
 @contextmanager
 def _interrupted_at_the_end() -> Iterator[None]:
-    """A context at whose end a KeyboardInterrupt comes if Ctrl-C was pressed in it; a second one comes at once.
+    """A context that delays Ctrl-C: the KeyboardInterrupt is raised at its end. A second Ctrl-C interrupts at once.
 
-    In threads, and where the program has a handler of its own, nothing changes.
+    It has no effect in other threads, or if the program has its own handler.
     """
     usual = signal.default_int_handler
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not usual:
@@ -162,17 +162,17 @@ def _interrupted_at_the_end() -> Iterator[None]:
 
 
 class _Training:
-    """The loop of a training, which goes on where the folder's checkpoint ends."""
+    """The loop of a training. It continues from the folder's checkpoint."""
 
     def __init__(self, folder: RunFolder, last: Checkpoint | None, settings: TrainingSettings, learner: Method) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
         if last is not None:
-            if last.device != learner.device.type:  # here, it would go on otherwise
+            if last.device != learner.device.type:  # another device would give another result
                 raise TrainingError(
-                    f"{folder.path} was trained on {last.device}, and this is {learner.device}: continue where there "
-                    f"is {last.device} or train anew in another folder; magical-mj evaluate --policy "
-                    f"{shlex.quote(str(folder.path))} plays what it has learnt so far"
+                    f"{folder.path} was trained on {last.device}, not on {learner.device}: continue on a machine "
+                    f"with {last.device}, or train in another folder; magical-mj evaluate --policy "
+                    f"{shlex.quote(str(folder.path))} evaluates the present policy"
                 )
             self._update, self._seconds = last.update, last.seconds
             try:
@@ -184,12 +184,12 @@ class _Training:
         self._saved = self._update
 
     def run(self, watch: Callable[[Progress], None]) -> Policy:
-        """Trains to the end, and returns the policy."""
-        if self._update == self._learner.updates:  # and its policy was lost
+        """Completes the training and returns the policy."""
+        if self._update == self._learner.updates:  # finished, but its policy is missing
             self._learner.save_policy(self._folder.path)
         self._started = time.monotonic() - self._seconds
         with closing(Metrics(self._folder.path, self._update)) as table:
-            whole = True  # no update is half done
+            whole = True  # no update is incomplete
             try:
                 while self._update < self._learner.updates:
                     with _interrupted_at_the_end():
@@ -215,7 +215,7 @@ class _Training:
         return metrics
 
     def _report(self, table: Metrics) -> Progress:
-        """Evaluates, writes a row, and saves, if it is time for that."""
+        """Evaluates, writes a row, and saves, each if it is due."""
         updates, settings = self._learner.updates, self._settings
         save = _due(self._update, updates, settings.checkpoints)
         evaluation = _due(self._update, updates, settings.evaluations)
@@ -240,10 +240,10 @@ class _Training:
 
     def _save(self) -> None:
         learner, path = self._learner, self._folder.path
-        if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
+        if self._saved:  # before the checkpoint: a run with the last checkpoint counts as finished
             learner.save_policy(path)
         self._folder.save(self._update, learner.updates, self._seconds, learner.device.type, learner.get_state())
-        if not self._saved:  # after the checkpoint: where there is a policy, there is one
+        if not self._saved:  # after the checkpoint: a folder with a policy must have a checkpoint
             learner.save_policy(path)
         self._saved = self._update
 
@@ -254,5 +254,5 @@ class _Training:
 
 
 def _due(update: int, updates: int, times: int) -> bool:
-    """Whether something that is done `times` times in a training, the last time at its end, is due now."""
+    """Whether an action that happens `times` times in a training, the last time at its end, is due now."""
     return update * times // updates > (update - 1) * times // updates

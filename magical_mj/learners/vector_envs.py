@@ -1,4 +1,4 @@
-"""The vector environments that PPO plays: they can be stopped and taken up in mid-episode."""
+"""The vector environments for PPO. Their state can be saved and restored in mid-episode."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra
 
 OBSERVATION: Final = "seen"
-"""The key of a world's stack of frames, shape (96, 96, 12) uint8; or history, shape (HISTORY, names) float32."""
+"""The key of an environment's stack of frames, shape (96, 96, 12) uint8; or history, shape (HISTORY, names) float32."""
 TASK: Final = "task"
-"""The key of a world's task as a one-hot vector, shape (tasks,) float32."""
+"""The key of an environment's task as a one-hot vector, shape (tasks,) float32."""
 
 Observations = dict[str, NDArray[Any]]
 _Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float64], NDArray[np.bool_]]
-"""A step's result: observations; which episodes ended; their last observations; scores; which states are broken."""
+"""A step's result: observations; which episodes ended; last observations of these; scores; which states are broken."""
 
 
 class TrainingEnvs(VecEnv):
-    """The worlds of a run, as stable-baselines3 wants them: those of all cores, or those of one batch.
+    """The environments of a run, for stable-baselines3: single environments on all cores, or one batch of worlds.
 
-    `single` holds a world's spaces, of observations and of actions.
+    `single` contains the spaces of one environment's observations and actions.
 
     Attributes:
-        tasks: the numbers of the worlds' tasks, ascending.
+        tasks: the numbers of the environments' tasks, ascending.
     """
 
     render_mode: str | None = None
@@ -46,9 +46,9 @@ class TrainingEnvs(VecEnv):
         tasks, siblings = len(settings.tasks), settings.ppo.environments // len(settings.tasks)
         self.tasks = np.repeat(np.arange(tasks), siblings)
         self._one_hot = np.eye(tasks, dtype=np.float32)[self.tasks]
-        # The number of random actions with which the first episode of each world starts. If all started together, they
-        # would always be at the same step of their episodes, and each batch would contain only one phase of the task.
-        # So they are spread over the horizon, as rlpyt, the paper's library, does by default.
+        # The number of random actions at the start of each environment's first episode. If all environments started
+        # together, they would always be at the same step of their episodes, and each batch would contain only one phase
+        # of the task. So they are spread over the horizon, as in rlpyt, the paper's library, by default.
         horizons = np.array([task_spec(task).horizon() for task in settings.tasks])[self.tasks]
         self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
@@ -61,22 +61,22 @@ class TrainingEnvs(VecEnv):
 
     @abstractmethod
     def get_state(self) -> Any:
-        """Where all worlds are."""
+        """The state of all environments."""
 
     @abstractmethod
     def set_state(self, state: Any) -> Observations:
-        """Goes back to a state; returns what is seen then, as `reset` does."""
+        """Restores a state, and returns its observations, like `reset`."""
 
     @abstractmethod
     def _play(self, actions: NDArray[np.int64]) -> _Outcome:
-        """One action in every world; where an episode ends, the next one begins."""
+        """One action in every environment. Where an episode ends, the next one begins."""
 
     def step_async(self, actions: NDArray[np.int64]) -> None:
-        """Takes the actions for `step_wait`."""
+        """Stores the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """One action in every world. The rewards are 0."""
+        """One action in every environment. The rewards are 0."""
         observations, ended, last, scores, broken = self._play(self._actions)
         if self._history:
             last = self._history.add(last)
@@ -84,7 +84,7 @@ class TrainingEnvs(VecEnv):
         for world in np.flatnonzero(ended):
             infos[world] = {
                 "terminal_observation": {OBSERVATION: last[world], TASK: self._one_hot[world]},
-                "TimeLimit.truncated": not broken[world],  # nothing comes after a broken state
+                "TimeLimit.truncated": not broken[world],  # a broken state is a termination
                 "eval_score": float(scores[world]),
             }
         self._restart(ended, observations)
@@ -98,20 +98,20 @@ class TrainingEnvs(VecEnv):
         return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
-        """Worlds have no attributes, methods and wrappers of their own."""
+        """Single environments are not accessible."""
         raise NotImplementedError
 
     set_attr = env_method = env_is_wrapped = _refuse
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector's own attribute, for each world."""
+        """An attribute of the vector, repeated for each environment."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
 
 class LocalEnvs(TrainingEnvs):
-    """Worlds that are the single environments to the bit, on all cores; they can be taken up in mid-episode.
+    """Single environments on all cores, with identical results. Their state can be restored in mid-episode.
 
-    The seed of a world's episode is a function of the run's seed, the number of the world and that of the episode.
+    The seed of an episode is a function of the run's seed, the environment's number and the episode's number.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -142,12 +142,12 @@ class LocalEnvs(TrainingEnvs):
         return observations, ended, last, infos["eval_score"], np.zeros_like(ended)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """The number of each world's episode, and its actions so far."""
+        """The number of each environment's episode, and the episode's actions so far."""
         pairs = zip(self._episodes.tolist(), self._taken, strict=True)
         return [{"episode": episode, "actions": np.array(taken, np.int64)} for episode, taken in pairs]
 
     def set_state(self, state: Sequence[dict[str, Any]]) -> Observations:
-        """Goes back to a state by replaying the actions."""
+        """Restores a state by replaying its actions."""
         self._episodes = np.array([world["episode"] for world in state])
         return self._replay([world["actions"].tolist() for world in state])
 
@@ -156,7 +156,7 @@ class LocalEnvs(TrainingEnvs):
         self._envs.close()
 
     def _replay(self, actions: list[list[int]]) -> Observations:
-        """Plays these actions in the present episodes of the worlds."""
+        """Plays these actions in the environments' current episodes."""
         self._taken = actions
         rows: list[Any] = [None] * self.num_envs
         histories: list[History | None] = [None] * self.num_envs
@@ -204,7 +204,7 @@ class BatchedEnvs(TrainingEnvs):
         super().__init__(settings, (self._batch.single_observation_space, self._batch.single_action_space))
 
     def reset(self) -> Observations:
-        """All worlds begin so that their random actions end together."""
+        """Starts the worlds at different steps, so that their random actions end together."""
         rng = np.random.default_rng(self._seed)
         observations, _ = self._arrays.reset()
         self._history = History(observations) if self._states else None
@@ -223,11 +223,11 @@ class BatchedEnvs(TrainingEnvs):
         return observations, ended, last, final["eval_score"], final["broken"]
 
     def get_state(self) -> dict[str, Any]:
-        """Where all worlds are."""
+        """The state of all worlds."""
         return {"worlds": self._arrays.get_state(), "history": self._history and self._history.states}
 
     def set_state(self, state: dict[str, Any]) -> Observations:
-        """Goes back to a state; returns what is seen then, as `reset` does."""
+        """Restores a state, and returns its observations, like `reset`."""
         observations = self._arrays.set_state(state["worlds"])
         if state["history"] is not None:
             self._history = History(observations)
@@ -240,10 +240,10 @@ class BatchedEnvs(TrainingEnvs):
 
 
 def training_envs(settings: TrainingSettings) -> TrainingEnvs:
-    """The environments of a run: on all cores, or all in one batch."""
+    """The environments of a run: on all cores, or in one batch."""
     return BatchedEnvs(settings) if settings.ppo.simulator == "warp" else LocalEnvs(settings)
 
 
 def tasks_of(settings: TrainingSettings) -> list[str]:
-    """The task of each environment; all tasks have the same number of environments, side by side."""
+    """The task of each environment; all tasks have the same number of consecutive environments."""
     return [task for task in settings.tasks for _ in range(settings.ppo.environments // len(settings.tasks))]

@@ -1,1 +1,1 @@
-"""What every layer may use: errors, files, users' imports, optional dependencies, parallel work."""
+"""Utilities for all layers: errors, files, imports of users' code, optional dependencies, parallel work."""

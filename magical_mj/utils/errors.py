@@ -12,19 +12,19 @@ _SHOWN: Final = 80
 
 
 class MagicalError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """The base of this package's exceptions."""
 
 
 class UnknownNameError(MagicalError, ValueError):
-    """A name that does not exist: of a task, variant, preset, view, policy, method, setting or the like."""
+    """An unknown name, for example of a task, variant, preset, view, policy, method or setting."""
 
 
 class TaskError(MagicalError, ValueError):
-    """A user's task that is invalid, or lacks something that was asked for, such as a plan."""
+    """A user's task that is invalid, or lacks a requested feature, such as a plan."""
 
 
 class ShiftError(MagicalError, ValueError):
-    """A user's shift that is invalid, or whose code fails."""
+    """A user's shift that is invalid, or raised an error."""
 
 
 class InvalidActionError(MagicalError, ValueError):
@@ -40,25 +40,25 @@ class InvalidSeedError(MagicalError, ValueError):
 
 
 class PlacementError(MagicalError, RuntimeError):
-    """No legal placement was found within the allowed number of tries, or a plan has no place for a block."""
+    """No legal placement was found within the allowed number of attempts, or a plan has no position for a block."""
 
 
 class DemonstrationError(MagicalError, ValueError):
-    """A demonstration that is damaged, of another version or task, or does not fit its world."""
+    """A demonstration that is damaged, of another version or task, or does not match its scene."""
 
 
 class UntrustedNameError(MagicalError, ValueError):
-    """A file names code that its reader has not named: see `magical_mj.utils.imports`.
+    """A file refers to code that the user has not named: see `magical_mj.utils.imports`.
 
     Attributes:
-        reference: the name, such as "package.module:SPEC".
+        reference: the reference, such as "package.module:SPEC".
     """
 
     def __init__(self, reference: str, origin: object) -> None:
         super().__init__(
-            f"{origin} names {reference}, and using it runs that module's code: if you trust it, name it in a "
-            f"command that takes names (--tasks {reference}; or --trust, for all of the files), or in Python call "
-            f"magical_mj.utils.imports.trust({reference!r}) before"
+            f"{origin} refers to {reference}, and using it runs that module's code: if you trust it, name it in a "
+            f"command that takes names (--tasks {reference}; or --trust, for all in the files), or in Python first "
+            f"call magical_mj.utils.imports.trust({reference!r})"
         )
         self.reference = reference
 
@@ -68,23 +68,23 @@ class StateError(MagicalError, ValueError):
 
 
 class ClosedError(MagicalError, RuntimeError):
-    """An environment that was closed."""
+    """A call of a closed environment."""
 
 
 class PhysicsError(MagicalError, RuntimeError):
-    """A simulation that has become unstable."""
+    """An unstable simulation."""
 
 
 class RenderingError(MagicalError, RuntimeError):
-    """OpenGL does not work here."""
+    """OpenGL does not work on this machine."""
 
 
 class SettingsError(MagicalError, ValueError):
-    """Settings that are invalid, or that cannot be combined."""
+    """Settings that are invalid, alone or in combination."""
 
 
 class MissingExtraError(MagicalError, ImportError):
-    """A package that is needed is not installed; the message says how to install it."""
+    """A required package is not installed. The message contains the command that installs it."""
 
 
 class WorkerError(MagicalError, RuntimeError):
@@ -100,7 +100,7 @@ class TrainingError(MagicalError, RuntimeError):
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str], meant: str = "") -> UnknownNameError:
-    """The error for a `name` that is not among the `allowed`; it suggests what was `meant`, or else the closest one."""
+    """The error for a `name` that is not among the `allowed`. It suggests `meant`, or otherwise the closest name."""
     allowed = tuple(allowed)
     meant = meant or closest(name, allowed)
     hint = f" Did you mean {meant!r}?" if meant else ""
@@ -108,7 +108,7 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str], meant: str = "
 
 
 def closest(name: object, allowed: Iterable[str]) -> str:
-    """The name among the `allowed` that is most like this one, in upper or lower case; empty if none is."""
+    """The most similar name among the `allowed`, ignoring case. Empty if none is similar."""
     if not isinstance(name, str):
         return ""
     known = {other.lower(): other for other in allowed}
@@ -117,7 +117,7 @@ def closest(name: object, allowed: Iterable[str]) -> str:
 
 
 def short_repr(value: object) -> str:
-    """`value` as text for a message, shortened; works for any value."""
+    """`value` as text for a message, shortened. It works for any value."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):  # integers with thousands of digits, deeply nested lists
@@ -126,14 +126,14 @@ def short_repr(value: object) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """A number of things in words, such as "1 episode" or "2 episodes"."""
+    """A number with its noun, such as "1 episode" or "2 episodes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def as_integer(value: Any, least: int = 0, most: int | None = None) -> int | None:
-    """`value` as an int, or None unless it is an integer from `least` to `most`, and no truth value.
+    """`value` as an int, or None unless it is an integer from `least` to `most`, and not a bool.
 
-    Integers of numpy and other libraries are accepted, as are arrays without a dimension.
+    Integers of numpy and other libraries are accepted, and arrays without dimensions.
     """
     try:
         number = operator.index(value)
@@ -143,7 +143,7 @@ def as_integer(value: Any, least: int = 0, most: int | None = None) -> int | Non
 
 
 def check_name(kind: str, name: object, allowed: Iterable[str]) -> None:
-    """Raise `UnknownNameError`, which suggests the closest name, unless `name` is one of the `allowed`."""
+    """Raises an `UnknownNameError`, which suggests the closest name, unless `name` is one of the `allowed`."""
     allowed = tuple(allowed)
     if not isinstance(name, str) or name not in allowed:
         raise unknown_name(kind, name, allowed)

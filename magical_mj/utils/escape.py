@@ -1,7 +1,7 @@
-r"""Untrusted text, such as names and failures from other people's files, in the formats that this package writes.
+r"""Untrusted text, such as names and errors from other people's files, in this package's output formats.
 
-There is one function for each format. All of them show control characters and what turns the direction of writing
-round by their escapes, such as ``\x1b``: none of these has a place in a name, and terminals and browsers obey them.
+There is one function for each format. All of them replace control characters, and characters that change the writing
+direction, by their escapes, such as ``\x1b``: they do not belong in names, and terminals and browsers obey them.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import re
 from typing import Final
 
 _CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-"""All but tabs and ends of lines; the halves of characters cannot even be encoded."""
+"""All control characters except tabs and line ends. Surrogates are included, since they cannot be encoded."""
 
 _MARKDOWN: Final = re.compile(
     r"""
-    \\(?=[!-/:-@\[-`{-~]|$)  # backslashes that escape something
+    \\(?=[!-/:-@\[-`{-~]|$)  # backslashes that escape a character
     | [*`|~<>]
     | (?<![^\W_])_ | _(?![^\W_])  # inside a word, underscores have no meaning
     | \](?=[(\[:])  # links
@@ -27,12 +27,12 @@ _MARKDOWN: Final = re.compile(
 
 
 def terminal(text: str) -> str:
-    """The text for a terminal, which would obey escape sequences."""
+    """The text for a terminal, without escape sequences."""
     return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def html(text: object) -> str:
-    """The text of something for HTML, in elements and in quoted attributes."""
+    """A value's text for HTML, in elements and in quoted attributes."""
     return _html.escape(terminal(str(text)))
 
 
@@ -43,20 +43,20 @@ def markdown(text: str) -> str:
 
 
 def markdown_code(text: str) -> str:
-    """The text as code in Markdown; a name with other signs than letters, digits and ``.-_`` is no code."""
+    """The text as code in Markdown. Names with characters other than letters, digits and ``.-_`` become plain text."""
     return f"`{text}`" if re.fullmatch(r"[\w.-]+", text) else markdown(text)
 
 
 def markdown_link(text: str, target: str) -> str:
-    """A link in Markdown to a target that is quoted already."""
+    """A link in Markdown to a target that is already quoted."""
     inside = re.sub(r"(\\.)|([\[\]])", lambda match: match[1] or f"\\{match[2]}", markdown(text))
     return f"[{inside}]({target})"
 
 
 def csv(text: str) -> str:
-    """The text as a cell of CSV, in which spreadsheets take what begins with ``=``, ``+``, ``-`` or ``@`` as a formula.
+    """The text as a cell of CSV. Spreadsheets interpret texts that begin with ``=``, ``+``, ``-`` or ``@`` as formulas.
 
-    An apostrophe in front prevents that. Texts of numbers stay as they are. Quotes are left to the writer of the file.
+    An apostrophe in front prevents that. Texts of numbers are unchanged. The writer of the file must add quotes.
     """
     text = terminal(text)
     if not text.lstrip().startswith(("=", "+", "-", "@")):
@@ -69,5 +69,5 @@ def csv(text: str) -> str:
 
 
 def mathtext(text: str) -> str:
-    """The text for matplotlib, which takes what is between dollar signs as a formula."""
+    """The text for matplotlib, which interprets text between dollar signs as a formula."""
     return terminal(text).replace("$", r"\$")

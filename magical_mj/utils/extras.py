@@ -1,4 +1,4 @@
-"""Optional dependencies: which packages each extra needs, and one error where they are not installed."""
+"""Optional dependencies: the packages of each extra, and the error if they are not installed."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MODULES: Final = {
     "web": ("websockets",),
     "window": ("pygame",),
 }
-"""Extra -> the modules that are imported from its packages; see pyproject.toml."""
+"""Extra -> the imported modules of its packages; see pyproject.toml."""
 
 
 def check_extra(what: str, *extras: str) -> None:
-    """Raises a `MissingExtraError` that says what to install, unless all packages of the extras are installed.
+    """Raises a `MissingExtraError` with the install command, unless all packages of the extras are installed.
 
     `what` is the feature that needs them, in the plural, for the message.
     """
@@ -40,10 +40,10 @@ def check_extra(what: str, *extras: str) -> None:
 
 
 def remedy(extra: str) -> str:
-    """The command that installs this extra, or several with commas between: from where this package came."""
+    """The command that installs this extra, or several separated by commas, from the source of this package."""
     try:
         origin = json.loads(distribution("magical-mj").read_text("direct_url.json") or "{}")
-    except PackageNotFoundError:  # a checkout that was not installed
+    except PackageNotFoundError:  # a checkout without installation
         origin = {"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}}
     if origin.get("dir_info", {}).get("editable"):
         return f'pip install -e "{url2pathname(urlsplit(origin["url"]).path)}[{extra}]"'

@@ -1,4 +1,4 @@
-"""Writing files atomically, so that a file appears under its name only when it is complete; locks; and reading."""
+"""Atomic writing of files, which appear under their names only when they are complete; locks; and reading."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
 _UNFINISHED: Final = re.compile(r"\..*\.[0-9a-f]{8}-[0-9a-f]{8}\.(part(\.[^.]*)?|lock)|\.(.*\.)?lock")
 """The names of the temporary files and locks of this module."""
 _MOST_TOML: Final = 1_000_000
-"""The number of bytes of the largest TOML file that is read."""
+"""The largest size in bytes of a TOML file."""
 _LONGEST_STEM: Final = 30
-"""The characters of a file's name in that of its temporary file: file systems take 255 bytes."""
+"""The number of characters of a file's name in its temporary file's name: file systems allow 255 bytes."""
 
 
 def to_path(path: str | os.PathLike[str]) -> Path:
-    """`path` as a `Path`, for public functions, whose users may give something else: then a `SettingsError`."""
+    """`path` as a `Path`, for arguments of public functions. Raises a `SettingsError` for other types."""
     if not isinstance(path, str | os.PathLike):
-        raise SettingsError(f"a path must be a text or a pathlib.Path, not {short_repr(path)}")
+        raise SettingsError(f"a path must be a string or a pathlib.Path, not {short_repr(path)}")
     return Path(path)
 
 
@@ -40,7 +40,7 @@ def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode:
         path: the file. Its folder must exist.
         data: the file's content.
         overwrite: replace an existing file.
-        mode: who may use the file, as for `os.chmod`, from its beginning on; None: as the system's default is.
+        mode: the file's permissions, as for `os.chmod`, set when it is created; None: the system's default.
 
     Raises:
         FileExistsError: if the file exists and `overwrite` is false.
@@ -55,23 +55,23 @@ def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode:
 
 @contextmanager
 def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
-    """For code that writes a file by itself: yields a temporary path next to `path`, and renames that file at the end.
+    """A context for code that writes a file itself. Yields a temporary path next to `path`, and renames it at the end.
 
-    If the block raises, the temporary file is removed; if its process dies, the next call does that. The yielded path
+    If the block raises, the temporary file is removed. If its process dies, the next call removes it. The yielded path
     has the same suffix as `path`. Other processes of this machine that write the same file wait.
 
     Raises:
-        FileExistsError, OSError: as `write`.
+        FileExistsError, OSError: for the reasons given by `write`.
     """
     given = str(to_path(path))
-    path = Path(given).absolute()  # the block, or a thread, may go to another working folder
+    path = Path(given).absolute()  # the block, or a thread, may change the working folder
     if overwrite and path.is_symlink():
-        path = Path(os.path.realpath(path))  # what it leads to is replaced, not the link
+        path = Path(os.path.realpath(path))  # a link's target is replaced, not the link
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a folder", given)
-    if not path.parent.is_dir():  # which the lock would make
+    if not path.parent.is_dir():  # the lock would create it
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), given)
-    # Machines have temporary files of their own: file systems that they share may not share locks.
+    # Each machine has its own temporary files, since shared file systems may not support locks between machines.
     host, name = (hashlib.sha256(os.fsencode(text)).hexdigest()[:8] for text in (platform.node(), path.name))
     lock = path.with_name(f".{path.stem[:_LONGEST_STEM]}.{host}-{name}.lock")
     unfinished = lock.with_suffix(f".part{path.suffix}")
@@ -82,7 +82,7 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
                 if path.exists() and not overwrite:
                     raise _exists(path)
                 yield unfinished
-                with unfinished.open("r+b") as file:  # Windows flushes only what is open for writing
+                with unfinished.open("r+b") as file:  # Windows flushes only files that are open for writing
                     os.fsync(file.fileno())
                 _rename(unfinished, path, overwrite)
             finally:
@@ -91,24 +91,24 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     except OSError as error:
         if error.errno is None or error.filename not in (None, *map(str, (unfinished, lock, path))):
             raise
-        raise OSError(error.errno, error.strerror, given) from error  # a full disk's error has no file name
+        raise OSError(error.errno, error.strerror, given) from error  # the error of a full disk has no file name
 
 
 @contextmanager
 def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """For code that makes a folder: yields the path next to `path` where to make it, and renames it at the end.
+    """A context for code that creates a folder. Yields a temporary path next to `path`, and renames it at the end.
 
-    If the block raises, or its process dies, what was at `path` stays or is restored by the next call. Other processes
-    that make folders beside it wait. The folder's parent is made if missing.
+    If the block raises, or its process dies, the previous content of `path` remains, or the next call restores it.
+    Other processes that create folders with the same parent wait. The parent is created if it is missing.
 
     Raises:
         FileExistsError: if the folder exists and `overwrite` is false.
     """
-    given, path = path, path.absolute()  # the block may go to another working folder
+    given, path = path, path.absolute()  # the block may change the working folder
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished, replaced = (path.with_name(f".{path.name}.{what}") for what in ("part", "old"))
     with locked(path.parent):
-        shutil.rmtree(unfinished, ignore_errors=True)  # what a process left that was killed
+        shutil.rmtree(unfinished, ignore_errors=True)  # left by a killed process
         _restore(replaced, path)
         if path.exists() and not overwrite:
             raise _exists(given)
@@ -123,25 +123,25 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def _restore(replaced: Path, path: Path) -> None:
-    """Puts a folder back unless there is another one by now, which counts."""
+    """Restores a replaced folder, unless a new one exists."""
     if replaced.exists() and not path.exists():
         replaced.rename(path)
     shutil.rmtree(replaced, ignore_errors=True)
 
 
 def is_unfinished(path: Path) -> bool:
-    """Whether this is a temporary file or a lock of this module, which a process that was killed may have left."""
+    """Whether this is a temporary file or a lock of this module, possibly left by a killed process."""
     return _UNFINISHED.fullmatch(path.name) is not None
 
 
 @contextmanager
 def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
-    """A context that one process at a time enters for a file or folder, which must exist.
+    """A context for a file or folder, which must exist, that only one process at a time can enter.
 
-    A hidden file lies in the folder, or beside the file, as long as somebody is in it. If another process is in it,
+    Meanwhile, there is a hidden lock file in the folder, or next to the file. If another process is in the context,
     this one waits, or raises `busy`.
     """
-    path = path.absolute()  # the block may go to another working folder
+    path = path.absolute()  # the block may change the working folder
     lock = path / ".lock" if path.is_dir() else path.with_name(f".{path.name}.lock")
     try:
         with _held(lock, timeout=-1 if busy is None else 0):
@@ -153,24 +153,24 @@ def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
 
 
 def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
-    """The content of a file that somebody else may have made.
+    """The content of a file from an untrusted source.
 
     Raises:
-        OSError: if there is no such file, or it cannot be read.
-        MagicalError: the given type, if it has more bytes than `most`, or is no plain file: a pipe could be waited for
-            without end.
+        OSError: if the file does not exist, or cannot be read.
+        MagicalError: the given type, if it has more than `most` bytes, or is not a plain file: reading a pipe could
+            block forever.
     """
     if path.exists() and not path.is_file():
-        raise error(f"{path} is not a plain file, but a folder, a pipe or a device")
+        raise error(f"{path} is a folder, a pipe or a device, not a plain file")
     with path.open("rb") as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise error(f"{path} is larger than {most:,} bytes, and is not read")
+        raise error(f"{path} is larger than the limit of {most:,} bytes")
     return content
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file; a `SettingsError` if it cannot be read as TOML."""
+    """The content of a TOML file. Raises a `SettingsError` if it cannot be read as TOML."""
     try:
         return tomllib.loads(read_foreign(path, most=_MOST_TOML, error=SettingsError).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
@@ -179,10 +179,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def _held(path: Path, timeout: float = -1) -> Iterator[None]:
-    """Holds the lock that this file is; the file is removed at the end.
+    """Holds the lock file at this path, and removes it at the end.
 
-    It is removed while it is held: `FileLock` makes a new one if the file that it has locked is gone. On Windows, where
-    an open file cannot be removed, `FileLock` does it.
+    It is removed while the lock is held: `FileLock` creates a new one if its locked file is gone. Windows cannot remove
+    an open file. There, `FileLock` removes it.
     """
     with FileLock(path, timeout=timeout):
         try:
@@ -201,7 +201,7 @@ def _rename(unfinished: Path, path: Path, overwrite: bool) -> None:
         unfinished.replace(path)
         return
     try:
-        path.hardlink_to(unfinished)  # unlike renaming, this fails if another process has made the file meanwhile
+        path.hardlink_to(unfinished)  # unlike renaming, this fails if another process has created the file
     except FileExistsError:
         raise _exists(path) from None
     except OSError:  # the file system has no hard links

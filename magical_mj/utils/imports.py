@@ -1,17 +1,17 @@
-"""Users' modules: objects in them as ``"package.module:NAME"``, and the errors that their code raises.
+"""References to objects in users' modules, ``"package.module:NAME"``, and errors in users' code.
 
-Importing a module runs its code, so a file that may be somebody else's must not choose one. The rule:
+Importing a module runs its code, so a file from elsewhere must not choose the module. The rules:
 
-- What the user types is imported: arguments of Python functions, and of the command line. `resolve` does it, and looks
-  in the working folder too.
-- What an installed package announces by an entry point is imported, but not from the working folder:
-  `resolve_installed`.
-- A name that is read from a file is text. Whoever reads one that will be resolved calls `check_named` first, which
-  refuses it unless the user has typed the same name, or has called `trust`.
-- On the command line `resolve` itself refuses what is not among its arguments, see `command_line`, so that a name
-  reaches no import there whichever way it takes.
+- References typed by the user are imported: arguments of Python functions, and of the command line. `resolve` imports
+  them, and also searches the working folder.
+- References that an installed package announces by an entry point are imported by `resolve_installed`, but not from
+  the working folder.
+- A name in a file is only text. Before it is resolved, the caller must call `check_named`, which rejects it unless the
+  user has typed the same name, or has called `trust`.
+- On the command line, `resolve` itself rejects all references that are not among its arguments (see `command_line`),
+  so that no other reference can be imported.
 
-docs/trust.md lists which file may name what.
+docs/trust.md lists the references that each kind of file may contain.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 
 
 def is_reference(text: object) -> bool:
-    """Whether `text` has the form ``"package.module:NAME"``; nothing is imported."""
+    """Whether `text` has the form ``"package.module:NAME"``. Nothing is imported."""
     return isinstance(text, str) and _REFERENCE.fullmatch(text) is not None
 
 
@@ -48,9 +48,9 @@ class _Trust:
     """The references that this process may import.
 
     Attributes:
-        named: those that the user has typed.
+        named: the references that the user has typed.
         everything: whether all others may be imported as well.
-        only_named: whether `resolve` refuses all others: on the command line.
+        only_named: whether `resolve` rejects all others, as on the command line.
     """
 
     named: set[str] = field(default_factory=set)
@@ -62,14 +62,14 @@ _TRUST: Final = _Trust()
 
 
 def trust(*references: str) -> None:
-    """Allows files to name these references, such as ``"package.module:SPEC"``, in this process."""
+    """Allows files to contain these references, such as ``"package.module:SPEC"``, in this process."""
     _TRUST.named.update(references)
 
 
 def check_named(reference: object, origin: object) -> None:
-    """Checks a name from a file (`origin`) that may be somebody else's; to be called before it is resolved.
+    """Checks a name from an untrusted file (`origin`) before it is resolved.
 
-    All but references are accepted: a name that is announced is the benchmark's or installed.
+    All names except references are accepted: an announced name belongs to the benchmark or to an installed package.
 
     Raises:
         UntrustedNameError: if it is a reference that the user has not named.
@@ -80,13 +80,13 @@ def check_named(reference: object, origin: object) -> None:
 
 @contextmanager
 def command_line(arguments: Iterable[str]) -> Iterator[None]:
-    """A context in which only those references are imported that the arguments of a command hold.
+    """A context that can import only references among the arguments of a command.
 
-    With ``--trust`` among them, all are.
+    With ``--trust`` among them, it can import all.
     """
     arguments, before = list(arguments), vars(_TRUST).copy()
     parts = {part for argument in arguments for part in re.split("[,=+]", argument)}
-    parts |= {re.sub(r"^body:|:[\d-]+$", "", part) for part in parts}  # in shifts with their levels
+    parts |= {re.sub(r"^body:|:[\d-]+$", "", part) for part in parts}  # shifts contain levels
     named = set(filter(is_reference, parts))
     vars(_TRUST).update(named=named, everything="--trust" in arguments, only_named=True)
     try:
@@ -96,10 +96,10 @@ def command_line(arguments: Iterable[str]) -> Iterator[None]:
 
 
 def resolve(reference: str) -> Any:
-    """The object that ``"package.module:NAME"`` refers to, typed by the user; the working folder is searched too.
+    """The object of a reference ``"package.module:NAME"`` typed by the user. The working folder is searched as well.
 
     Raises:
-        UntrustedNameError: if it is not among the arguments of the present `command_line`.
+        UntrustedNameError: if it is not among the arguments of the current `command_line`.
         ImportError: if there is no such module or object. Errors raised by the module itself pass through.
     """
     if _TRUST.only_named:
@@ -114,23 +114,23 @@ def resolve(reference: str) -> Any:
 
 
 def resolve_installed(reference: str) -> Any:
-    """The object that an installed package has announced as ``"package.module:NAME"``; errors as `resolve`."""
+    """The object that an installed package announces as ``"package.module:NAME"``. Raises the errors of `resolve`."""
     module, _, name = reference.partition(":")
     value: Any = importlib.import_module(module)
     for part in name.split("."):
         if not hasattr(value, part):
             near = closest(part, dir(value))
             hint = f". Did you mean {near!r}?" if near else ""
-            raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}{hint}")
+            raise ImportError(f"{reference!r} does not exist: {module} has no {part!r}{hint}")
         value = getattr(value, part)
     return value
 
 
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
-    """The reference that a text such as "mine" or "mine.py" probably stands for, if the working folder has mine.py.
+    """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
-    It refers to the first object in that file whose `definition` begins a line and names it in its first group. The
-    file is read and not imported. Empty if there is none.
+    It refers to the first object in that file for which a line matches `definition`. The first group is the object's
+    name. The file is read, but not imported. Empty if there is no such object.
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")
@@ -141,22 +141,22 @@ def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
 
 
 def source_of(reference: str) -> Path | None:
-    """The file of the module that a reference names, if the module was imported from one."""
+    """The file of a reference's module, if the module was imported from one."""
     file = getattr(sys.modules.get(reference.partition(":")[0]), "__file__", None)
     return Path(file) if file and Path(file).is_file() else None
 
 
 def source_digest(reference: str) -> str:
-    """The SHA-256 of the module that a reference names; empty if it was not imported from a file."""
+    """The SHA-256 of a reference's module; empty if it was not imported from a file."""
     source = source_of(reference)
     return "" if source is None else hashlib.sha256(source.read_bytes()).hexdigest()
 
 
 @contextmanager
 def errors_of_task(what: str) -> Iterator[None]:
-    """Makes any error of the task's code inside a `TaskError`: `what`, the error's type, message and place.
+    """Converts errors of a task's code to a `TaskError` with the text `what` and the error's type, text and location.
 
-    This package's own errors, which a task may raise on purpose, pass through.
+    This package's own errors, which a task may raise intentionally, pass through.
     """
     try:
         yield
@@ -167,15 +167,15 @@ def errors_of_task(what: str) -> Iterator[None]:
 
 
 def with_place(error: BaseException) -> str:
-    """The error's type, message and place."""
-    where = "" if isinstance(error, SyntaxError) else place(error)  # whose message names the place
+    """The error's type, message and location."""
+    where = "" if isinstance(error, SyntaxError) else place(error)  # its message contains the location
     return f"{type(error).__name__}: {error}{where}"
 
 
 def place(error: BaseException, *, full: bool = True) -> str:
-    """The last place from which the error came in the user's code, or else in another package than this, if any.
+    """The last location of the error in the user's code, or otherwise in another package than this one, if any.
 
-    With `full`, the file's folder is named, too.
+    With `full`, it includes the file's folder.
     """
     frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
     if not frames:

@@ -1,12 +1,12 @@
 """Parallel work in several processes, on this machine or on a dask cluster.
 
 Workers are new processes, not forks, since OpenGL does not survive a fork. They do not import the caller's `__main__`,
-so that scripts need no guard. A worker's standard input is a pipe from the caller's process, which closes when that
-process ends for any reason; then the worker ends at once, with all that it has forked. On a cluster, each thread of a
-dask worker has one such process.
+so that scripts need no guard. A worker's standard input is a pipe from the caller's process. It closes when that
+process ends for any reason. Then the worker ends at once, with all processes that it has forked. On a cluster, each
+thread of a dask worker has one such process.
 
-joblib's loky was tried in their place: one dead worker fails all pieces that are not done, a caller that is killed
-leaves busy workers and their forks behind, and one that is interrupted waits for them.
+joblib's loky was tried instead: one dead worker fails all unfinished work items, a killed caller leaves busy workers
+and their forks running, and an interrupted caller waits for them.
 
 Functions may return a `Timed` or a `Split` instead of a result.
 """
@@ -41,26 +41,26 @@ Backend = Literal["local", "dask"]
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
-LIVES: Final = 3
-"""The number of workers that may die of one piece of work."""
+ATTEMPTS: Final = 3
+"""The number of attempts per work item, if workers die."""
 GRACE: Final = 10.0
-"""Seconds that a worker has to close its files."""
+"""The time in seconds for a worker to close its files."""
 PATIENCE: Final = 10
-"""Seconds within which a dask cluster must have a worker."""
+"""The time in seconds within which a dask cluster must have a worker."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""One thread per worker: sums depend on how they are split, and workers share the cores."""
+"""One thread per worker: rounding depends on the number of threads, and workers share the cores."""
 AHEAD: Final = 2
-"""The number of pieces per worker that are handed out at once, so that no worker waits for the caller."""
+"""The number of work items per worker that are submitted in advance, so that no worker waits for the caller."""
 _ADDRESS: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
 
 @dataclass(frozen=True)
 class Timed(Generic[Result]):
-    """The rest of a piece of work, with a time limit.
+    """The rest of a work item, with a time limit.
 
     Attributes:
-        seconds: how long `call` may take. A worker process that takes longer is killed.
-        call: does the rest, and returns the result.
+        seconds: the time limit of `call`. A worker process that exceeds it is killed.
+        call: computes the rest, and returns the result.
         late: the result if the process was killed.
     """
 
@@ -71,7 +71,7 @@ class Timed(Generic[Result]):
 
 @dataclass(frozen=True)
 class Split(Generic[Piece]):
-    """A result that names smaller pieces of work, which are done next in place of the piece."""
+    """A result that replaces a work item by smaller ones, which are done next."""
 
     pieces: Sequence[Piece]
 
@@ -82,14 +82,14 @@ def cores() -> int:
 
 
 def check_backend(backend: str, address: str | None) -> None:
-    """Raises a `SettingsError` or an `UnknownNameError` unless `map_unordered` can take these arguments together."""
+    """Raises a `SettingsError` or an `UnknownNameError` unless `map_unordered` accepts this combination."""
     check_name("backend", backend, get_args(Backend))
     if backend == "dask" and not _ADDRESS.fullmatch(address or ""):
         raise SettingsError(
             f"the dask backend needs the scheduler's address, such as tcp://host:8786; not {short_repr(address)}"
         )
     if backend == "local" and address:
-        raise SettingsError("only clusters have an address: choose the dask backend")
+        raise SettingsError("only the dask backend has an address: choose the dask backend")
 
 
 def map_unordered(
@@ -99,21 +99,21 @@ def map_unordered(
     backend: str = "local",
     address: str | None = None,
 ) -> Generator[Any]:
-    """The function's result for each piece of work, computed by worker processes, in order of completion.
+    """The function's result for each work item, computed by worker processes, in order of completion.
 
-    A worker that dies is replaced, and its piece is done again. Exceptions of the function are raised here and end all
+    If a worker dies, it is replaced, and its item is done again. Exceptions of the function are raised here and end all
     work.
 
     Args:
-        function: a function of one piece. Each worker process gets one copy of it, and keeps that for all its pieces.
-            It and the pieces are pickled (by cloudpickle).
-        pieces: the pieces of work, the longest first.
+        function: a function of one work item. Each worker process receives it once and keeps it for all items. The
+            function and the items are pickled (by cloudpickle).
+        pieces: the work items, the longest first.
         jobs: the number of processes; None: one per core, or all of the cluster.
         backend: "local" or "dask".
         address: the address of the cluster's scheduler; see `check_backend`.
 
     Raises:
-        WorkerError: if several workers died of the same piece, or the cluster does not respond.
+        WorkerError: if several workers died of the same item, or the cluster does not respond.
         MissingExtraError: if the packages for the cluster are not installed.
     """
     if backend == "local":
@@ -122,7 +122,7 @@ def map_unordered(
 
 
 def map_here(function: Callable[[Piece], Any], pieces: Sequence[Piece]) -> Generator[Any]:
-    """As `map_unordered`, but in this process and in order. Work past its time limit cannot be ended here."""
+    """Like `map_unordered`, but in this process and in order. Time limits have no effect."""
     waiting = deque(pieces)
     while waiting:
         result = function(waiting.popleft())
@@ -152,14 +152,14 @@ def _map_locally(function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs
 def _map_on_dask(
     function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int | None, address: str | None
 ) -> Generator[Any]:
-    """At most `jobs` pieces are on the cluster at once; None: all."""
+    """At most `jobs` items are on the cluster at once; None: all."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
     from distributed import as_completed as completed
 
     try:
         client = Client(address)
-    except (OSError, ValueError) as error:  # the latter if it is not of the form of an address
+    except (OSError, ValueError) as error:  # ValueError for an invalid address
         raise WorkerError(f"no dask scheduler answers at {address}: {error}") from error
     with client:
         try:
@@ -167,7 +167,7 @@ def _map_on_dask(
         except TimeoutError as error:
             raise WorkerError(f"the dask cluster has no workers: start some with `dask worker {address}`") from error
         name = secrets.token_hex(8)
-        pickled = client.submit(bytes, cloudpickle.dumps(function), key=f"function-{name}")  # once for all pieces
+        pickled = client.submit(bytes, cloudpickle.dumps(function), key=f"function-{name}")  # once for all items
         waiting, running = deque(pieces), completed()
         try:
             while waiting or running.count():
@@ -179,7 +179,7 @@ def _map_on_dask(
                 else:
                     yield result
         except KilledWorker as error:
-            raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+            raise WorkerError(f"several workers of the cluster died of the same work item: {error}") from error
         finally:
             running.clear()
             with suppress(OSError, TimeoutError):  # the cluster may be gone
@@ -187,11 +187,11 @@ def _map_on_dask(
 
 
 _ON_CLUSTER: Final[dict[tuple[str, int], _Worker]] = {}
-"""In a dask worker: the process of each call of `map_unordered` and thread."""
+"""In a dask worker: the process for each call of `map_unordered` and each thread."""
 
 
 def _do_on_cluster(name: str, function: bytes, piece: Any) -> Any:
-    """What a thread of a dask worker does: it hands the piece to its process."""
+    """Runs in a thread of a dask worker, and passes the item to the thread's process."""
     worker = _ON_CLUSTER.setdefault((name, threading.get_ident()), _Worker())
     return worker.do(function, piece)
 
@@ -202,33 +202,33 @@ def _end_on_cluster(name: str) -> None:
 
 
 class Pool:
-    """At most so many worker processes, each of which is started when there is work for it, and does piece after piece.
+    """A limited number of worker processes. Each is started when it is first needed, and does one work item at a time.
 
-    A pool that is no longer used by anyone is closed.
+    A pool that is garbage-collected is closed.
     """
 
     def __init__(self, workers: int) -> None:
         self._workers = [_Worker() for _ in range(workers)]
-        self._idle: queue.LifoQueue[_Worker] = queue.LifoQueue()  # so that those that have started come first
+        self._idle: queue.LifoQueue[_Worker] = queue.LifoQueue()  # so that started workers come first
         for worker in self._workers:
             self._idle.put(worker)
         self._threads = ThreadPoolExecutor(workers)
         self.close = weakref.finalize(self, _close, self._threads, self._workers)
-        """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice."""
+        """Kills all workers and their forks, and cancels items that have not begun. May be called twice."""
 
     def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
-        """The function's result for a piece of work, or its exception, to come; both are pickled (by cloudpickle).
+        """The future result of the function for a work item, or its exception. Both are pickled (by cloudpickle).
 
-        A worker that dies is replaced, and its piece is done again; a `WorkerError` comes if three have died of it.
+        If a worker dies, it is replaced, and the item is done again. After three deaths, a `WorkerError` is raised.
         """
         return self.submit_pickled(cloudpickle.dumps(function), piece)
 
     def submit_pickled(self, function: bytes, piece: Any) -> Future[Any]:
-        """As `submit`, with a pickled function, which is sent to a worker only if it is not the last one there."""
+        """Like `submit`, with a pickled function. It is sent to a worker only if it is not the worker's last one."""
         return self._threads.submit(_do, self._idle, function, piece)
 
     def finish(self) -> None:
-        """Lets workers that have nothing to do close their files, and waits for them to end."""
+        """Asks idle workers to close their files, and waits for them to end."""
         for worker in self._workers:
             worker.end()
 
@@ -248,21 +248,21 @@ def _close(threads: ThreadPoolExecutor, workers: Sequence[_Worker]) -> None:
 
 
 class _Worker:
-    """A worker process, which is started with its first piece of work, and replaced if it dies.
+    """A worker process. It is started with its first work item, and replaced if it dies.
 
-    It leads a process group, so that what it forks can be killed with it, and Ctrl-C is left to the caller.
+    It leads a process group, so that its forks can be killed with it, and Ctrl-C reaches only the caller.
     """
 
     def __init__(self) -> None:
         self._lock, self._stopped = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
         self._function: bytes | None = None
-        """The function that the process has."""
+        """The last function that was sent to the process."""
 
     def do(self, function: bytes, piece: Any) -> Any:
-        """The result of a pickled function for a piece of work."""
+        """The result of a pickled function for a work item."""
         code, argument = 0, cloudpickle.dumps(piece)
-        for _ in range(LIVES):
+        for _ in range(ATTEMPTS):
             process = self._start()
             late: list[Any] = []
             try:
@@ -272,7 +272,7 @@ class _Worker:
                 if kind == "timed":
                     seconds, instead = result
                     kind, result = self._receive_within(process, seconds, instead, late)
-            except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # it has died in the midst of something
+            except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # it has died during the work
                 self._kill()
                 if late:
                     return late[0]
@@ -283,11 +283,11 @@ class _Worker:
             raise result
         cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         raise WorkerError(
-            f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps because memory ran out"
+            f"{ATTEMPTS} worker processes died of the same work item ({cause}), possibly because memory was exhausted"
         )
 
     def _receive_within(self, process: subprocess.Popen[bytes], seconds: float, instead: Any, late: list[Any]) -> Any:
-        """What the process sends; if it takes longer, the process is killed, and `late` gets what counts instead."""
+        """The process's message. After the time limit, the process is killed, and `instead` is appended to `late`."""
 
         def kill() -> None:
             late.append(instead)
@@ -300,22 +300,22 @@ class _Worker:
             return _receive(process.stdout)
         finally:
             timer.cancel()
-            timer.join()  # it kills this process, or none
+            timer.join()  # afterwards, it cannot kill a later process
 
     def end(self) -> None:
-        """Lets the process close its files, and waits for it to end."""
+        """Asks the process to close its files, and waits for it to end."""
         if (process := self._process) is not None:
             with suppress(OSError, subprocess.TimeoutExpired):
                 _send(process.stdin, None)
                 process.wait(GRACE)
 
     def stop(self) -> None:
-        """Kills the process; no other replaces it."""
+        """Kills the process. It is not replaced."""
         self._stopped = True
         self._kill()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        """Starts the process unless it runs."""
+        """Starts the process unless it is running."""
         with self._lock:
             if self._stopped:
                 raise WorkerError("the worker processes were stopped")
@@ -326,7 +326,8 @@ class _Worker:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     env={**ONE_THREAD, **os.environ},
-                    process_group=0,  # not a session: on Linux each has its own share of the cores, whatever its `nice`
+                    # not a session: on Linux, each session has its own share of the cores, independent of `nice`
+                    process_group=0,
                 )
             return self._process
 
@@ -343,11 +344,11 @@ class _Worker:
 
 
 def _kill_group(leader: int) -> None:
-    """Kills a worker and what it has forked."""
-    with suppress(ProcessLookupError, PermissionError):  # all have ended; some systems say the latter
+    """Kills a worker and its forks."""
+    with suppress(ProcessLookupError, PermissionError):  # all have ended; some systems raise the latter
         if hasattr(os, "killpg"):
             os.killpg(leader, signal.SIGKILL)
-        else:  # on Windows, where there are no groups
+        else:  # Windows has no groups
             os.kill(leader, signal.SIGTERM)
 
 
@@ -358,7 +359,7 @@ def serve() -> None:
     os.dup2(nothing, 0)
     os.dup2(2, 1)
 
-    def let_go() -> None:  # else the caller would not see the end of this process while one that it forked is there
+    def let_go() -> None:  # otherwise the caller would not notice the end of this process while a fork is running
         for pipe in (source, answers):
             os.dup2(nothing, pipe.fileno())
 
@@ -376,7 +377,7 @@ def serve() -> None:
 
 
 class _Unpickled:
-    """A pickled function, which is read at its first call."""
+    """A pickled function, which is unpickled at its first call."""
 
     def __init__(self, pickled: bytes) -> None:
         self._pickled, self._function = pickled, None
@@ -395,7 +396,7 @@ def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
 
 
 def _answers(function: Callable[[Any], Any], piece: bytes) -> Iterator[bytes]:
-    """What a worker sends back, pickled: a time limit if there is one, then the result or the error."""
+    """A worker's pickled answers: a time limit if there is one, then the result or the error."""
     try:
         result = function(pickle.loads(piece))  # noqa: S301 from the process that started this one
         if isinstance(result, Timed):
@@ -414,7 +415,7 @@ def _answers(function: Callable[[Any], Any], piece: bytes) -> Iterator[bytes]:
 
 
 def _readable(kind: str, content: Any) -> bytes:
-    """The pickled answer, which the caller can read."""
+    """The pickled answer. Raises an error if the caller could not unpickle it."""
     text = cloudpickle.dumps((kind, content))
     pickle.loads(text)  # noqa: S301 our own
     return text

@@ -1,8 +1,8 @@
-"""Settings: frozen dataclasses whose fields say type, bounds, meaning and default once, for Python, TOML and options.
+"""Settings: frozen dataclasses. Each field defines type, bounds, meaning and default for Python, TOML and options.
 
-A field is annotated, ``episodes: Annotated[Count, Meta(description="Episodes in each environment.")] = 100``, and a
-class that derives from `Settings` checks all its fields when an object is made. `changed` takes values as text, too,
-and `described` says what the command line needs. Classes of settings may be parts of others.
+A field is annotated, ``episodes: Annotated[Count, Meta(description="Episodes in each environment.")] = 100``. A
+subclass of `Settings` checks all its fields when an object is created. `changed` also accepts values as text, and
+`described` returns the data for command-line options. Settings may contain other settings as parts.
 
 msgspec converts the values: it loads in half of pydantic's time, and has no dependencies.
 """
@@ -26,50 +26,50 @@ from magical_mj.utils.errors import SettingsError, check_name, short_repr
 T = TypeVar("T")
 
 LARGEST_SETTING: Final = 1_000_000
-"""The greatest number of episodes, workers, seconds and the like: more than anybody waits for."""
+"""The upper limit of counts, such as episodes, workers and seconds."""
 _LENGTH: Final = 300
-"""The number of characters of a setting that a message about a difference shows."""
+"""The number of characters of a setting that are shown in a message about a difference."""
 
 Count = Annotated[int, Meta(ge=1, le=LARGEST_SETTING)]
 """An integer of at least 1."""
 Natural = Annotated[int, Meta(ge=0, le=LARGEST_SETTING)]
 """An integer of at least 0."""
 Names = str | Iterable[str]
-"""Names, as one text separated by commas or as an iterable, which becomes a tuple."""
+"""Names, as one string separated by commas or as an iterable, which is converted to a tuple."""
 
 _WORDS: Final[Mapping[type, str]] = {
     inspect.BoolType: "true or false",
     inspect.IntType: "an integer",
     inspect.FloatType: "a number",
-    inspect.StrType: "a text",
+    inspect.StrType: "a string",
     inspect.CustomType: "a path",
     inspect.DictType: "a table",
 }
-_LISTS: Final[Mapping[type, str]] = {inspect.IntType: "a list of integers", inspect.StrType: "a list of texts"}
+_LISTS: Final[Mapping[type, str]] = {inspect.IntType: "a list of integers", inspect.StrType: "a list of strings"}
 
 
 class Setting(NamedTuple):
-    """What the command line must know about a setting."""
+    """The data of a setting for the command line."""
 
     kind: Any
     """Its type, without bounds."""
     default: Any
     description: str
     least: float | None
-    """The smallest allowed number, if it is one."""
+    """The smallest allowed number, for numbers with a lower bound."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of settings, which checks and converts their values.
+    """The base of settings. It checks and converts their values.
 
     Raises:
-        SettingsError: if a value is of another type or out of bounds.
-        UnknownNameError: if a name is not among those that are allowed.
+        SettingsError: if a value has another type or is out of bounds.
+        UnknownNameError: if a name is not one of the allowed names.
     """
 
     part: ClassVar[str] = ""
-    """The name of the field that holds these settings as a part of others, for messages."""
+    """The name of the field that contains these settings in others, for messages."""
 
     def __post_init__(self) -> None:
         for name, kind in annotated(type(self)).items():
@@ -78,16 +78,16 @@ class Settings:
 
 
 def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
-    """The value of a setting as one of its type.
+    """The value of a setting, converted to its type.
 
     Args:
         name: the setting's name, for messages.
-        value: the value. Numbers of numpy are accepted, but no bool where a number is due.
+        value: the value. Numbers of numpy are accepted. Bools are not accepted as numbers.
         kind: the annotation of its field: a type with `Meta`, in which ``ge``, ``gt`` and ``le`` are bounds.
-        text: whether numbers and truth values may be given as text, as in ``--set ppo.clip=0.02``.
+        text: whether numbers and bools may be given as text, as in ``--set ppo.clip=0.02``.
 
     Raises:
-        SettingsError: if it does not fit.
+        SettingsError: if it does not fit the type.
         UnknownNameError: if it is not one of the names of a `Literal`.
     """
     plain = _plain(kind)
@@ -104,13 +104,13 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
             kind = str | tuple[str, ...]
             value = value if isinstance(value, str) else tuple(value)
         return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
-    except (msgspec.ValidationError, TypeError, UnicodeError):  # what is not iterable; text that is no Unicode
+    except (msgspec.ValidationError, TypeError, UnicodeError):  # not iterable, or invalid Unicode
         raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {short_repr(value)}") from None
 
 
 @lru_cache
 def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
-    """All settings by name, in order; those of parts are called ``part.name``."""
+    """All settings by name, in order. Those of parts are called ``part.name``."""
     known: dict[str, Setting] = {}
     types = get_type_hints(settings)
     for item in fields(settings):
@@ -128,8 +128,8 @@ def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
     """Settings with these values, and defaults for all others.
 
     Raises:
-        UnknownNameError: if there is no such setting; the closest name is suggested.
-        SettingsError: if a value does not fit.
+        UnknownNameError: if a setting does not exist. The message suggests the closest name.
+        SettingsError: if a value is invalid.
     """
     for name in values:
         check_name("setting", name, annotated(settings))
@@ -137,9 +137,9 @@ def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
 
 
 def changed(settings: T, changes: Mapping[str, Any]) -> T:
-    """Settings with other values, which may be given as text; those of parts by names with dots, as in "ppo.clip".
+    """Settings with other values, which may be given as text. Names of parts' settings contain dots, as in "ppo.clip".
 
-    Errors are those of `with_values`.
+    Raises the errors of `with_values`.
     """
     known = described(type(settings))
     for name in changes:
@@ -160,13 +160,13 @@ def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:
 
 @lru_cache
 def annotated(settings: Any) -> dict[str, Any]:
-    """The annotations of a class's settings by name, in order; parts are not taken apart."""
+    """The annotations of a class's settings by name, in order. Parts are not expanded."""
     hints = get_type_hints(settings, include_extras=True)
     return {item.name: hints[item.name] for item in fields(settings)}
 
 
 def check_unchanged(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raises a `SettingsError` that names what differs from the settings that a folder was started with."""
+    """Raises a `SettingsError` with the differences, if a folder was started with other settings."""
     differences = [
         f"{name} was {_short(before.get(name))} and is {_short(value)}"
         for name, value in now.items()
@@ -182,19 +182,19 @@ def _short(value: Any) -> str:
 
 
 def _plain(kind: Any) -> Any:
-    """A type without its notes."""
+    """A type without its annotations."""
     return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _information(kind: Any) -> inspect.Type:
-    """What msgspec knows about a type; of several, such as ``Count | None``, about the first."""
+    """Msgspec's information about a type; for a union, such as ``Count | None``, about its first type."""
     known = inspect.type_info(kind)
     known = known.type if isinstance(known, inspect.Metadata) else known
     return known.types[0] if isinstance(known, inspect.UnionType) else known
 
 
 def _wanted(plain: Any, kind: Any, value: Any) -> str:
-    """What a setting must be, in words, such as "an integer of at least 1"."""
+    """A description of a setting's valid values, such as "an integer of at least 1"."""
     if plain == Names:
         return "names, as a list or separated by commas"
     known = _information(kind)

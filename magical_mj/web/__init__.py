@@ -1,1 +1,1 @@
-"""Playing in a browser: the page, the data about the benchmark that it needs, and a server that simulates for it."""
+"""Playing in a browser: the page, its data about the benchmark, and a server that simulates for it."""

@@ -1,8 +1,8 @@
-"""Studies: who plays what, what counts, and what was sent; everything is in one folder, and survives a kill.
+"""Studies: they offer scenes to participants, check the recordings, and store them safely in one folder.
 
-The folder holds a subfolder for each participant, named by a random id, with their demonstrations; `study.jsonl`, a
-line for each offer, consent, and recording that was accepted or refused; and the secret parts of two addresses, `token`
-for participants and `operator` for whoever runs the study.
+The folder contains a subfolder with the demonstrations of each participant, named by a random id; `study.jsonl`, with
+a line for each offer, consent, and accepted or rejected recording; and the secret parts of two addresses, `token` for
+participants and `operator` for the person who runs the study.
 """
 
 from __future__ import annotations
@@ -37,27 +37,28 @@ _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
 LOG: Final = "study.jsonl"
 PRACTICE: Final = 1_000_000
-"""The seed of the first scene for practice: far from all that count."""
+"""The seed of the first scene for practice, far from all seeds that count."""
 BINS: Final = 10
 """The number of bars in the histogram of scores."""
 
 
 class Study(Struct, forbid_unknown_fields=True):
-    """What is collected, and what participants see; the content of a study file (TOML).
+    """The settings of a study, and what participants see; the content of a study file (TOML).
 
     Attributes:
-        environments: "FindDupe-Demo" -> how many episodes are wanted of it; None: as many as come.
-        title: of the page.
+        environments: "FindDupe-Demo" -> the number of episodes that are wanted; None: no limit.
+        title: the page's title.
         instructions: shown above the arena.
-        consent: what participants must agree to before they play; "" for nothing.
-        completion_code: what they are told at the end.
-        episodes: how many of each participant; None: until there are enough of all.
-        practice: how many come before, which are not kept.
-        least_score: recordings with a lower score are refused, and played again. By default every whole episode counts.
-        shows: what participants may use: the expert, another speed, other scenes than the one offered.
-        lease_minutes: how long an offer is kept for them.
-        opens: when the first offer is made; None: at once. With a time zone.
-        closes: when the last offer is made; None: never. With a time zone.
+        consent: the text that participants must agree to before they play; "" for none.
+        completion_code: shown to participants at the end.
+        episodes: the number of episodes of each participant; None: until the study has enough.
+        practice: the number of practice episodes at the start, which are not stored.
+        least_score: recordings with a lower score are rejected, and must be repeated. By default every complete episode
+            counts.
+        shows: the features available to participants: the expert, other speeds, scenes other than the offered one.
+        lease_minutes: how long an offer is reserved for a participant.
+        opens: the time of the first offer, with a time zone; None: at once.
+        closes: the time of the last offer, with a time zone; None: never.
     """
 
     environments: dict[str, Annotated[int, Meta(ge=1)] | None]
@@ -80,39 +81,39 @@ class Study(Struct, forbid_unknown_fields=True):
 
 
 def read_study(path: Path) -> Study:
-    """The content of a study file; a `SettingsError` if it cannot be read, or holds something else."""
+    """The content of a study file. Raises a `SettingsError` if it cannot be read, or is invalid."""
     try:
         study = msgspec.convert(files.read_toml(path), Study)
     except msgspec.ValidationError as error:
-        raise SettingsError(f"{path} is no study: {error}") from None
+        raise SettingsError(f"{path} is not a valid study: {error}") from None
     unknown = study.environments.keys() - {"-".join(pair) for pair in ENVIRONMENTS}
     if unknown or not study.environments:
-        raise SettingsError(f"{path}: environments must be some of the benchmark's, not {sorted(unknown)}")
+        raise SettingsError(f"{path}: environments must be from the benchmark, not {sorted(unknown)}")
     return study
 
 
 class Offer(NamedTuple):
-    """What one participant is to play."""
+    """A scene that is offered to a participant."""
 
     task: str
     variant: str
     seed: int
     until: float
-    """When somebody else may get it, in seconds since 1970."""
+    """The time until which it is reserved, in seconds since 1970."""
 
 
 class Collection:
-    """A study that runs.
+    """A running study.
 
     Args:
-        folder: the folder; it is made if missing, and what it holds counts.
-        study: what is collected.
-        clock: the time in seconds since 1970.
+        folder: the folder. It is created if it is missing; demonstrations that it already contains count.
+        study: the study's settings.
+        clock: returns the time in seconds since 1970.
 
     Raises:
-        OSError: if the folder cannot be made, or read.
+        OSError: if the folder cannot be created, or read.
         DemonstrationError: if a demonstration in it is damaged.
-        SettingsError: if a line of its `study.jsonl` is.
+        SettingsError: if a line of its `study.jsonl` is damaged.
     """
 
     def __init__(self, folder: Path, study: Study, clock: Callable[[], float] = time.time) -> None:
@@ -134,36 +135,36 @@ class Collection:
                 self._count(path.parent.name, demos.read(path, task))
 
     def token(self, name: Literal["token", "operator"] = "token") -> str:
-        """The secret part of the page's address, which stays the same when the server is restarted.
+        """The secret part of the page's address. It stays the same when the server is restarted.
 
         Raises:
             OSError: if it cannot be saved.
-            SettingsError: if the file in which it is saved holds something else.
+            SettingsError: if the file in which it is saved has other content.
         """
         path = self._folder / name
-        with suppress(FileExistsError):  # from an earlier time, or another process
+        with suppress(FileExistsError):  # from an earlier run, or another process
             files.write(path, secrets.token_urlsafe(16), mode=0o600)
         token = path.read_text(encoding="ascii", errors="replace").strip()
         if not _TOKEN.fullmatch(token):
-            raise SettingsError(f"{path} must hold the secret part of the address; delete it, and a new one is made")
+            raise SettingsError(f"{path} must contain the secret part of the address; delete it to create a new one")
         return token
 
     def participant(self, name: Any) -> str:
-        """The id `name` if it has the form of one, as of a participant who returns, else a new id."""
+        """The id `name` of a returning participant, if it has the form of an id; otherwise a new id."""
         return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
 
     def agree(self, participant: str) -> None:
-        """Record that a participant has agreed to the consent text, of which the hash is noted."""
+        """Records that a participant has agreed to the consent text, with the text's hash."""
         with self._lock:
             if self.study.consent and participant not in self._consents:
                 digest = hashlib.sha256(self.study.consent.encode()).hexdigest()
                 self._note({"event": "consent", "participant": participant, "sha256": digest})
 
     def next(self, participant: str) -> dict[str, Any]:
-        """What this participant plays next, as the page is told.
+        """The participant's next scene, as data for the page.
 
-        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool}}`; `next` is None if there is nothing
-        now, and then `why` says so; `{"consent": text}` if that must be agreed to first.
+        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool}}`. If there is none now, `next` is None,
+        and `why` gives the reason. `{"consent": text}` if the participant must first agree to this text.
         """
         with self._lock:
             now = self._clock()
@@ -175,7 +176,7 @@ class Collection:
             if offer is None or not self._holds(participant, offer, now):
                 offer = self._choose(participant, now)
             if offer is None:
-                return {"next": None, "why": "Others play what is left: please come back later"}
+                return {"next": None, "why": "All remaining scenes are being played by others: please come back later"}
             renewed = offer._replace(until=now + 60 * self.study.lease_minutes)
             if offer != self._offers.get(participant) or offer.until - now < 30 * self.study.lease_minutes:
                 self._note({"event": "offer", "participant": participant, **renewed._asdict()})
@@ -188,12 +189,13 @@ class Collection:
         return "scenes" in self.study.shows or (offer is not None and offer[:3] == (task, variant, seed))
 
     def keep(self, recording: str, participant: str, about: Mapping[str, Any]) -> float:
-        """Replays a recording and saves it as a demonstration before it returns; the same one counts once.
+        """Replays a recording and saves it as a demonstration. A recording that is sent twice counts once.
 
         Args:
-            recording: its text.
-            participant: who sends it.
-            about: how it was played: `speed`, times real time, and `watched`, whether the expert was shown before.
+            recording: the text of the recording.
+            participant: the participant's id.
+            about: how it was played: `speed`, a factor of real time, and `watched`, whether the expert was shown
+                before.
 
         Returns:
             Its score.
@@ -205,7 +207,7 @@ class Collection:
         demo, deviation, suspect = demos.from_recording(recording)
         pair, key = (demo.task, demo.variant), _key(demo)
         with self._lock:
-            if self._episodes.get(key, ("", 0.0))[0] == participant:  # its first answer was lost
+            if self._episodes.get(key, ("", 0.0))[0] == participant:  # the first answer to it was lost
                 return self._episodes[key][1]
             offer, now = self._offers.get(participant), self._clock()
             facts = {"participant": participant, "task": demo.task, "variant": demo.variant, "seed": demo.scene_seed}
@@ -216,15 +218,15 @@ class Collection:
             }
             reason = None
             if deviation is None:
-                reason = "it does not say how it ended"
+                reason = "it does not contain its final state"
             elif suspect:
-                reason = f"its replay ends {deviation:.3g} away from what was played: reload the page"
+                reason = f"its replay ends {deviation:.3g} away from the recorded state: reload the page"
             elif offer is None or offer[:3] != (*pair, demo.scene_seed):
                 reason = "this scene was not offered to you"
             elif key in self._episodes:
-                reason = "the same episode was sent before"
+                reason = "the same episode was sent earlier"
             elif demo.scene_seed < PRACTICE and not self._holds(participant, offer, now):
-                reason = "it came too late, and there are enough by now"
+                reason = "it came too late, and the study has enough by now"
             elif demo.scene_seed < PRACTICE and demo.score < self.study.least_score:
                 reason = f"its score {demo.score:.2f} is lower than {self.study.least_score:.2f}: please try again"
             if reason is not None:
@@ -239,7 +241,7 @@ class Collection:
             return demo.score
 
     def status(self) -> dict[str, Any]:
-        """How the study stands, for whoever runs it, as JSON data."""
+        """The study's progress, for its operator, as JSON data."""
         with self._lock:
             now = self._clock()
             rows = []
@@ -255,7 +257,7 @@ class Collection:
             return {"title": self.study.title, "paused": self.paused, "participants": people, "environments": rows}
 
     def pause(self, paused: bool) -> None:
-        """Make no more offers, or go on."""
+        """Pauses or resumes offers."""
         with self._lock:
             self._note({"event": "paused" if paused else "resumed"})
 
@@ -268,7 +270,7 @@ class Collection:
         return buffer.getvalue()
 
     def _closed(self, participant: str, now: float) -> dict[str, Any] | None:
-        """Why there is nothing for this participant whatever the quotas say; None if there may be something."""
+        """The reason why this participant gets no offer, apart from the quotas. None if there is no such reason."""
         if self.study.episodes is not None and self._by[participant] >= self.study.episodes:
             return {"why": "That was everything. Thank you!", "code": self.study.completion_code}
         if all(wanted is not None and len(self._accepted[pair]) >= wanted for pair, wanted in self._quotas.items()):
@@ -284,7 +286,7 @@ class Collection:
         return None
 
     def _leases(self, pair: Pair, now: float, but: str = "") -> list[int]:
-        """The seeds of an environment that others are playing."""
+        """The seeds of an environment that are reserved for participants other than `but`."""
         return [
             offer.seed
             for participant, offer in self._offers.items()
@@ -292,9 +294,9 @@ class Collection:
         ]
 
     def _holds(self, participant: str, offer: Offer, now: float) -> bool:
-        """Whether an offer is still this participant's: in time, or late but wanted by nobody else.
+        """Whether an offer is still this participant's: it is in time, or late but not needed by others.
 
-        The quota is checked in both cases, since a clock that is set back makes offers valid again that had ended.
+        The quota is checked in both cases: if a clock is set back, expired offers become valid again.
         """
         if offer.seed >= PRACTICE:
             return True
@@ -306,7 +308,7 @@ class Collection:
         return offer.seed not in others and (wanted is None or in_use < wanted)
 
     def _choose(self, participant: str, now: float) -> Offer | None:
-        """A scene that nobody plays, of the environment of which there is least; None if all are taken."""
+        """A scene that nobody is playing, of the environment with the fewest episodes; None if all are taken."""
         if self._practised[participant] < self.study.practice:
             task, variant = next(iter(self._quotas))
             return Offer(task, variant, PRACTICE + self._practised[participant], 0.0)
@@ -319,7 +321,7 @@ class Collection:
         return Offer(*pair, next(seed for seed in itertools.count() if seed not in taken), 0.0)
 
     def _count(self, participant: str, demo: Demonstration) -> None:
-        """Counts a demonstration that is saved; one that is counted already stays counted once."""
+        """Counts a saved demonstration. A demonstration is counted only once."""
         pair: Pair = (demo.task, demo.variant)
         if demo.scene_seed not in self._accepted[pair]:
             self._by[participant] += 1
@@ -330,7 +332,7 @@ class Collection:
             del self._offers[participant]
 
     def _note(self, event: dict[str, Any]) -> None:
-        """Writes an event to the log, on the disk, and takes note of it."""
+        """Writes an event to the log on the disk, and applies it."""
         line = json.dumps({"time": round(self._clock(), 3), **event}, separators=(",", ":"))
         with (self._folder / LOG).open("a", encoding="utf-8") as log:
             log.write(f"{line}\n")
@@ -353,7 +355,7 @@ class Collection:
                 self.paused = event["event"] == "paused"
 
     def _read(self) -> None:
-        """Takes note of all events in the log; a last line that a kill cut off is removed."""
+        """Applies all events in the log. An incomplete last line, left by a killed process, is removed."""
         path = self._folder / LOG
         if not path.exists():
             return
@@ -369,7 +371,7 @@ class Collection:
 
 
 def _key(demo: Demonstration) -> str:
-    """A key that episodes share if they are equal in all but the seed, on which Demo's scenes do not depend."""
+    """A key that is equal for episodes that differ at most in their seed, since Demo's scenes do not depend on it."""
     return hashlib.sha256(demo.scene.to_json().encode() + demo.variant.encode() + demo.actions.tobytes()).hexdigest()
 
 

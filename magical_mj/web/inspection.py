@@ -1,4 +1,4 @@
-"""The server of `magical-mj inspect`: the page that shows models, of every scene of the benchmark or of one file."""
+"""The server of `magical-mj inspect`. Its page shows the models of the benchmark's scenes, or of one file."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from magical_mj.web.npm import library_files
 from magical_mj.web.server import PlayServer
 
 FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
-"""Settings of models that say where their files lie."""
+"""The settings of models with the folders of their files."""
 MOST_BYTES: Final = 200_000_000
-"""The largest size of a model with all its files: the browser holds them in memory."""
+"""The largest size of a model with all its files, which the browser keeps in memory."""
 
 
 @dataclass
 class InspectServer(PlayServer):
-    """Serves `inspect.html` with the libraries that it needs, under a secret address as the page to play on.
+    """Serves `inspect.html` and its libraries, under a secret address like the page for playing.
 
     Args:
-        model: the file that the page shows first, and the content of it and of all files that it names; the file is
-            the first entry. Without one, the page shows scenes of the benchmark.
+        model: the contents of the file that the page shows first, and of all files that it refers to. The file is
+            the first entry. If it is empty, the page shows scenes of the benchmark.
 
     Raises:
         MagicalError: if the libraries cannot be fetched.
@@ -36,7 +36,7 @@ class InspectServer(PlayServer):
 
     model: dict[str, bytes] = field(default_factory=dict)
     scripts: ClassVar[str] = "'self' 'unsafe-eval'"
-    """MuJoCo's JavaScript writes functions of its own."""
+    """MuJoCo's JavaScript generates functions."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,19 +57,19 @@ class InspectServer(PlayServer):
         try:
             with closing(Engine(task, variant, seed=int(seed))) as engine:
                 return mjcf_text(engine).encode()
-        except (MagicalError, ValueError):  # a seed that is too large
+        except (MagicalError, ValueError):  # too large a seed
             return None
 
 
 def model_files(path: Path) -> dict[str, bytes]:
-    """A model and the files that it names, by their last names; the model comes first.
+    """A model and the files that it refers to, by their file names. The model comes first.
 
-    Only files named by `<include>`, meshes, textures, height fields and skins are read. Models that do not parse are
-    shown to the page as they are, which says what MuJoCo's compiler has to say.
+    Only files in `<include>`, meshes, textures, height fields and skins are read. Models that cannot be parsed are sent
+    to the page unchanged. It shows the errors of MuJoCo's compiler.
 
     Raises:
         OSError: if the model cannot be read.
-        SettingsError: if everything together is too large.
+        SettingsError: if the total size is too large.
     """
     contents = {path.name: path.read_bytes()}
     waiting = [path.name]
@@ -89,5 +89,5 @@ def model_files(path: Path) -> dict[str, bytes]:
             if found.suffix == ".xml":
                 waiting.append(found.name)
             if sum(map(len, contents.values())) > MOST_BYTES:
-                raise SettingsError(f"{path} and the files that it names have more than {MOST_BYTES:,} bytes")
+                raise SettingsError(f"{path} and the files that it refers to have more than {MOST_BYTES:,} bytes")
     return contents

@@ -1,6 +1,6 @@
-"""What the pages need from npm: MuJoCo's WebAssembly build, and libraries that draw. Fetched once, in fixed versions.
+"""The pages' npm packages: MuJoCo's WebAssembly build, and drawing libraries. Fetched once, in fixed versions.
 
-Each archive is used only if it has the bytes that we know.
+Each archive is used only if its hash is the expected one.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from magical_mj.utils.errors import MagicalError
 
 
 class Package(NamedTuple):
-    """A package of npm."""
+    """An npm package."""
 
     name: str
     version: str
     sha512: str
-    """The hash of its archive, in base64, as npm states it."""
+    """The hash of its archive, in base64, as published by npm."""
 
 
 MUJOCO: Final = Package(
@@ -31,7 +31,7 @@ MUJOCO: Final = Package(
     "3.14.0",
     "WPUYidu4Fx8+uM4hQv80SOA0ifpWGrsNJguKs8JBV8SCTxjKQ2/rqsh880nUH0/Vwa8vuefghvCQkkoed3bkUg==",
 )
-"""MuJoCo's own WebAssembly build; Apache-2.0."""
+"""MuJoCo's official WebAssembly build; Apache-2.0."""
 THREE: Final = Package(
     "three",
     "0.187.0",
@@ -53,26 +53,26 @@ FILES: Final = {
     "three/uPlot.esm.js": (UPLOT, "dist/uPlot.esm.js"),
     "three/uPlot.min.css": (UPLOT, "dist/uPlot.min.css"),
 }
-"""Where the pages expect a file -> its package, and its path in that."""
+"""The name of a file for the pages -> its package, and its path in the package."""
 
 
 def library_files(cache: Path | None = None) -> dict[str, bytes]:
-    """The files of `FILES`, by the names that the pages use; packages are kept in `cache`, or else in the user's.
+    """The files of `FILES`, by the names that the pages use. `cache` is the folder of packages; None: the user's.
 
     Raises:
-        MagicalError: as `fetched`.
+        MagicalError: for the reasons given by `fetched`.
     """
     files = {name: (fetched(package, cache) / path).read_bytes() for name, (package, path) in FILES.items()}
-    controls = "three/OrbitControls.js"  # which imports three.js by a name that only bundlers know
+    controls = "three/OrbitControls.js"  # it imports three.js by a name that only bundlers resolve
     files[controls] = files[controls].replace(b"from 'three'", b"from './three.module.js'")
     return files
 
 
 def fetched(package: Package, cache: Path | None = None) -> Path:
-    """The folder with the package's files, fetched by npm if it is not there yet.
+    """The folder with the package's files. npm fetches the package if it is not in the cache.
 
     Raises:
-        MagicalError: if npm is missing or fails, or sends something else.
+        MagicalError: if npm is missing or fails, or the archive has another hash.
     """
     cache = cache or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "magical_mj" / "npm"
     folder = cache / "node_modules" / package.name
@@ -88,7 +88,7 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
     archive = cache / done.stdout.split()[-1]
     digest = base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()
     if digest != package.sha512:
-        raise MagicalError(f"{archive} has the SHA-512 {digest}, not {package.sha512}: it is not what was tested")
+        raise MagicalError(f"{archive} has the SHA-512 {digest}, not {package.sha512}: it is not the tested version")
     shutil.rmtree(folder, ignore_errors=True)
     unpacked = cache / f"{archive.name}.unpacked"
     with tarfile.open(archive) as tar:
@@ -102,6 +102,6 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
 
 
 def _is(folder: Path, package: Package) -> bool:
-    """Whether the folder was unpacked from just this archive."""
+    """Whether the folder was unpacked from this archive."""
     mark = folder / ".sha512"
     return mark.exists() and mark.read_text() == package.sha512

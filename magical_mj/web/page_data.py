@@ -1,4 +1,4 @@
-"""What the page is told, as JSON data: the tasks, how everything is drawn, and the scenes of each environment."""
+"""The page's data as JSON: the tasks, how scenes are drawn, and the scenes of each environment."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from magical_mj.tasks.sweep_to_top import HALF_WIDTH
 Simulation = Literal["browser", "server"]
 
 PAGE: Final = Path(__file__).parent / "page"
-"""The folder of the page's files; when served, they need `catalogue.json` and `scenes/` next to them."""
+"""The folder of the page's files. When they are served, they need `catalogue.json` and `scenes/` next to them."""
 EXPERT: Final = Path(__file__).parent / "expert.json"
-"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. ``tools/experts.py`` writes it."""
+"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. Written by ``tools/experts.py``."""
 SCENES: Final = 20
-"""The number of scenes that the page offers of each environment; of Demo there is only one."""
+"""The number of scenes that the page offers for each environment. Demo has only one."""
 DEMONSTRATIONS: Final = 5
 """The number of a task's shipped demonstrations that the page can show."""
 DECIMALS: Final = 6
 ROBOT: Final = ("left_finger", "right_finger", "face")
-"""The parts of which the robot's picture is made."""
+"""The parts of the robot's drawing."""
 
 
 def sections(task: str) -> dict[str, str]:
-    """The docstring of a task's module by its headings, such as "Goal" and "Score"; its first line is "Summary"."""
+    """The sections of the docstring of a task's module, such as "Goal" and "Score". The first line is "Summary"."""
     text = sys.modules[task_spec(task).score.__module__].__doc__ or ""
     first, *lines = cleandoc(text).splitlines()
     parts: dict[str, list[str]] = {"Summary": [first.partition(": ")[2]]}
@@ -66,8 +66,8 @@ def catalogue(
 
     Args:
         environments: the pairs (task, variant) that can be chosen.
-        simulation: where the simulation runs; the browser has the scenes of a few seeds only.
-        shifts: of some environments, the shifts with which they can be chosen, such as "clutter:3".
+        simulation: where the simulation runs. The browser has the scenes of a few seeds only.
+        shifts: environment -> the shifts with which it can be chosen, such as "clutter:3".
     """
     return {
         "protocol": PROTOCOL,
@@ -94,7 +94,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
 
 
 def environment_scenes(task: str, variant: str) -> dict[str, Any]:
-    """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
+    """The page's data of an environment as JSON data: its first scenes, or Demo's only one."""
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
     demonstrations = [letters_of(demo.actions) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
@@ -110,7 +110,7 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
 
 
 def drawing_style() -> dict[str, Any]:
-    """How to draw any scene, as JSON data.
+    """The drawing style of all scenes, as JSON data.
 
     Outlines are lists of closed loops, each a flat list x, y, x, y, ... in world units, in the frame of their part:
     the world, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
@@ -144,14 +144,14 @@ def drawing_style() -> dict[str, Any]:
 
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
-    """What is drawn of a world, in drawing order; goal regions apart."""
+    """The layers of a scene in drawing order, except goal regions."""
     model = mujoco.MjModel.from_xml_string(world_mjcf(scene))
     is_drawn = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     return [_layer(model, geom) for geom in is_drawn.nonzero()[0].tolist()]
 
 
 def css(rgb: style.Rgb) -> str:
-    """A colour as style sheets write it."""
+    """A colour in the form of style sheets."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 

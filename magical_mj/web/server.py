@@ -1,8 +1,8 @@
-"""The server of the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
+"""The server of the page of `magical-mj play --web`. Python simulates, and the browser draws poses.
 
-All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`; others are refused. The page talks to its own
-`PlayerSession` through a WebSocket, which browsers may open only from a page of the server's own origin. Its messages
-are JSON objects, each answered by one:
+All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`. Others are rejected. The page talks to its own
+`PlayerSession` through a WebSocket. Browsers may open it only from a page of the server's own origin. Its messages
+are JSON objects, and each is answered by one:
 
 | message | answer |
 |---|---|
@@ -10,12 +10,12 @@ are JSON objects, each answered by one:
 | `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
 | `{"arrive": id or null}`, with `"agree": true` after consent | `{"participant": id, "next": ...}` |
 | `{"return": id}`, after a connection broke | `{"participant": id}` |
-| `{"keep": recording, "about": {"speed": ..., "watched": ...}}` | `{"score": ..., "next": ...}`, once it is a file |
-| anything else, or a mistake | `{"error": "what is wrong"}` |
+| `{"keep": recording, "about": {"speed": ..., "watched": ...}}` | `{"score": ..., "next": ...}`, after saving |
+| other messages, and invalid ones | `{"error": "the reason"}` |
 
-Arriving, returning and keeping need a study; `Collection.next` says what `next` may be, and
-`magical_mj.demos.recording` describes recordings. Under another secret token, whoever runs a study sees how it stands
-(`operator.html`), by the messages `{"status": true}` and `{"pause": true or false}`, and downloads it
+`arrive`, `return` and `keep` need a study. `Collection.next` describes the values of `next`, and
+`magical_mj.demos.recording` describes recordings. Under another secret token, the operator of a study sees its progress
+(`operator.html`), with the messages `{"status": true}` and `{"pause": true or false}`, and downloads its demonstrations
 (`demonstrations.zip`).
 """
 
@@ -51,7 +51,7 @@ HEADERS: Final = {
     "Allow": "GET, HEAD",
     "Cache-Control": "no-store",
     "Connection": "close",
-    "Referrer-Policy": "no-referrer",  # the address holds the token
+    "Referrer-Policy": "no-referrer",  # the address contains the token
     "X-Content-Type-Options": "nosniff",
 }
 
@@ -62,11 +62,11 @@ class PlayServer:
 
     Args:
         environments: the pairs (task, variant) that may be played.
-        host: the address at which to listen.
+        host: the address of the server's network interface.
         port: 0 for any free port.
-        token: the first part of the path; None: a random one.
-        origin: the public origin of the page if it is not `http://HOST:PORT`, as behind a reverse proxy.
-        collection: where recordings are saved; None: nowhere.
+        token: the first part of the path; None: a random token.
+        origin: the page's public origin if it is not `http://HOST:PORT`, for example behind a reverse proxy.
+        collection: the study that saves recordings; None: they are not saved.
     """
 
     environments: Sequence[Pair]
@@ -76,7 +76,7 @@ class PlayServer:
     origin: str | None = None
     collection: Collection | None = None
     scripts: ClassVar[str] = "'self'"
-    """Where scripts may come from, for browsers."""
+    """The allowed sources of scripts, for browsers."""
 
     def __post_init__(self) -> None:
         known = {**catalogue(self.environments, "server"), "collects": self.collection is not None}
@@ -90,10 +90,10 @@ class PlayServer:
         self._files[""] = self._files["index.html"]
 
     async def start(self) -> Server:
-        """Listen; the server that is returned is an asynchronous context manager.
+        """Starts the server. The returned server is an asynchronous context manager.
 
         Raises:
-            OSError: if the port is taken.
+            OSError: if the port is in use.
         """
         server = await serve(
             self._play,
@@ -108,28 +108,28 @@ class PlayServer:
 
     @property
     def address(self) -> str:
-        """The page's address, once the server has started."""
+        """The page's address, after the server has started."""
         return f"{self._origins()[0]}/{self.token}/"
 
     @property
     def operators_address(self) -> str:
-        """The address of the page for whoever runs the study, once the server has started."""
+        """The address of the study operator's page, after the server has started."""
         return f"{self._origins()[0]}/{self._operator}/operator.html"
 
     def _origins(self) -> list[str]:
-        """The page's origins, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
+        """The page's origins in the form of browsers: IPv6 addresses in brackets, and no default port."""
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host.lower()  # noqa: S104 (compared, not bound)
-        with suppress(ValueError):  # it is a name
+        with suppress(ValueError):  # it is a host name
             host = str(ipaddress.ip_address(host))
         names = dict.fromkeys((f"[{host}]" if ":" in host else host, "localhost"))
         origins = [self.origin] if self.origin else [f"http://{name}:{self.port}" for name in names]
         return [origin.removesuffix(":443" if origin.startswith("https:") else ":80") for origin in origins]
 
     def _respond(self, _connection: ServerConnection, request: Request) -> Response | None:
-        """The response with a file or a refusal; None if a WebSocket may be opened."""
+        """The response with a file or an error. None if a WebSocket may be opened."""
         start, slash, name = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not self._is_addressed(request):
-            advice = f"open {self._origins()[0]}, or start the server with --origin and the address that you use"
+            advice = f"open {self._origins()[0]}, or start the server with --origin and the address in use"
             return _response(HTTPStatus.MISDIRECTED_REQUEST, advice.encode())
         runs = bool(self._operator) and secrets.compare_digest(start.encode(), self._operator.encode())
         if not slash or not (runs or secrets.compare_digest(start.encode(), self.token.encode())):
@@ -154,9 +154,9 @@ class PlayServer:
         return response
 
     def _is_addressed(self, request: Request) -> bool:
-        """Whether the request is for this server; a site whose name leads here could read what its visitors play.
+        """Whether the request is for this server: a foreign site whose name resolves here could otherwise read data.
 
-        Behind a proxy, which has another name for it, every request is.
+        Behind a proxy with another name, every request is accepted.
         """
         hosts = request.headers.get_all("Host")
         return self.origin is not None or (len(hosts) == 1 and f"http://{hosts[0].lower()}" in self._origins())
@@ -177,7 +177,7 @@ class PlayServer:
         path = (connection.request or Request("", Headers())).path
         runs = bool(self._operator) and path.startswith(f"/{self._operator}/")
         with (
-            suppress(ConnectionClosed),  # abnormally, or after a message that was too large
+            suppress(ConnectionClosed),  # abnormally, or after too large a message
             closing(PlayerSession(self.environments, self.collection, runs=runs)) as session,
         ):
             async for message in connection:
@@ -191,7 +191,7 @@ def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = 
 
 
 class PlayerSession:
-    """Answers the messages of one connection, with a simulation of its own; `runs`: of whoever runs the collection."""
+    """Answers the messages of one connection, with its own simulation. `runs`: it is the operator's connection."""
 
     def __init__(
         self, environments: Sequence[Pair], collection: Collection | None = None, *, runs: bool = False
@@ -203,12 +203,12 @@ class PlayerSession:
         self._engine: Engine | None = None
 
     def answer(self, text: str | bytes) -> str:
-        """The answer to a message; errors are answered, never raised."""
+        """The answer to a message. Errors become answers and are not raised."""
         try:
             reply = self._reply(json.loads(text))
-        except OSError:  # which names files of the server
-            LOGGER.exception("what a player sent cannot be saved")
-            reply = {"error": "the server cannot save anything: please tell whoever runs it"}
+        except OSError:  # its text contains paths of the server
+            LOGGER.exception("a player's recording cannot be saved")
+            reply = {"error": "the server cannot save recordings: please inform its operator"}
         except (MagicalError, ValueError, RecursionError) as error:
             reply = {"error": str(error)}
         return json.dumps(reply, separators=(",", ":"))
@@ -245,13 +245,13 @@ class PlayerSession:
                 return self._collection.status()
             case _:
                 raise MagicalError(
-                    "a message must be one of open, with a task, a variant and a seed; act, after that; and if "
-                    "demonstrations are collected here, arrive or return, and after that keep"
+                    "a message must be one of open, with a task, a variant and a seed; act, after open; and, if "
+                    "demonstrations are collected here, arrive or return, and after one of them keep"
                 )
 
     def _open(self, task: str, variant: str, seed: int) -> Engine:
         if (task, variant) not in self._environments:
-            raise MagicalError(f"{task}-{variant} is not played here")
+            raise MagicalError(f"{task}-{variant} is not available here")
         if self._collection is not None and not self._collection.offered(self._participant, task, variant, seed):
             raise MagicalError("this scene was not offered to you")
         self.close()
@@ -260,6 +260,6 @@ class PlayerSession:
 
 
 def poses(scene: Scene) -> dict[str, Any]:
-    """Where everything is, as JSON data."""
+    """The poses of all objects, as JSON data."""
     robot = scene.robot
     return {"robot": robot.pose, "fingers": robot.fingers, "blocks": [block.pose for block in scene.blocks]}

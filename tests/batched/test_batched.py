@@ -123,7 +123,7 @@ def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) 
     worlds = batched.make("MoveToCorner", "Demo", 1, device="cpu", preset="State")
     worlds.reset()
     worlds._steps[0] = 79  # nearly over
-    with pytest.warns(UserWarning, match="more contacts than there is room for"):
+    with pytest.warns(UserWarning, match="more contacts than the allocated maximum"):
         _, _, _, ended, info = worlds.step([1])
     assert ended.tolist() == info["final_info"]["overflowed"].tolist() == [True]
     worlds.close()

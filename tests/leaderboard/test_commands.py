@@ -129,7 +129,7 @@ def test_what_was_to_be_played_and_was_not_is_said(folder: Path) -> None:
 ALTERED: list[tuple[Row, str]] = [
     ({"steps": 39}, "steps: expert, run 0, MoveToRegion Layout, seed 2: it says 39, and holds 40 actions"),
     ({"mujoco": "0.1"}, "mujoco: expert, run 0, MoveToRegion Layout, seed 2: it was played with '0.1', and run.json"),
-    ({"preset": "State"}, "with 'State', and run.json says 'LoRes4E'; and 1 more"),
+    ({"preset": "State"}, "with 'State', but run.json contains 'LoRes4E'; and 1 more"),
     ({"run": 1}, "run: expert, run 1, MoveToRegion Layout, seed 2: run.json does not name it"),
     ({"policy": "noop"}, "run: noop, run 0, MoveToRegion Layout, seed 2: run.json does not name it"),
     ({"variant": "Colour", "scene": None}, "environment: expert, run 0, MoveToRegion Colour, seed 2: run.json does"),
@@ -161,7 +161,7 @@ def test_other_settings_are_named(folder: Path) -> None:
         for name in ("demonstrations", "rules"):
             (folder / SETTINGS).write_text(json.dumps({**settings, name: value}))
             (sentence,) = verify(folder, jobs=1).unfit
-            assert sentence.startswith(f"{name}: {value} is recorded, and it must be ")
+            assert sentence.startswith(f"{name}: {value} is recorded, but it must be ")
         (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": value}))
         findings = verify(folder, jobs=1)
         problem = f"cannot be replayed: it follows protocol {value}, and this version plays {PROTOCOL}"
@@ -192,7 +192,7 @@ def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
     (problem,) = verify(tmp_path / "s0", tmp_path / "s1").differing
     assert "seed 50: " in problem
     assert "s0 and " in problem
-    assert "both hold it, with different results" in problem
+    assert "contain it with different results" in problem
 
 
 def test_rows_of_older_versions_have_no_scene(folder: Path) -> None:

@@ -29,7 +29,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert run([*TRAIN, "--out", out]) == 0
     assert f"magical-mj evaluate --policy '{out}' --tasks MoveToRegion" in capfd.readouterr().out
     assert run([*TRAIN, "--out", out]) == 1
-    assert "holds a training already; --resume continues it" in capfd.readouterr().err
+    assert "already contains a training; --resume (resume=True) continues it" in capfd.readouterr().err
     assert run([*TRAIN, "--out", out, "--resume"]) == 0
     scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
     assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0
@@ -46,20 +46,23 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe,MakeLine"], "needs --multi-task"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
-        (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' holds no numbers"),
-        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"], "ppo.clip is for gail, wgail-gp, airl, al,"),
+        (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' stores no values"),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
+            "ppo.clip is for gail, wgail-gp, airl, al and",
+        ),
         (["train", "bc", "--tasks", "FindDupe", "--preset", "State", "--set", "network.channels=8"], "is for pictures"),
         (
             ["train", "bc", "--tasks", "FindDupe", "--set", "network.entity=8"],
-            "network.entity is for states, and of no",
+            "network.entity is for states and has no",
         ),
         (
             ["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"],
-            "precision is for bc, and of no use",
+            "precision is for bc and has no effect",
         ),
         (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc"),
-        (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc plays in no simulator"),
-        (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
+        (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc has no choice of simulators"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "set seed by its own option"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "network.frames=5"], "an integer of at most 4, not '5'"),
     ],

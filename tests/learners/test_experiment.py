@@ -91,10 +91,10 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ('"Demo"', '"Demos"', "Demo"),
         ("episodes = 2", "runs = 2", "episodes"),
         ("quick = false", 'quick = "no"', "quick"),
-        ('["bc"]', '["bc", "bc"]', "methods is given twice"),
+        ('["bc"]', '["bc", "bc"]', "methods contains an entry twice"),
         ("seeds = [0, 1]", "seeds = [2_000_000_000]", "at most"),
-        ('"FixColour"', '"MoveToRegion"', "tasks is given twice"),
-        ("bc.batches = 4", "seed = 4", "seed is given by itself"),
+        ('"FixColour"', '"MoveToRegion"', "tasks contains an entry twice"),
+        ("bc.batches = 4", "seed = 4", "set seed by its own option"),
         ('variants = "Demo"', 'variants = "Shape"', "MoveToRegion"),  # which FixColour has
     ],
 )
@@ -112,7 +112,7 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
     [
         ({'["bc"]': '["bc", "goals"]', 'preset = "State"\n': ""}, "goals are inferred from states"),
         ({"demonstrations = 2": "demonstrations = 26"}, "there are 25"),
-        ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "no device 'abacus' here"),
+        ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "has no device 'abacus'"),
         ({}, "report.md is not of an earlier report"),
     ],
 )

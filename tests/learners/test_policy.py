@@ -33,7 +33,7 @@ def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
 
     assert actions(policy, 0) == actions(loaded, 0) != actions(loaded, 1)
     assert len(set(actions(loaded, 0))) > 5  # two seconds of training leave it undecided
-    with pytest.raises(SettingsError, match=r"arrays of shape \(96, 96, 12\)"):
+    with pytest.raises(SettingsError, match=r"observations of shape \(96, 96, 12\)"):
         loaded(picture[:, :, :3])
     with pytest.raises(SettingsError, match="trained on MoveToRegion, and cannot act in FindDupe"):
         loaded.reset(Episode("FindDupe", "Demo", 0))
@@ -131,7 +131,7 @@ def test_pictures(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported(both: Path, tmp_path: Path, shell: Shell) -> None:
-    assert "holds no trained network" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
+    assert "contains no trained network" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
     assert "choose one of MoveToRegion, MakeLine (--task)" in shell.fails(
         2, "export-policy", both, "--out", tmp_path / "a.onnx"
     )

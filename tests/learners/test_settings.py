@@ -83,7 +83,7 @@ def test_toml_holds_what_means_something_to_the_method() -> None:
     [
         ({"seed": 2**63}, "seed"),
         ({"bc.optimizer": "adam", "bc.momentum": 0.5}, "bc.momentum"),
-        ({"bc.final_learning_rate": 1}, "learning rates fall"),
+        ({"bc.final_learning_rate": 1}, "learning rates must not rise"),
         ({"network.first_kernel": 4}, "odd"),
         ({"network.entity": 62}, "multiple of 4"),
         ({"preset": "LoResCHW4E"}, "one stack of frames"),

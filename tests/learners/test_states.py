@@ -197,7 +197,7 @@ STEPS = len(EPISODE.actions)
         ({"MoveToRegion": EPISODE}, "give a list of demonstrations"),
         (
             {"MoveToRegion": demos.load("FindDupe")[:2]},
-            "one of the demonstrations given for MoveToRegion is of FindDupe",
+            "a demonstration given for MoveToRegion is of FindDupe",
         ),
         ({"MoveToRegion": [EPISODE]}, "2 demonstrations of MoveToRegion are asked for .*, and there are 1"),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions[1:])] * 2}, "the observation before each action"),
@@ -207,8 +207,11 @@ STEPS = len(EPISODE.actions)
         ),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions + 18)] * 2}, "integers from 0 to 17"),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 1.0)] * 2}, "integers from 0 to 17"),
-        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 0)] * 2}, "nothing to learn from"),
-        ({"MoveToRegion": [demos.Transitions(EPISODE.observations[:0], EPISODE.actions[:0])] * 2}, "nothing to learn"),
+        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 0)] * 2}, "no actions except no-ops"),
+        (
+            {"MoveToRegion": [demos.Transitions(EPISODE.observations[:0], EPISODE.actions[:0])] * 2},
+            "no actions except no-ops",
+        ),
     ],
 )
 def test_demonstrations_that_do_not_fit_are_explained(given: Any, problem: str) -> None:

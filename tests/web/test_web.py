@@ -124,7 +124,7 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
     assert "come back later" in collection.next(eve)["why"]
     with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="not offered"):
         collection.keep(played(first), eve, {})
-    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="how it ended"):
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="its final state"):
         collection.keep(json.dumps({**json.loads(played(first)), "final": None}), ann, {})
     score = collection.keep(played(first), ann, {"speed": 1, "watched": False})
     assert collection.keep(played(first), ann, {}) == score, "the first answer was lost"
@@ -140,7 +140,7 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
     assert [(row["accepted"], row["leased"]) for row in status["environments"]] == [(1, 0), (1, 0)]
     assert status["environments"][0]["refused"] == {
         "this scene was not offered to you": 1,
-        "it does not say how it ended": 1,
+        "it does not contain its final state": 1,
     }
     assert len(list(tmp_path.rglob("*.npz"))) == 2
     clock.now -= 11 * 60
@@ -167,7 +167,7 @@ def test_a_study_has_practice_a_least_score_and_a_code(tmp_path: Path) -> None:
     assert collection.next(me)["code"] == "CODE-7"
     other = collection.participant(None)
     collection.keep(played(collection.next(other)["next"]), other, {})
-    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="sent before"):
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="sent earlier"):
         collection.keep(played(collection.next(other)["next"], solved), other, {})
     collection.pause(True)
     assert "paused" in Collection(tmp_path, study).next(collection.participant(None))["why"]
@@ -204,7 +204,7 @@ def test_a_studys_folder_that_is_damaged_is_said(tmp_path: Path) -> None:
     ("text", "complaint"),
     [
         ("title = 'x'", "missing required field `environments`"),
-        ("[environments]", "must be some of the benchmark's"),
+        ("[environments]", "must be from the benchmark"),
         ("[environments]\nTetris-Demo = 1", "Tetris-Demo"),
         ("least_score = 2.0\n[environments]\nFindDupe-Demo = 1", "least_score"),
         ("color = 1\n[environments]\nFindDupe-Demo = 1", "color"),
@@ -365,7 +365,7 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
         assert poses["robot"] == list(env.scene.robot.pose)
         mine = {**recording("MoveToRegion", "All", 0, actions), "final": poses}
         wrong = {**mine, "final": {**poses, "robot": [0.0, 0.0, 0.0]}}
-        assert "away from what was played" in ask(seat, {"keep": wrong})["error"]
+        assert "away from the recorded state" in ask(seat, {"keep": wrong})["error"]
         assert ask(seat, {"keep": mine})["score"] == env.score()
         runs = f"{address.rsplit('/', 2)[0]}/{(folder / 'operator').read_text()}/"
         with sit(runs) as operator:
