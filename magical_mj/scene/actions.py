@@ -1,8 +1,8 @@
 """The 18 discrete actions: gripper (open, close) x turn (none, left, right) x drive (none, forward, back).
 
-The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020,
-appendix "Action and observation space"). For learners of continuous actions, the same 18 are vectors
-(drive, turn, grip).
+The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020, appendix "Action
+and observation space"). For learners of continuous actions, the same 18 actions have the form of vectors (drive, turn,
+grip).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ __all__ = [
 
 
 class Gripper(IntEnum):
-    """The position to which the two fingers are driven."""
+    """The target position of both fingers."""
 
     OPEN = 0
     CLOSE = 1
 
 
 class Turn(IntEnum):
-    """Which way the robot turns; left is counter-clockwise."""
+    """The direction in which the robot turns. Left is counter-clockwise."""
 
     NONE = 0
     LEFT = 1
@@ -47,7 +47,7 @@ class Turn(IntEnum):
 
 
 class Drive(IntEnum):
-    """Which way the robot drives along its heading."""
+    """The direction in which the robot drives along its heading."""
 
     NONE = 0
     FORWARD = 1
@@ -55,7 +55,7 @@ class Drive(IntEnum):
 
 
 class Action(NamedTuple):
-    """One of the 18 actions as a triple; ``int(...)`` of it is meaningless, use :attr:`number`."""
+    """One of the 18 actions as a triple. :attr:`number` is its number; ``int(...)`` does not work."""
 
     gripper: Gripper = Gripper.OPEN
     turn: Turn = Turn.NONE
@@ -76,16 +76,16 @@ ACTIONS: Final[tuple[Action, ...]] = tuple(Action(*parts) for parts in itertools
 """All actions; ``ACTIONS[n].number == n``."""
 
 NOOP: Final = Action().number
-"""The action that does nothing: the gripper is open at the start and stays open."""
+"""The no-op. The gripper is open at the start and stays open."""
 
 
 def action_number(action: Any) -> int:
     """`action` as an int in 0..17.
 
-    Takes ints, numpy integers, 0-d integer arrays and :class:`Action` triples.
+    Accepts ints, numpy integers, 0-d integer arrays and :class:`Action` triples.
 
     Raises:
-        InvalidActionError: for anything else, such as 18, 1.5 or None.
+        InvalidActionError: for all other values, such as 18, 1.5 or None.
     """
     if isinstance(action, Action):
         action = int(action.number) if action in ACTIONS else action
@@ -99,17 +99,17 @@ def action_number(action: Any) -> int:
 
 
 def _hint(action: Any) -> str:
-    """What to do with arrays that networks and batches give instead of an action."""
+    """Advice for arrays from networks and batches that are given instead of an action."""
     shape = (len(action),) if isinstance(action, list) else getattr(action, "shape", ())
     if not isinstance(shape, tuple) or not shape:
         return ""
     if math.prod(shape) == len(ACTIONS):
-        return "; of a value for each of them, take the argmax: int(np.argmax(values))"
+        return "; if these are values of all actions, take the argmax: int(np.argmax(values))"
     return "; take its only entry: int(action[0])" if shape == (1,) else ""
 
 
 THRESHOLD: Final = 0.5
-"""A drive or turn entry of a vector commands motion when its magnitude is above this; grip closes above 0."""
+"""The threshold of drive and turn in a vector: larger magnitudes command motion. Grip closes above 0."""
 
 _VECTORS: Final = np.array(
     [
@@ -129,22 +129,22 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
         numbers: action numbers in 0..17, any shape.
 
     Returns:
-        Fresh vectors, shape (*numbers.shape, 3). `to_discrete` is the inverse.
+        New vectors, shape (*numbers.shape, 3). `to_discrete` is the inverse.
 
     Raises:
-        InvalidActionError: if any of them is not an action.
+        InvalidActionError: if one of the numbers is not an action.
     """
     array = as_array(numbers)
     if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):
-        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {short_repr(numbers)}")
+        raise InvalidActionError(f"actions must be integers in 0..{len(ACTIONS) - 1}, not {short_repr(numbers)}")
     return _VECTORS[array]
 
 
 def to_discrete(vector: ArrayLike) -> int:
     """The action that a vector (drive, turn, grip) commands: the inverse of `to_vector` on all 18 actions.
 
-    Drive and turn command motion above 0.5 and below -0.5, grip closes above 0. Entries should be in [-1, 1];
-    larger ones have the same effect as 1 or -1.
+    Drive and turn command motion above 0.5 and below -0.5. Grip closes above 0. Entries should be in [-1, 1]. Larger
+    ones have the same effect as 1 or -1.
 
     Args:
         vector: shape (3,).
@@ -155,7 +155,7 @@ def to_discrete(vector: ArrayLike) -> int:
     entries = _finite(vector, 3)
     if entries is None:
         raise InvalidActionError(
-            f"{short_repr(vector)} is not a continuous action: those are three finite numbers in [-1, 1] "
+            f"{short_repr(vector)} is not a continuous action: it must be three finite numbers in [-1, 1] "
             f"(drive, turn, grip){tensor_hint(vector)}"
         )
     drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
@@ -163,7 +163,7 @@ def to_discrete(vector: ArrayLike) -> int:
 
 
 def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
-    """One of x-magical's actions, (speed, turn) and for a gripper grip, as numbers. Shape (size,).
+    """An x-magical action as numbers: (speed, turn), and grip for a gripper. Shape (size,).
 
     Raises:
         InvalidActionError: for another shape, or entries that are not finite numbers.
@@ -172,32 +172,32 @@ def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
     if entries is None:
         parts = "speed, turn, grip" if size == 3 else "speed, turn; this body has no gripper"
         raise InvalidActionError(
-            f"{short_repr(action)} is not an action here: those are {size} finite numbers in [-1, 1] ({parts})"
+            f"{short_repr(action)} is not an action here: it must be {size} finite numbers in [-1, 1] ({parts})"
             f"{tensor_hint(action)}"
         )
     return entries
 
 
 def _finite(values: ArrayLike, size: int) -> NDArray[np.float64] | None:
-    """The values as an array; None unless they are so many finite numbers."""
+    """The values as an array; None unless they are `size` finite numbers."""
     array = as_array(values)
     if array.shape != (size,) or array.dtype.kind not in "biufO":
         return None
     try:
         entries = array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError, RuntimeError):  # of objects
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # for arrays of objects
         return None
     return entries if np.isfinite(entries).all() else None
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """The values as an array; an empty one if they make none, as lists of different lengths and some tensors."""
+    """The values as an array. Empty if they cannot be converted, such as ragged lists and some tensors."""
     try:
         return np.asarray(values)
-    except (TypeError, ValueError, OverflowError, RuntimeError):  # the last for tensors that require gradients
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # RuntimeError for tensors that require gradients
         return np.empty(0)
 
 
 def tensor_hint(values: Any) -> str:
-    """What to do with tensors of which numpy makes no array."""
-    return "; of a tensor, give tensor.detach().float().cpu()" if hasattr(values, "detach") else ""
+    """Advice for tensors that numpy cannot convert."""
+    return "; for a tensor, give tensor.detach().float().cpu()" if hasattr(values, "detach") else ""

@@ -1,8 +1,8 @@
-"""The robot's bodies as data: what it is besides a drive that moves it in the plane.
+"""The robot's bodies as data. A drive moves the body in the plane.
 
-`gripper` is MAGICAL's robot. The three sticks are those of x-magical (Zakka et al. 2021, XIRL), which pushes with the
-whole side that it has ahead. All have one mass, and so one drive: what a body can do differs by its shape.
-A body of one's own is a `Body` in a module, given as ``"package.module:BODY"``.
+`gripper` is MAGICAL's robot. The three sticks are those of x-magical (Zakka et al. 2021, XIRL). They push with their
+whole front side. All bodies have the same mass and the same drive, so their abilities differ only by their shapes.
+Your own body is a `Body` in a module, given as ``"package.module:BODY"``.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Body:
-    """One body of the robot, in its own frame: x to the right, y ahead, world units.
+    """A body of the robot in its own frame: x to the right, y ahead, world units.
 
     Attributes:
         outline: four or more corners of a convex polygon around the origin, counter-clockwise; empty for a disc.
-        radius: of a disc.
-        mass: without the fingers.
+        radius: the radius of a disc.
+        mass: the mass without the fingers.
         inertia: the moment about the origin, without the fingers.
         fingers: whether it has the gripper's two fingers.
-        eye: the centre of the right eye; the left one is its mirror image.
+        eye: the centre of the right eye. The left one is its mirror image.
 
     Raises:
-        InvalidSceneError: if the outline is no such polygon, or a number is not positive.
+        InvalidSceneError: if the outline is not such a polygon, or a number is not positive.
     """
 
     outline: tuple[Point, ...] = ()
@@ -48,14 +48,14 @@ class Body:
     eye: Point = c.EYE_CENTRE
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
+        """Checks the numbers and the outline."""
         sizes: tuple[Any, ...] = self.radius, self.mass, self.inertia
         if not all(isinstance(value, int | float) and 0 < value < math.inf for value in sizes):
             raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
         try:
             corners = self.corners
         except (TypeError, ValueError):
-            corners = np.empty(0)  # which is refused below
+            corners = np.empty(0)  # rejected below
         if self.outline and not (corners.shape[1:] == (2,) and len(corners) > 3 and is_convex(corners)):
             raise InvalidSceneError(
                 "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
@@ -64,12 +64,12 @@ class Body:
 
     @property
     def total_mass(self) -> float:
-        """With the fingers."""
+        """The mass with the fingers."""
         return self.mass + 2 * c.FINGER_MASS * self.fingers
 
     @property
     def reach(self) -> float:
-        """The largest distance of a point of it, fingers apart, from the origin."""
+        """The largest distance of one of its points from the origin, without the fingers."""
         return max((math.hypot(*corner) for corner in self.outline), default=self.radius)
 
     @property
@@ -79,37 +79,37 @@ class Body:
 
 
 def is_convex(corners: NDArray[np.float64]) -> bool:
-    """Whether a polygon with these corners, shape (n, 2), is convex, and they are counter-clockwise."""
+    """Whether a polygon with these corners, shape (n, 2), is convex and counter-clockwise."""
     ahead = np.roll(corners, -1, axis=0) - corners
     onward = np.roll(ahead, -1, axis=0)
     return bool((ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all())
 
 
 def stick(width: float, inertia: float) -> Body:
-    """A box whose long side is across the heading; the other one is 0.1 long."""
+    """A box of this width across the heading, and length 0.1."""
     x, y = width / 2, 0.05
     return Body(((x, y), (-x, y), (-x, -y), (x, -y)), inertia=inertia, eye=(0.06, 0.0))
 
 
 GRIPPER: Final = "gripper"
-"""The default."""
+"""The default body."""
 BODIES: Final[Mapping[str, Body]] = MappingProxyType(
     {
         GRIPPER: Body(fingers=True),
         "shortstick": stick(0.3, inertia=0.1 / 12),
         "mediumstick": stick(0.6, inertia=0.37 / 12),
-        "longstick": stick(1.6, inertia=2.608 / 12),  # 1.5 % above its box's: so slowly does the original's spin
+        "longstick": stick(1.6, inertia=2.608 / 12),  # 1.5 % above its box's, to match the original's slower rotation
     }
 )
 
 
 @lru_cache(32)
 def body_named(name: str) -> Body:
-    """The body with this name, or the one that ``"package.module:BODY"`` refers to, whose module is imported.
+    """The body with this name, or the object of ``"package.module:BODY"``, whose module is imported.
 
     Raises:
-        InvalidSceneError: if there is none.
-        UntrustedNameError: if it is a reference that a file names, and the command does not.
+        InvalidSceneError: if the body does not exist.
+        UntrustedNameError: if a file contains the reference, but the command does not.
     """
     if name in BODIES:
         return BODIES[name]
@@ -123,10 +123,10 @@ def body_named(name: str) -> Body:
 
 
 def check_body_name(name: object) -> str:
-    """The name, if a body can have it; nothing is imported.
+    """The name, if it is valid for a body. Nothing is imported.
 
     Raises:
-        InvalidSceneError: if no body can have it.
+        InvalidSceneError: if it is invalid.
     """
     if isinstance(name, str) and (name in BODIES or is_reference(name)):
         return str(name)

@@ -2,8 +2,8 @@
 
 Units are world units (the workspace is 2 x 2), seconds, radians and mass units. The values are those of
 the original benchmark (Toyer et al. 2020, appendix "Additional benchmark details", and measurements on
-its released simulation); where the two differ, the paper's are used. Only of Jitter the paper says too
-little ("up to 5% of the maximum possible range"): its values are those of the released code.
+its released simulation). If the two differ, the paper's are used. Only for Jitter, the paper gives too little
+detail ("up to 5% of the maximum possible range"): its values are those of the released code.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ PUPIL_RADIUS: Final = 0.024
 BLOCK_SIZE: Final = 0.12  # radius of the circle; square and pentagon have the circle's area
 BLOCK_MASS: Final = 0.5
 SQUARE_SIDE: Final = math.sqrt(math.pi) * BLOCK_SIZE
-SQUARE_MARGIN: Final = 0.01 * SQUARE_SIDE  # the square alone collides with a rounded margin around it
+SQUARE_MARGIN: Final = 0.01 * SQUARE_SIDE  # only the square has a rounded margin for collisions
 PENTAGON_RADIUS: Final = BLOCK_SIZE * math.sqrt(math.pi / (2.5 * math.sin(0.4 * math.pi)))
 STAR_OUTER_RADIUS: Final = 1.3 * BLOCK_SIZE
 STAR_INNER_RADIUS: Final = 0.5 * STAR_OUTER_RADIUS
 
-# Pebbles, which only shifts put into scenes
+# Pebbles, which only shifts add to scenes
 PEBBLE_RADIUS: Final = 0.03
 PEBBLE_MASS: Final = 0.02
 PEBBLE_FRICTION_FORCE: Final = 0.1
@@ -67,7 +67,7 @@ FINGER_TORQUE: Final = 4.0
 BLOCK_FRICTION_FORCE: Final = 1.5
 BLOCK_FRICTION_TORQUE: Final = 0.1
 
-# What the variants draw from (the paper's section 2.2, "Test variants")
+# Ranges of the variants (the paper's section 2.2, "Test variants")
 JITTER_POSITION: Final = 0.025  # per axis, +-
 JITTER_ANGLE: Final = 0.05 * math.pi  # +- rad
 JITTER_REGION_SIZE: Final = 0.0075  # height and width, +-
@@ -75,5 +75,5 @@ REGION_SIZE: Final = (0.5, 0.8)  # height and width
 FIX_COLOUR_REGION_SIZE: Final = (0.4, 0.5)
 
 # Camera
-VISIBLE_SIZE: Final = 2.04  # side of the square that both views show, in half widths of the arena
+VISIBLE_SIZE: Final = 2.04  # side of both views' square, in half widths of the arena
 EGO_ANCHOR: Final = 0.15  # the robot's centre in the ego view, as a fraction of the height from the bottom

@@ -1,8 +1,8 @@
-"""Exact outlines of everything solid, and which scenes are legal.
+"""Exact outlines of all solid objects, and the check of scenes.
 
 A solid part is a shapely geometry enlarged by a radius: a disc is a point with a radius, the square has a
-small rounded margin, everything else is a polygon with radius 0. Two parts touch if the distance between their
-geometries is at most the sum of their radii, which is exact for all of them.
+small rounded margin, and all others are polygons with radius 0. Two parts touch if the distance between their
+geometries is at most the sum of their radii. This is exact for all of them.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
 from magical_mj.utils.errors import InvalidSceneError
 
-if TYPE_CHECKING:  # the functions import it: listing the environments does not need it
+if TYPE_CHECKING:  # functions import it: listing the environments does not need it
     from shapely.geometry.base import BaseGeometry
 
 Outline = NDArray[np.float64]
-"""Shape (n, 2): the corners of a simple polygon, counter-clockwise."""
+"""The corners of a simple polygon, counter-clockwise. Shape (n, 2)."""
 
 OVERLAP_TOLERANCE: Final = 0.04
-"""How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
+"""The largest depth (world units) of overlaps in a user's scene: contacts are slightly soft."""
 
 OVERHANG: Final = 0.11
-"""How far (world units) goal regions with a solid border may reach beyond the walls: x-magical's zone does."""
+"""The largest distance (world units) of solid-bordered goal regions beyond the walls, as of x-magical's zone."""
 
 MAX_ANGLE: Final = 500.0
-"""The largest angle (rad) that a scene may hold: with what an episode adds, it stays within the bounds of states."""
+"""The largest angle (rad) in a scene. Further turns during an episode keep it within the bounds of states."""
 
 
 class Part(NamedTuple):
@@ -44,7 +44,7 @@ class Part(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """The parts of one body around (x, y), all within `reach` of it."""
+    """The parts of one body around (x, y), all within the distance `reach`."""
 
     x: float
     y: float
@@ -59,7 +59,7 @@ def regular_polygon(corners: int, radius: float) -> Outline:
 
 
 def square(half: float) -> Outline:
-    """The square with this half side around the origin. Shape (4, 2)."""
+    """The square around the origin with this half side. Shape (4, 2)."""
     return half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
@@ -84,7 +84,7 @@ def finger_outlines() -> tuple[Outline, Outline]:
     """Upper segment and forearm of the right finger in its own frame (pivot at the origin, +y outwards).
 
     Each has shape (4, 2). The forearm is hinged at the outer corner of the upper segment's tip and turned
-    inwards, to the left; the left finger is the mirror image.
+    inwards, to the left. The left finger is the mirror image.
     """
     half = c.FINGER_THICKNESS / 2
     box = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
@@ -102,7 +102,7 @@ def mirrored(outline: Outline) -> Outline:
 
 
 def placed(outline: Outline, pose: Pose) -> Outline:
-    """The outline turned by the pose's angle and moved to its position. Shape (..., n, 2), as the outline's."""
+    """The outline turned by the pose's angle and moved to its position. Shape (..., n, 2), like the outline's."""
     x, y, angle = pose
     cosine, sine = math.cos(angle), math.sin(angle)
     return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
@@ -121,11 +121,11 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
     return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
 
 
-@lru_cache(maxsize=64)  # placement calls this many times with the same few arguments
+@lru_cache(maxsize=64)  # placement calls this often with the same few arguments
 def _robot_segments(fingers: tuple[float, float], body: str) -> tuple[Outline, float, float]:
-    """The robot's polygons in its frame, shape (m, n, 2), how far it reaches, and its disc's radius or 0.
+    """The robot's polygons in its frame, shape (m, n, 2), its reach, and its disc's radius or 0.
 
-    They are the four segments of both fingers, the outline of a body without fingers, or nothing, of a disc.
+    The polygons are the four segments of both fingers, or the outline of a body without fingers, or none for a disc.
     """
     shape = body_named(body)
     if not shape.fingers:
@@ -144,7 +144,7 @@ def _robot_segments(fingers: tuple[float, float], body: str) -> tuple[Outline, f
 def robot_solid(
     pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN), body: str = GRIPPER
 ) -> Solid:
-    """The robot at `pose`: the disc and the segments of both fingers, or what another body consists of."""
+    """The robot at `pose`: the disc and the segments of both fingers, or the parts of another body."""
     import shapely
 
     x, y, _ = pose
@@ -163,7 +163,7 @@ def pebble_solid(pebble: Pebble) -> Solid:
 
 
 def region_solid(region: GoalRegion) -> Solid:
-    """A goal region as an obstacle, as placement treats it."""
+    """A goal region as an obstacle for placement."""
     import shapely
 
     reach = math.hypot(region.width, region.height) / 2
@@ -192,7 +192,7 @@ def _shrunk(part: Part, by: float) -> Part:
 
 
 def inside_walls(solid: Solid, tolerance: float = 0.0, half_width: float = c.ARENA_HALF_WIDTH) -> bool:
-    """Whether the solid is within walls at this distance from the middle, up to `tolerance`."""
+    """Whether the solid is inside walls at the distance `half_width` from the centre, up to `tolerance`."""
     limit = half_width + tolerance
     if max(abs(solid.x), abs(solid.y)) + solid.reach <= limit:
         return True
@@ -204,36 +204,36 @@ def inside_walls(solid: Solid, tolerance: float = 0.0, half_width: float = c.ARE
 
 
 def solids(scene: Scene) -> dict[str, Solid]:
-    """Everything solid in the scene by name: "robot", then "block 0", "block 1", ..."""
+    """The robot and the blocks as solids, by name: "robot", then "block 0", "block 1", ..."""
     robot = scene.robot
     bodies = {"robot": robot_solid(robot.pose, robot.fingers, robot.body)}
     bodies |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
     return bodies
 
 
-@np.errstate(all="ignore")  # numbers may be too small for some operations, whatever the caller wants of those
+@np.errstate(all="ignore")  # tiny numbers may underflow, independent of the caller's settings
 def check_scene(scene: Scene) -> None:
-    """Raise unless the scene is legal: everything is inside the walls, and no two solids overlap.
+    """Raises unless the scene is legal: all objects are inside the walls, and no two solids overlap.
 
-    Contacts in the simulation are a little soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
+    Contacts in the simulation are slightly soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
 
     Raises:
-        InvalidSceneError: naming what is outside or overlaps what.
+        InvalidSceneError: with the object that is outside, or the two that overlap.
     """
     _check_fingers(scene.robot)
-    for thing in (scene.robot, *scene.blocks):
-        if abs(thing.angle) > MAX_ANGLE:
-            raise InvalidSceneError(f"the angle of {thing} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
-    things, half = list(solids(scene).items()), scene.half_width
-    things += [(f"pebble {index}", pebble_solid(pebble)) for index, pebble in enumerate(scene.pebbles)]
-    for name, solid in things:
+    for body in (scene.robot, *scene.blocks):
+        if abs(body.angle) > MAX_ANGLE:
+            raise InvalidSceneError(f"the angle of {body} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
+    bodies, half = list(solids(scene).items()), scene.half_width
+    bodies += [(f"pebble {index}", pebble_solid(pebble)) for index, pebble in enumerate(scene.pebbles)]
+    for name, solid in bodies:
         if not inside_walls(solid, OVERLAP_TOLERANCE, half):
             raise InvalidSceneError(
                 f"{name} at ({solid.x:.3f}, {solid.y:.3f}) is not inside the walls, which are at x, y = "
                 f"{-half:g} and {half:g}"
             )
-    for index, (name, solid) in enumerate(things):
-        for other_name, other in things[:index]:
+    for index, (name, solid) in enumerate(bodies):
+        for other_name, other in bodies[:index]:
             if touch(solid, other, OVERLAP_TOLERANCE):
                 raise InvalidSceneError(
                     f"{other_name} and {name} overlap at ({solid.x:.3f}, {solid.y:.3f}); move one of them"
@@ -247,10 +247,11 @@ def check_scene(scene: Scene) -> None:
 
 
 def _check_fingers(robot: Robot) -> None:
-    """Raise unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
+    """Raises unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
     left, right = robot.fingers
     slack = 0.05
     if not (-slack <= left <= c.FINGER_OPEN + slack and -slack <= -right <= c.FINGER_OPEN + slack):
         raise InvalidSceneError(
-            f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, right in its negative"
+            f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, "
+            f"right in -{c.FINGER_OPEN:.4f}..0"
         )

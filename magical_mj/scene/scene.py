@@ -1,7 +1,7 @@
-"""Scenes: immutable descriptions of where everything is. Models, pictures and scores are made from them.
+"""Scenes: immutable descriptions of all objects and their poses. Models, pictures and scores are computed from them.
 
 Frames: x to the right, y up, origin at the centre of the 2 x 2 workspace. Angles are in radians,
-counter-clockwise; a robot with angle 0 faces +y, a block with angle 0 has its tip (or top side) at +y.
+counter-clockwise. A robot with angle 0 faces +y. A block with angle 0 has its tip (or top side) at +y.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from magical_mj.utils.errors import InvalidSceneError, short_repr
 from magical_mj.utils.imports import check_named
 
 SCENE_FORMAT: Final = 1
-"""Version of the JSON form, stored in it as ``"format"``."""
+"""The version of the JSON form, stored in it as ``"format"``."""
 
 SMALLEST_ARENA, LARGEST_ARENA = 0.5, 2.0
-"""Of the half width, in world units."""
+"""The bounds of the arena's half width, in world units."""
 
 MAX_NUMBER: Final = 1e10
-"""The largest absolute value of a number in a scene; MuJoCo treats larger ones as a failed simulation."""
+"""The largest absolute value of a number in a scene. MuJoCo treats larger values as a failed simulation."""
 
 Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
@@ -40,8 +40,8 @@ class Robot:
     """The robot's pose and the relative angles (rad) of its left and right finger.
 
     A finger's angle is 0 when closed and ``+pi/8`` (left) or ``-pi/8`` (right) when open, the default.
-    The body is one of `magical_mj.scene.bodies.BODIES`, or ``"package.module:BODY"``. Angles of fingers that it lacks
-    mean nothing, and stay as they are.
+    The body is one of `magical_mj.scene.bodies.BODIES`, or ``"package.module:BODY"``. For bodies without fingers, their
+    angles have no meaning and do not change.
     """
 
     x: float
@@ -90,7 +90,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class GoalRegion:
-    """An axis-aligned box that is drawn, with a border of this kind, but not solid."""
+    """An axis-aligned box that is drawn, with this kind of border, but is not solid."""
 
     colour: Colour
     x_min: float
@@ -133,7 +133,7 @@ class GoalRegion:
 
 @dataclass(frozen=True, slots=True)
 class Pebble:
-    """A small loose disc that belongs to no task: only shifts put some into scenes. Its centre is at (x, y)."""
+    """A small loose disc that no task uses. Only shifts add pebbles to scenes. Its centre is at (x, y)."""
 
     x: float
     y: float
@@ -144,10 +144,10 @@ class Pebble:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five force caps of the world, all positive; the Dynamics variant draws other values.
+    """The five force caps of the world, all positive. The Dynamics variant draws other values.
 
-    `veer` is the angle (rad) by which the robot turns for each world unit that it drives, as with unequal wheels; only
-    shifts change it. MuJoCo's least coefficient of friction bounds what they do: whatever smaller caps say,
+    `veer` is the angle (rad) by which the robot turns for each world unit that it drives, as with unequal wheels. Only
+    shifts change it. MuJoCo's lowest coefficient of friction limits the caps' effect: even with smaller caps,
     blocks resist with at least 0.1, and the robot drives with at least 0.2.
     """
 
@@ -166,7 +166,7 @@ class Dynamics:
 
 
 _LISTS: Final = {"blocks": Block, "regions": GoalRegion, "pebbles": Pebble}
-"""The fields of a scene that hold any number of parts."""
+"""The fields of a scene that contain any number of parts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ class Scene:
                     raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {short_repr(part)}")
 
     def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
-        """The same scene with other poses (x, y, angle). None leaves poses as they are; the fingers never change.
+        """The same scene with other poses (x, y, angle). None keeps the poses. The fingers never change.
 
         Raises:
             InvalidSceneError: if the number of poses is not the number of blocks.
@@ -211,12 +211,12 @@ class Scene:
         return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, poses)))
 
     def to_json(self) -> str:
-        """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
+        """The scene as one line of JSON. Floats are exact, so that `from_json` returns an equal scene."""
         return json.dumps({"format": SCENE_FORMAT, **_plain(self, UNWRITTEN)}, separators=(",", ":"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Scene:
-        """The scene that `to_json` wrote.
+        """The scene in a text written by `to_json`.
 
         Raises:
             InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
@@ -225,7 +225,7 @@ class Scene:
         try:
             data = json.loads(text, object_pairs_hook=_without_repeats)
         except (ValueError, TypeError, RecursionError) as error:
-            raise InvalidSceneError(f"a scene must be JSON as Scene.to_json writes it: {error}") from None
+            raise InvalidSceneError(f"a scene must be JSON as written by Scene.to_json: {error}") from None
         if not isinstance(data, dict):
             raise InvalidSceneError(f"a scene must be a JSON object, not {short_repr(data)}")
         version = data.pop("format", None)
@@ -241,20 +241,20 @@ class Scene:
         return cls(**data)
 
     def digest(self) -> str:
-        """A short hash of the scene: equal scenes have equal digests, different ones different digests.
+        """A short hash of the scene. Equal scenes have equal digests, different ones different digests.
 
-        Fields with their default value are left out, so that fields added by later versions change no digest.
+        Fields with their default value are left out, so that new fields in later versions do not change digests.
         """
         text = json.dumps(_plain(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 UNWRITTEN: Final = ("body", "mass", "border", "half_width", "veer", "pebbles")
-"""Fields that JSON has only where they differ from their default: what was written before had none of them."""
+"""Fields that JSON contains only if they differ from their default, since earlier versions did not write them."""
 
 
 def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
-    """A part of a scene as lists and dicts. Fields with their default are `left_out` if they are in it; None: all."""
+    """A part of a scene as lists and dicts. Fields with their default are omitted if in `left_out`; None: all."""
     if isinstance(value, tuple):
         return [_plain(item, left_out) for item in value]
     if not dataclasses.is_dataclass(value):
@@ -269,23 +269,23 @@ def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
 
 
 def check_scene_type(scene: object) -> Scene:
-    """The scene; raises `InvalidSceneError` if it is anything else."""
+    """The scene. Raises an `InvalidSceneError` for other types."""
     if not isinstance(scene, Scene):
-        raise InvalidSceneError(f"{short_repr(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
+        raise InvalidSceneError(f"{short_repr(scene)} is not a magical_mj.Scene; Scene.from_json creates one from JSON")
     return scene
 
 
-_Thing = TypeVar("_Thing", Robot, Block)
+_Body = TypeVar("_Body", Robot, Block)
 
 
-def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
+def _at(body: _Body, pose: Sequence[float]) -> _Body:
     """The same robot or block at another pose."""
     x, y, angle = _as_tuple(pose, "a pose is (x, y, angle)", 3)
-    return dataclasses.replace(thing, x=x, y=y, angle=angle)
+    return dataclasses.replace(body, x=x, y=y, angle=angle)
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object's fields; a ValueError if a name occurs twice."""
+    """A JSON object's fields. Raises a ValueError if a name occurs twice."""
     fields = dict(pairs)
     if len(fields) < len(pairs):
         names = [name for name, _ in pairs]
@@ -315,10 +315,10 @@ def _part(kind: type[_Part], data: Any) -> _Part:
 
 
 def _set_numbers(owner: object, *names: str) -> None:
-    """Turn these fields of a frozen dataclass into floats, or raise `InvalidSceneError`."""
+    """Converts these fields of a frozen dataclass to floats, or raises an `InvalidSceneError`."""
     for name in names:
         value = getattr(owner, name)
-        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most need no change
+        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most values need no change
             object.__setattr__(owner, name, _as_number(f"{type(owner).__name__}.{name}", value))
 
 
@@ -339,11 +339,11 @@ def _as_number(name: str, value: Any) -> float:
         number = math.inf
     if not abs(number) <= MAX_NUMBER:
         raise InvalidSceneError(f"{name} must be finite and at most {MAX_NUMBER:g}, not {short_repr(value)}")
-    return number + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
+    return number + 0.0  # converts -0.0 to 0.0, so that equal scenes have equal digests
 
 
 def _set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
-    """Turn this field of a frozen dataclass into one of the allowed strings, or raise `InvalidSceneError`."""
+    """Converts this field of a frozen dataclass to one of the allowed strings, or raises an `InvalidSceneError`."""
     value = getattr(owner, name)
     if not isinstance(value, str) or value not in allowed:
         raise InvalidSceneError(
@@ -354,13 +354,13 @@ def _set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
 
 
 def _as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]:
-    """`value` as a tuple of `count` items (None: any number), or an `InvalidSceneError` that begins with the `need`.
+    """`value` as a tuple of `count` items (None: any number). Raises an `InvalidSceneError` that begins with `need`.
 
-    It may be any sequence except a string; mappings and sets, which have no order, may not.
+    Accepts all sequences except strings, but no mappings and sets, which have no order.
     """
     try:
         items = None if isinstance(value, str | bytes | Mapping | set | frozenset) else tuple(value)
-    except TypeError:  # also raised by 0-d arrays, which look like sequences
+    except TypeError:  # also raised for 0-d arrays, which appear to be sequences
         items = None
     if items is None or count not in (None, len(items)):
         raise InvalidSceneError(f"{need}, not {short_repr(value)}")

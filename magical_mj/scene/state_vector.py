@@ -1,6 +1,6 @@
 """Observations: the names of the views, and the state vector.
 
-The state vector has the same length in every environment: entries of blocks and regions that do not exist are 0.
+The state vector has the same length in every environment. Entries of missing blocks and regions are 0.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ __all__ = [
 Rows = NDArray[np.float64]
 
 VIEWS: Final = ("ego", "allo")
-"""The two views of the benchmark, both from above: "ego" moves and turns with the robot, "allo" shows the workspace."""
+"""The two views of the benchmark, both from above. "ego" moves and turns with the robot, "allo" shows the workspace."""
 
 SOLID_VIEW: Final = "scene"
 """The name of the view for people: the world in 3-D with lights and shadows, seen from above a corner."""
 
 SEGMENTATIONS: Final = tuple(f"{view}-segmentation" for view in VIEWS)
-"""What is at each pixel of the two views, as one number (`magical_mj.rendering.software`)."""
+"""The class of each pixel in the two views, as one number (`magical_mj.rendering.software`)."""
 
 CAMERAS: Final = (*VIEWS, SOLID_VIEW)
-"""The views in colours that `render` draws."""
+"""The colour views of `render`."""
 
 OBSERVATIONS: Final = (*VIEWS, "ego_stack", "allo_stack", "state")
 """The names that `magical_mj.load(observations=...)` accepts."""
@@ -63,23 +63,23 @@ World units, rad, units/s and rad/s; colours and shapes are one-hot; angles are 
 
 
 FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
-"""Where the angles of the two fingers are in the state vector."""
+"""The indices of the two fingers' angles in the state vector."""
 
 
 class StateEncoder:
     """Computes the state vectors of one episode.
 
     Attributes:
-        fixed: the entries that do not change within it; the others are 0. Shape (len(STATE_NAMES),).
+        fixed: the constant entries; the others are 0. Shape (len(STATE_NAMES),).
 
     Raises:
-        InvalidSceneError: if the scene has more blocks or regions than the vector holds.
+        InvalidSceneError: if the scene has more blocks or regions than the vector.
     """
 
     def __init__(self, scene: Scene) -> None:
         if len(scene.blocks) > MAX_BLOCKS or len(scene.regions) > MAX_REGIONS:
             raise InvalidSceneError(
-                f"the state vector holds {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, this scene has "
+                f"the state vector has entries for {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, but this scene has "
                 f"{len(scene.blocks)} and {len(scene.regions)}; use pictures as observations, or a smaller scene"
             )
         self._count = len(scene.blocks)
@@ -92,13 +92,13 @@ class StateEncoder:
             row[:5] = (1.0, *region.box)
             row[_REGION.index(region.colour)] = 1.0
 
-    @np.errstate(all="ignore")  # numbers may be too small for float32, and are 0 then
+    @np.errstate(all="ignore")  # numbers that are too small for float32 become 0
     def __call__(self, poses: Rows, velocities: Rows, fingers: Rows) -> NDArray[np.float32]:
-        """The state as a fresh vector. Shape (len(STATE_NAMES),).
+        """The state as a new vector. Shape (len(STATE_NAMES),).
 
         Args:
-            poses: of the robot and then of each block, shape (1 + blocks, 3): x, y, angle.
-            velocities: likewise, in units/s and rad/s.
+            poses: x, y, angle of the robot and then of each block, shape (1 + blocks, 3).
+            velocities: the velocities of `poses`, in units/s and rad/s, shape (1 + blocks, 3).
             fingers: angles of the left and the right finger, shape (2,).
         """
         state = self.fixed.copy()

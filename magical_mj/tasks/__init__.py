@@ -1,7 +1,7 @@
-"""The tasks: a module for each (one for both clusters), readable without knowing the simulator.
+"""The tasks, with a module for each (one for both clusters) that can be read without knowing the simulator.
 
-A new task is a module with a docstring that explains it, a demo scene, its rules, a score, a plan and a `TaskSpec`, and
-one line here. Its variants, environments and ids follow from it. See docs/adding-a-task.md.
+A new task is a module with a docstring that explains it, a demo scene, its rules, a score, a plan and a `TaskSpec`. It
+also needs a line here. Its variants, environments and ids follow from it. See docs/adding-a-task.md.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({spec.name: spec for spe
 SUITES: Final[Mapping[str, Mapping[str, TaskSpec]]] = MappingProxyType(
     {"magical": SPECS, "xmagical": MappingProxyType({sweep_to_top.SPEC.name: sweep_to_top.SPEC})}
 )
-"""The suites: the benchmark, which "all" stands for, and others beside it, each with a protocol number of its own."""
+"""The suites: the benchmark, which "all" means, and others. Each suite has its own protocol number."""
 
 KNOWN: Final[Mapping[str, TaskSpec]] = MappingProxyType(
     {name: spec for suite in SUITES.values() for name, spec in suite.items()}

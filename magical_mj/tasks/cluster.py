@@ -1,17 +1,17 @@
-"""What ClusterColour and ClusterShape have in common: blocks in clusters by one of their attributes.
+"""The common rules of ClusterColour and ClusterShape: blocks in clusters by one of their attributes.
 
 Score
     Every value of the attribute (colour or shape) that occurs has a centroid, the mean position of its
     blocks. A block is right if its squared distance to its own centroid is less than a third of that to
-    the nearest other one. The score is 0 up to half the blocks right, then rises linearly to 1 when all are.
+    the nearest other one. The score is 0 up to half the blocks right. Then it rises linearly to 1 with all right.
 
-    Under this rule doing nothing can score: in the ClusterShape demo, 5 of 8 blocks are right at the start,
-    which is a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
+    With this rule, a policy can score without acting: in the ClusterShape demo, 5 of 8 blocks are right at the
+    start, a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
 
 Differences from the original
     The released code has its own rule, ramp and horizon (rules="released"). A block is right if d < D - 2 d^2,
-    with d and D the plain distances to the own and to the nearest other centroid, and the score is 0 up to three
-    quarters of the blocks right. Episodes have 240 steps, not 320.
+    with d and D the distances (not squared) to the own and to the nearest other centroid. The score is 0 up to three
+    quarters of the blocks right. Episodes have 240 steps instead of 320.
 """
 
 from __future__ import annotations
@@ -38,40 +38,41 @@ STEPS: Final = 320
 RELEASED_STEPS: Final = 240
 MIN_BLOCKS: Final = 7
 MAX_BLOCKS: Final = 10
-NEARER: Final = 3  # a right block is nearer to its own centroid by this factor of the squared distance
+# for right blocks, the ratio of the squared distances to the nearest other centroid and to their own exceeds this
+NEARER: Final = 3
 ZERO_SCORE_SHARE: Final[Mapping[Rules, float]] = MappingProxyType({"paper": 0.5, "released": 0.75})
 """The share of right blocks up to which the score is 0."""
 
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
-    """Each of the values once, the rest independent and uniform, in random order. Length `number`."""
+    """Each value at least once, all others independent and uniform, in random order. Length `number`."""
     return shuffled(rng, [*values, *pick_each(rng, values, number - len(values))])
 
 
 def colour(rng: np.random.Generator, scene: Scene) -> Scene:
-    """One block of each colour is guaranteed, the rest are uniform."""
+    """Uniform colours, with at least one block of each."""
     return coloured(scene, _covering(rng, COLOURS, len(scene.blocks)))
 
 
 def shape(rng: np.random.Generator, scene: Scene) -> Scene:
-    """One block of each shape is guaranteed, the rest are uniform."""
+    """Uniform shapes, with at least one block of each."""
     return shaped(scene, _covering(rng, SHAPES, len(scene.blocks)))
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
-    """7 to 10 blocks: the demo's without the last, or with some of them twice."""
+    """7 to 10 blocks: the demo's without the last one, or with some of them duplicated."""
     return replace(scene, blocks=(scene.blocks * 2)[: uniform_integer(rng, MIN_BLOCKS, MAX_BLOCKS)])
 
 
 def check(scene: Scene, attribute: Attribute, task: str) -> None:
-    """Raise `InvalidSceneError` unless there are blocks of two or more values and no goal region."""
+    """Raises an `InvalidSceneError` unless there are blocks of two or more values and no goal region."""
     values = len({getattr(block, attribute) for block in scene.blocks})
-    require(values >= 2, task, f"blocks of at least two different {attribute}s, and this has {values}")
+    require(values >= 2, task, f"blocks of at least two different {attribute}s, but this has {values}")
     require_regions(scene, task, 0)
 
 
 def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, float]]:
-    """Mean x and y of the blocks of each value of the attribute that occurs."""
+    """Mean x and y of the blocks of each occurring value of the attribute."""
     members: dict[str, list[Block]] = {}
     for block in scene.blocks:
         members.setdefault(getattr(block, attribute), []).append(block)
@@ -82,7 +83,7 @@ def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, flo
 
 
 def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
-    """The number of blocks that are near blocks with the same value of the attribute: see the module's docstring."""
+    """The number of right blocks: see the module's docstring."""
     centroids = _centroids(scene, attribute)
     right = 0
     for block in scene.blocks:
@@ -97,14 +98,14 @@ def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
-    """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
+    """The share of right blocks above the share with score 0, scaled to [0, 1]."""
     share = blocks_right(final, attribute, rules) / len(final.blocks)
     nothing = ZERO_SCORE_SHARE[rules]
     return max(0.0, (share - nothing) / (1 - nothing))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:
-    """Blocks move to others with the same value of the attribute; the plan moves few blocks over short distances."""
+    """Blocks move to others with the same value of the attribute. The plan moves few blocks over short distances."""
     kinds = [getattr(block, attribute) for block in now.blocks]
     points = [(block.x, block.y) for block in now.blocks]
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)

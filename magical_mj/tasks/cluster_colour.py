@@ -1,19 +1,20 @@
 """ClusterColour: push the blocks into clusters, one for each colour.
 
 Goal
-    Every block lies with the blocks of its colour, away from the others, anywhere. Shapes do not matter.
+    Every block is near the blocks of its colour and away from all others, anywhere. Shapes do not matter.
 
 What varies
     Colour and Shape draw every block's colour or shape, with at least one block of each, in both cluster tasks.
-    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
+    CountPlus has 7 to 10 blocks (the demo has 8), with at least one block of each colour.
 
 Score
-    By the share of blocks much nearer to their own colour's centroid than to any other: see
+    Depends on the share of blocks that are much nearer to their own colour's centroid than to any other: see
     `magical_mj.tasks.cluster`.
 
 Differences from the original
-    The released code has its own rule, ramp and horizon (rules="released"), described there too.
-    In the Shape variant the poses stay, so shapes that would overlap (two stars side by side) are drawn again.
+    The released code has its own rule, ramp and horizon (rules="released"), also described in that module.
+    In the Shape variant the poses are fixed, so shapes that would overlap (two stars next to each other) are drawn
+    again.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ DEMO: Final = Scene(
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """How well the blocks are clustered by colour."""
+    """The score for clustering the blocks by colour."""
     return cluster.score(final, "colour", rules)
 
 

@@ -1,19 +1,20 @@
 """ClusterShape: push the blocks into clusters, one for each shape.
 
 Goal
-    Every block lies with the blocks of its shape, away from the others, anywhere. Colours do not matter.
+    Every block is near the blocks of its shape and away from all others, anywhere. Colours do not matter.
 
 What varies
     Colour and Shape draw every block's colour or shape, with at least one block of each, in both cluster tasks.
-    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
+    CountPlus has 7 to 10 blocks (the demo has 8), with at least one block of each shape.
 
 Score
-    By the share of blocks much nearer to their own shape's centroid than to any other: see
-    `magical_mj.tasks.cluster`. Note that by the paper's rule the demo scene itself scores 0.25.
+    Depends on the share of blocks that are much nearer to their own shape's centroid than to any other: see
+    `magical_mj.tasks.cluster`. By the paper's rule, the demo scene itself scores 0.25.
 
 Differences from the original
-    The released code has its own rule, ramp and horizon (rules="released"), described there too.
-    In the Shape variant the poses stay, so shapes that would overlap (a square by the right wall) are drawn again.
+    The released code has its own rule, ramp and horizon (rules="released"), also described in that module.
+    In the Shape variant the poses are fixed, so shapes that would overlap (a square at the right wall) are drawn
+    again.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ DEMO: Final = Scene(
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """How well the blocks are clustered by shape."""
+    """The score for clustering the blocks by shape."""
     return cluster.score(final, "shape", rules)
 
 

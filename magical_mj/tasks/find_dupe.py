@@ -1,23 +1,23 @@
-"""FindDupe: bring a duplicate of the block in the goal region to it.
+"""FindDupe: bring a duplicate of the block in the goal region into the region.
 
 Goal
-    One block, the query, starts in the goal region. At least one other block of its shape and colour joins
-    it there, the query stays, and no other block comes in.
+    One block, the query, starts in the goal region. At the end, the region contains the query, at least one other
+    block with its shape and colour, and no other blocks.
 
 What varies
-    Colour and Shape draw the query's colour or shape, which the guaranteed duplicate copies. Those of the
-    distractors are drawn independently: one that happens to match both is another duplicate. When colours
-    are drawn, the region gets the query's colour. CountPlus has 1 to 5 distractors (the demo has 5), so 3 to 7
-    blocks. All blocks but the query start outside the region; the query starts with its centre inside.
+    Colour and Shape draw the query's colour or shape, and the guaranteed duplicate has the same. Those of the
+    distractors are drawn independently: a distractor that happens to match in both is another duplicate. If colours
+    are drawn, the region has the query's colour. CountPlus has 1 to 5 distractors (the demo has 5), so 3 to 7
+    blocks. All blocks except the query start outside the region. The query starts with its centre inside.
 
 Score
     [query in region] x [another block of its shape and colour in region]
     x (1 - distractors in region / blocks in region), where the query counts as a block in the region.
 
 Differences from the original
-    The released code accepts any two blocks with the query's attributes, the query or not
-    (rules="released"); this differs only where there are several duplicates. Its Jitter first moves the
-    query to the middle of the region; ours jitters it around its place in the demo, as the paper says.
+    The released code accepts any two blocks with the query's attributes, including or without the query
+    (rules="released"). This differs only if there are several duplicates. Its Jitter first moves the
+    query to the middle of the region. Ours jitters it around its demo position, as in the paper.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from magical_mj.tasks.planning import CHOICE, Noise, Subgoal, bring, places_insi
 from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
-DEMO: Final = Scene(  # five distractors, then the duplicate, then the query; the rules keep this order
+DEMO: Final = Scene(  # five distractors, the duplicate, and the query; the rules keep this order
     robot=Robot(-0.57, 0.25, 3.83),
     blocks=(
         Block("pentagon", "green", -0.066751, 0.7552, -2.9266),
@@ -68,25 +68,25 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def _alike(scene: Scene, query: int) -> set[int]:
-    """Indices of all blocks with the query's shape and colour, the query's own included."""
+    """The indices of all blocks with the query's shape and colour, including the query's."""
     wanted = scene.blocks[query]
     return {i for i, b in enumerate(scene.blocks) if (b.shape, b.colour) == (wanted.shape, wanted.colour)}
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is one region with one block in it and a duplicate of that outside."""
+    """Raises an `InvalidSceneError` unless there is one region with one block in it, and a duplicate outside."""
     require_regions(scene, "FindDupe", 1)
     inner = inside(scene.regions[0], scene.blocks)
-    require(len(inner) == 1, "FindDupe", f"exactly one block (the query) in the goal region, and this has {len(inner)}")
+    require(len(inner) == 1, "FindDupe", f"exactly one block (the query) in the goal region, but this has {len(inner)}")
     query = scene.blocks[inner[0]]
     has_duplicate = len(_alike(scene, inner[0])) > 1
     require(has_duplicate, "FindDupe", f"another {query.colour} {query.shape}, like the query, outside the goal region")
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The share of blocks like the query among those in the region, if it and a duplicate are there; else 0.
+    """The share of blocks like the query among the blocks in the region; 0 unless it and a duplicate are inside.
 
-    The query is the block that is in the region in the initial scene.
+    The query is the block in the region of the initial scene.
     """
     (query,) = inside(initial.regions[0], initial.blocks)
     inner = inside(final.regions[0], final.blocks)
@@ -96,7 +96,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Distractors go out of the region, the query comes back to it, and one of the duplicates joins it."""
+    """Distractors leave the region, the query returns to it if necessary, and a duplicate moves into it."""
     (region,) = now.regions
     (query,) = inside(region, initial.blocks)
     alike = sorted(_alike(now, query) - {query})

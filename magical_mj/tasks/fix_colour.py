@@ -1,21 +1,21 @@
 """FixColour: find the block whose colour differs from its goal region's and push it out.
 
 Goal
-    Each goal region starts with one block in it, and exactly one block, the mismatched one, differs in
-    colour from its region. The goal is reached when it lies in no region and every other block is in its own.
+    Each goal region starts with one block in it. Exactly one block, the mismatched one, differs in colour from its
+    region. At the end, the mismatched block is in no region, and every other block is in its own.
 
 What varies
-    Colour draws every region's colour independently, repeats allowed; the blocks copy it, except for one,
-    which draws one of the other three. Shape draws every block's shape. CountPlus has 2 or 3 regions with
-    their blocks (the demo has 3). A block starts with its centre in its region but may stick out of it.
+    Colour draws every region's colour independently, with repeats. Every block has its region's colour, except
+    one, which has one of the other three. Shape draws every block's shape. CountPlus has 2 or 3 regions with
+    their blocks (the demo has 3). A block starts with its centre in its region, but it may stick out.
 
 Score
-    1 if the mismatched block is in no region and every other region holds exactly its own block, else 0.
+    1 if the mismatched block is in no region and every other region contains exactly its own block, else 0.
 
 Differences from the original
-    The mismatched block's colour is uniform over the three others; the released code never makes it yellow
-    in a red or green region and is otherwise uneven. Its Jitter first moves the blocks to the middle of
-    their regions; ours jitters them around their places in the demo, as the paper says.
+    The mismatched block's colour is uniform over the three others. The released code never makes it yellow
+    in a red or green region, and its draws are also uneven otherwise. Its Jitter first moves the blocks to the middle
+    of their regions. Ours jitters them around their demo positions, as in the paper.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, plac
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
-DEMO: Final = Scene(  # block i belongs in region i; the third is mismatched
+DEMO: Final = Scene(  # block i is that of region i; the third is mismatched
     robot=Robot(0.368, 0.586, 0.718),
     blocks=(
         Block("pentagon", "green", 0.289, 0.03, 0.307),
@@ -47,7 +47,7 @@ DEMO: Final = Scene(  # block i belongs in region i; the third is mismatched
 
 
 def colour(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Independent uniform region colours; one block, uniformly chosen, gets one of the three wrong ones."""
+    """Independent uniform region colours. A uniformly chosen block gets one of the three wrong colours."""
     colours = pick_each(rng, COLOURS, len(scene.regions))
     regions = tuple(replace(region, colour=new) for region, new in zip(scene.regions, colours, strict=True))
     odd = uniform_integer(rng, 0, len(colours) - 1)
@@ -56,13 +56,13 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
-    """2 or 3 regions with their blocks; the mismatched one is last in the demo and so always kept."""
+    """2 or 3 regions with their blocks. The mismatched one is last in the demo, and is always kept."""
     number = uniform_integer(rng, 2, len(scene.regions))
     return replace(scene, blocks=scene.blocks[-number:], regions=scene.regions[-number:])
 
 
 def _homes(scene: Scene) -> list[list[int]]:
-    """For each region the indices of the blocks in it: of its own one, in an initial scene."""
+    """For each region the indices of the blocks in it. In an initial scene, this is only its own block."""
     return [inside(region, scene.blocks) for region in scene.regions]
 
 
@@ -73,20 +73,24 @@ def _mismatched(scene: Scene, homes: list[list[int]]) -> list[int]:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless each region has its own block and exactly one of these is mismatched."""
-    require(len(scene.regions) > 0, "FixColour", "at least one goal region, and this has none")
+    """Raises an `InvalidSceneError` unless each region has its own block and exactly one of these is mismatched."""
+    require(len(scene.regions) > 0, "FixColour", "at least one goal region, but this has none")
     homes = _homes(scene)
     numbers = [len(blocks) for blocks in homes]
     one_each = set(numbers) == {1} and len({blocks[0] for blocks in homes}) == len(homes)
-    require(one_each, "FixColour", f"exactly one block of its own in every goal region, and the numbers are {numbers}")
+    require(
+        one_each,
+        "FixColour",
+        f"exactly one block of its own in every goal region, but the numbers are {numbers}",
+    )
     odd = len(_mismatched(scene, homes))
-    require(odd == 1, "FixColour", f"exactly one block whose colour differs from its goal region's, and this has {odd}")
+    require(odd == 1, "FixColour", f"exactly one block whose colour differs from its goal region's, but this has {odd}")
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """1.0 if the mismatched block has left its region and each other region has just its own block, else 0.0.
+    """1.0 if the mismatched block has left its region and each other region contains just its own block, else 0.0.
 
-    The initial scene determines which block belongs to which region, and which one is mismatched. The same under
+    The initial scene determines each region's block and the mismatched one. The score is the same under
     both rules.
     """
     homes, now = _homes(initial), _homes(final)
@@ -96,7 +100,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The mismatched block goes out of all regions, and the others go back to where they started."""
+    """The mismatched block leaves all regions, and the others return to their initial positions."""
     todo: list[Subgoal] = []
     scene = now
     for region in now.regions:

@@ -1,19 +1,19 @@
 """MakeLine: arrange all blocks in a line, anywhere and at any angle.
 
 Goal
-    All blocks lie along one straight line without large gaps. Colours and shapes do not matter.
+    All blocks are along one straight line without large gaps. Colours and shapes do not matter.
 
 What varies
     Colour and Shape draw every block's colour or shape. CountPlus has 3 or 4 blocks (the demo has 4).
 
 Score
-    For every pair of blocks take the straight line through both. Its inliers are the blocks within 0.18 of
-    it; cut them into runs wherever neighbours are more than 0.42 apart, measured along the line. With m the
-    size of the largest run over all pairs and n the number of blocks: 1 if m = n, 0.5 if m = n - 1, else 0.
+    For every pair of blocks, take the straight line through both. Its inliers are the blocks within 0.18 of
+    it. Split them into runs at gaps of more than 0.42, measured along the line. With m the size of
+    the largest run over all pairs and n the number of blocks: 1 if m = n, 0.5 if m = n - 1, else 0.
 
 Differences from the original
     With three blocks, the paper's m = n - 1 = 2 gives 0.5 for any two blocks near each other. The released
-    code gives 0 for it (rules="released"). With four blocks the two agree.
+    code gives 0 in this case (rules="released"). With four blocks, both agree.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ DEMO: Final = Scene(
 INLIER_DISTANCE: Final = 0.18
 MAX_GAP: Final = 0.42
 MIN_BLOCKS: Final = 3
-RELEASED_LEAST: Final = 3  # blocks in a line that score, by the released code's rules
+RELEASED_LEAST: Final = 3  # the least number of blocks in a line with a score above 0, by the released code's rules
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
@@ -54,18 +54,18 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there are at least three blocks and no goal region."""
+    """Raises an `InvalidSceneError` unless there are at least three blocks and no goal region."""
     number = len(scene.blocks)
-    require(number >= MIN_BLOCKS, "MakeLine", f"at least {MIN_BLOCKS} blocks, and this has {number}")
+    require(number >= MIN_BLOCKS, "MakeLine", f"at least {MIN_BLOCKS} blocks, but this has {number}")
     require_regions(scene, "MakeLine", 0)
 
 
 def longest_line(points: Sequence[Point]) -> int:
-    """The number of blocks in the longest line, of blocks with these centres: m in the module's docstring."""
+    """The number of blocks in the longest line of blocks with these centres: m in the module's docstring."""
     longest = 1
     for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
         distance = math.hypot(other_x - x, other_y - y)
-        if distance == 0.0:  # two centres in one place (never in a legal scene) define no line
+        if distance == 0.0:  # two equal centres (never in a legal scene) define no line
             continue
         along_x, along_y = (other_x - x) / distance, (other_y - y) / distance
         offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
@@ -80,7 +80,7 @@ def longest_line(points: Sequence[Point]) -> int:
 
 
 def are_lines(arrangements: NDArray[np.float64]) -> Iterator[bool]:
-    """Whether blocks with these centres are all in one line, for each of the arrangements, shape (n, blocks, 2)."""
+    """Whether all blocks are in one line, for each of the arrangements of their centres, shape (n, blocks, 2)."""
     return (longest_line(points) == len(points) for points in arrangements.tolist())
 
 
@@ -95,7 +95,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """One of the blocks stays, and the others go to places in a line through it."""
+    """One of the blocks stays, and the others move to positions in a line through it."""
     return each_to(line_targets([(block.x, block.y) for block in now.blocks], are_lines, noise), tolerance=0.07)
 
 

@@ -4,7 +4,7 @@ Goal
     Every target (a block of the region's colour) is in the region, and no distractor (any other block) is.
 
 What varies
-    Colour draws one colour, which becomes that of the region and of all targets; the distractors take the
+    Colour draws one colour for the region and all targets. The distractors take the
     other three in the order red, green, blue, yellow, so that none of them becomes a target. Shape draws
     every block's shape. CountPlus draws 1 or 2 targets and 0 to 2 distractors for each other colour.
     There is always one region, and every block starts outside it.
@@ -43,7 +43,7 @@ DEMO: Final = Scene(
 
 MAX_TARGETS: Final = 2
 MAX_DISTRACTORS: Final = 2
-"""Of each colour other than the region's, in the CountPlus variant."""
+"""The maximum number for each colour other than the region's, in the CountPlus variant."""
 
 
 def _others(colour: Colour) -> list[Colour]:
@@ -51,7 +51,7 @@ def _others(colour: Colour) -> list[Colour]:
 
 
 def colour(rng: np.random.Generator, scene: Scene) -> Scene:
-    """A uniform colour for region and targets; distractors that shared a colour still share one."""
+    """A uniform colour for region and targets. Distractors of the same colour keep a common colour."""
     (region,) = scene.regions
     target = pick(rng, COLOURS)
     new = dict(zip(_others(region.colour), _others(target), strict=True))
@@ -61,7 +61,7 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
-    """1 or 2 targets, then 0 to 2 distractors of each other colour; targets first, as in the demo."""
+    """1 or 2 targets, and 0 to 2 distractors of each other colour. Targets come first, as in the demo."""
     target = scene.regions[0].colour
     numbers: dict[Colour, int] = {target: uniform_integer(rng, 1, MAX_TARGETS)}
     for other in _others(target):
@@ -72,7 +72,7 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is exactly one goal region and a block of its colour."""
+    """Raises an `InvalidSceneError` unless there is exactly one goal region and a block of its colour."""
     require_regions(scene, "MatchRegions", 1)
     wanted = scene.regions[0].colour
     has_target = any(block.colour == wanted for block in scene.blocks)
@@ -80,7 +80,7 @@ def check(scene: Scene) -> None:
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The share of targets in the region, less the share of distractors in it; the same under both rules."""
+    """The share of targets in the region, times 1 - the share of distractors in it. The same under both rules."""
     (region,) = final.regions
     inner = inside(region, final.blocks)
     if not inner:
@@ -91,7 +91,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Targets move into the region, distractors out of it, each to a place that is free at that time."""
+    """Targets move into the region and distractors out of it, each to a position that is then free."""
     (region,) = now.regions
     todo: list[Subgoal] = []
     scene = now

@@ -1,11 +1,11 @@
 """MoveToCorner: push the only block from the lower right into the top left corner.
 
 Goal
-    The block lies within sqrt(2)/2 of the corner (-1, 1) when the episode ends.
+    The block is within sqrt(2)/2 of the corner (-1, 1) when the episode ends.
 
 What varies
-    Colour and shape of the block. Poses are only jittered, never drawn from the whole workspace, for the
-    block must start near the opposite corner: elsewhere the goal would be ambiguous. For the same reason
+    Colour and shape of the block. Poses are only jittered, never drawn from the whole workspace, since the
+    block must start near the opposite corner. Elsewhere, the goal would be ambiguous. For the same reason
     there is always one block. So there are no Layout and CountPlus variants, and All jitters.
 
 Score
@@ -13,8 +13,8 @@ Score
     linear in between.
 
 Differences from the original
-    None. (The paper's main text says "top left eighth"; its appendix and the released code use the
-    quarter disc, and so do we.)
+    None. (The paper's main text mentions the "top left eighth". Its appendix and the released code use the
+    quarter disc, as here.)
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ ZERO_SCORE_DISTANCE: Final = math.sqrt(2)
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is exactly one block and no goal region."""
-    require(len(scene.blocks) == 1, "MoveToCorner", f"exactly one block, and this has {len(scene.blocks)}")
+    """Raises an `InvalidSceneError` unless there is exactly one block and no goal region."""
+    require(len(scene.blocks) == 1, "MoveToCorner", f"exactly one block, but this has {len(scene.blocks)}")
     require_regions(scene, "MoveToCorner", 0)
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """How close the block is to the corner, in [0, 1]; the same under both rules."""
+    """The block's closeness to the corner, in [0, 1]. The same under both rules."""
     (block,) = final.blocks
     distance = math.hypot(block.x - CORNER[0], block.y - CORNER[1])
     return min(1.0, max(0.0, (ZERO_SCORE_DISTANCE - distance) / (ZERO_SCORE_DISTANCE - FULL_SCORE_DISTANCE)))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The block moves to the nearest place that is near enough to the corner, with some margin."""
+    """The block moves to the nearest position within the full-score distance of the corner, less a margin."""
     near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
     places = [place for place in places_anywhere() if math.dist(place, CORNER) < near]
     return [bring(now, 0, places, noise)]

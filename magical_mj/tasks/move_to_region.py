@@ -4,7 +4,7 @@ Goal
     The centre of the robot's body is in the goal region when the episode ends.
 
 What varies
-    Place, size and colour of the region, and the robot's pose; the robot always starts outside. There are
+    Position, size and colour of the region, and the robot's pose. The robot always starts outside. There are
     no blocks, so there are no Shape and CountPlus variants, and All is Layout, Colour and Dynamics.
 
 Score
@@ -39,18 +39,18 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is exactly one goal region and no block."""
+    """Raises an `InvalidSceneError` unless there is exactly one goal region and no block."""
     require_regions(scene, "MoveToRegion", 1)
-    require(not scene.blocks, "MoveToRegion", f"no blocks, and this has {len(scene.blocks)}")
+    require(not scene.blocks, "MoveToRegion", f"no blocks, but this has {len(scene.blocks)}")
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """1.0 if the robot's centre is in the region, else 0.0; the same under both rules."""
+    """1.0 if the robot's centre is in the region, else 0.0. The same under both rules."""
     return float(final.regions[0].contains(final.robot))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The robot goes to the nearest place in the region."""
+    """The robot drives to the nearest position in the region."""
     return [drive(now, places_inside(now.regions[0]), noise, tolerance=0.1)]
 
 

@@ -1,11 +1,11 @@
-"""Plans of tasks: subgoals and their target places. Pure geometry, without a simulator. Costs are in actions.
+"""Plans of tasks: subgoals and their target positions. Pure geometry, without a simulator. Costs are in actions.
 
-A plan says which block should go where; experts find the actions for it. It is part of a task (`TaskSpec.plan`).
+A plan gives blocks and their target positions, and experts find the actions. It is part of a task (`TaskSpec.plan`).
 
-The second half finds target places with which blocks form a line or clusters and that are cheap to reach. A line goes
-through one of the blocks, which stays; all directions, spacings and orders are compared. Clusters are found by local
-search: of all moves of one block to one place, the best is made, until none is an improvement. A block may also return
-to its present place, at no cost, so that only the necessary blocks are moved.
+The second half finds target positions at which blocks form a line or clusters, with low costs. A line goes
+through one of the blocks, which stays. All directions, spacings and orders are compared. Clusters are found by local
+search: the best move of one block to one position is made, until no move is an improvement. A block may also return
+to its current position, at no cost, so that only the necessary blocks are moved.
 """
 
 from __future__ import annotations
@@ -25,50 +25,51 @@ from magical_mj.utils.errors import PlacementError
 Floats = NDArray[np.float64]
 Point = tuple[float, float]
 
-FETCHING: Final = 14  # to drive to a block, grip it and release it
-CARRYING: Final = 11  # to carry it one unit
-SPREAD: Final = 2.0  # the largest change of a place's cost by noise
-WANDER: Final = 10.0  # the same where only the robot moves
+FETCHING: Final = 14  # cost of driving to a block, gripping it and releasing it
+CARRYING: Final = 11  # cost of carrying it one unit
+SPREAD: Final = 2.0  # the largest change of a position's cost by noise
+WANDER: Final = 10.0  # the same if only the robot moves
 CHOICE: Final = 3.0  # the same for the choice between several blocks
 TOLERANCE: Final = 0.12  # a block this close to its target has reached it
-APART: Final = 0.27  # between the centres of blocks that do not touch
-CROWDED: Final = 1000.0  # for each unit by which they are closer than `APART`
-INSIDE, OUTSIDE = 0.14, 0.16  # from the border of a goal region
-REACHABLE: Final = 0.84  # blocks are left within this square
+APART: Final = 0.27  # distance between the centres of blocks that do not touch
+CROWDED: Final = 1000.0  # cost for each unit by which they are closer than `APART`
+INSIDE, OUTSIDE = 0.14, 0.16  # distances from the border of a goal region
+REACHABLE: Final = 0.84  # blocks are placed within this square (half side)
 GRID: Final = 0.06
 
 # Lines
-SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.31 wide, and 0.42 is too far
+# between neighbours; blocks are up to 0.31 wide, and the score allows gaps up to 0.42
+SPACINGS: Final = (0.29, 0.34, 0.39)
 ANGLES: Final = 24
-STAYS: Final = 0.09  # a block this near to its place is left alone
-LINE_COSTS: Final = (14.0, 11.0)  # to move a block at all, and for each unit
+STAYS: Final = 0.09  # a block this near to its target position is not moved
+LINE_COSTS: Final = (14.0, 11.0)  # cost of moving a block, and for each unit
 LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
-# the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
+# the number of cheapest plans that are checked: blocks that stay near their targets may leave too large a gap
 CHECKED: Final = 500
-SPARE: Final = 1.05  # safety factor: the rule must also hold if distances grow by it
-FIXED_COST: Final = 1000.0  # of moving a block that should stay
+SPARE: Final = 1.05  # safety factor: the rule must still hold if distances grow by this factor
+FIXED_COST: Final = 1000.0  # cost of moving a block that should stay
 LINE_LIMIT: Final = 0.84  # lines end within this square
 
 # Clusters
-CLUSTER_COSTS: Final = (16.0, 13.0)  # to move a block at all, and for each unit
-WRONG_COST: Final = 60.0  # of a block that is nearer to another kind
+CLUSTER_COSTS: Final = (16.0, 13.0)  # cost of moving a block, and for each unit
+WRONG_COST: Final = 60.0  # cost of a block that is nearer to another kind
 SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of the limit
-DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that between which the cost of a wrong block rises
-CLUSTER_APART: Final = 0.28  # between the centres of blocks
-CROWDED_COST: Final = 1000.0  # for each unit by which two blocks are closer than `CLUSTER_APART`
-PITCH: Final = 0.14  # of the grid of places
-CLUSTER_LIMIT: Final = 0.78  # places are within this square
+DOUBTFUL, HOPELESS = 0.7, 2.2  # the cost of a wrong block rises between these shares
+CLUSTER_APART: Final = 0.28  # distance between the centres of blocks
+CROWDED_COST: Final = 1000.0  # cost for each unit by which two blocks are closer than `CLUSTER_APART`
+PITCH: Final = 0.14  # pitch of the grid of positions
+CLUSTER_LIMIT: Final = 0.78  # positions are within this square (half side)
 STARTS: Final = 3
 CLUSTER_SPREAD: Final = 30.0  # the largest change of a layout's cost by noise
 ROUNDS: Final = 24
 
 
 class Noise:
-    """Random amounts that are added to costs before the least is chosen: so different experts solve a task differently.
+    """Random amounts that are added to costs before the minimum is chosen, so that experts solve a task differently.
 
     Args:
         rng: the random generator.
-        strength: 0 for the plan that seems best, 1 for the variety of an expert.
+        strength: 0 for the plan with the least estimated cost, 1 for the variety of an expert.
     """
 
     def __init__(self, rng: np.random.Generator, strength: float) -> None:
@@ -82,7 +83,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Subgoal:
-    """Bring a block to a place, or, if `block` is None, the robot itself."""
+    """Move a block to a position, or, if `block` is None, the robot."""
 
     block: int | None
     target: Point
@@ -118,7 +119,7 @@ def scene_after(scene: Scene, subgoals: Iterable[Subgoal]) -> Scene:
 
 
 def _scattered(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
-    """Points that fill a box, one in each cell of a grid; its middle if the box is empty."""
+    """Random points in a box, one in each cell of a grid. The box's middle if the box is empty."""
     if x_min >= x_max or y_min >= y_max:
         return [((x_min + x_max) / 2, (y_min + y_max) / 2)]
     columns, rows = (math.ceil((high - low) / GRID) for low, high in ((x_min, x_max), (y_min, y_max)))
@@ -128,19 +129,19 @@ def _scattered(x_min: float, y_min: float, x_max: float, y_max: float) -> list[P
 
 
 def places_anywhere() -> list[Point]:
-    """Places for a block anywhere in the arena."""
+    """Positions for a block anywhere in the arena."""
     return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
 
 
 def places_inside(region: GoalRegion) -> list[Point]:
-    """Places for a block in a region."""
+    """Positions for a block in a region."""
     box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
     x_min, y_min, x_max, y_max = (max(-REACHABLE, min(REACHABLE, side)) for side in box)
     return _scattered(x_min, y_min, x_max, y_max)
 
 
 def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
-    """Places for a block outside of all these regions."""
+    """Positions for a block outside all these regions."""
 
     def clear(place: Point, region: GoalRegion) -> bool:
         aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
@@ -150,10 +151,10 @@ def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
 
 
 def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Subgoal:
-    """The subgoal of bringing a block to the nearest place that no other block occupies.
+    """The subgoal of bringing a block to the nearest free position.
 
     Raises:
-        PlacementError: if there are no places.
+        PlacementError: if there are no positions.
     """
     here = scene.blocks[block]
 
@@ -169,10 +170,10 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
 
 
 def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float) -> Subgoal:
-    """The subgoal of driving the robot to the nearest of the places.
+    """The subgoal of driving the robot to the nearest of the positions.
 
     Raises:
-        PlacementError: if there are no places.
+        PlacementError: if there are no positions.
     """
     here = scene.robot
 
@@ -183,15 +184,15 @@ def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float)
 
 
 def _cheapest(places: Iterable[Point], cost: Callable[[Point], float], what: str) -> Point:
-    """The place with the least cost for a block or the robot (`what`)."""
+    """The position with the least cost for a block or the robot (`what`)."""
     place = min(places, key=cost, default=None)
     if place is None:
-        raise PlacementError(f"a plan has no place for {what}: the scene leaves no room, as for blocks between regions")
+        raise PlacementError(f"a plan has no position for {what}: the scene has no free space, as between regions")
     return place
 
 
 def each_to(targets: Sequence[Point | None], tolerance: float) -> list[Subgoal]:
-    """The subgoals of an arrangement with a target for each block, or None for blocks that stay."""
+    """The subgoals of an arrangement. It has a target for each block, or None for blocks that stay."""
     return [Subgoal(number, target, tolerance) for number, target in enumerate(targets) if target is not None]
 
 
@@ -205,25 +206,25 @@ def line_targets(
 
     Args:
         points: the blocks' positions.
-        are_lines: which arrangements of the blocks, shape (n, blocks, 2), form a line; asked until one does.
+        are_lines: whether each arrangement of the blocks, shape (n, blocks, 2), forms a line; iterated until one does.
         noise: selects one of several good lines.
         fixed: the blocks that should stay, if possible.
     """
     here = np.array(points)
     count = len(here)
     lines = _lines(here, noise)
-    if not len(lines):  # of so many blocks
+    if not len(lines):  # too many blocks for a line in the arena
         return [None] * count
-    ways = np.linalg.norm(lines[:, :, None] - here, axis=-1)  # (line, slot, block)
-    costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
-    costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
+    distances = np.linalg.norm(lines[:, :, None] - here, axis=-1)  # (line, slot, block)
+    costs = np.where(distances <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * distances)
+    costs[:, :, list(fixed)] += FIXED_COST * (distances[:, :, list(fixed)] > STAYS)
     orders = np.array(list(itertools.permutations(range(count))))  # (order, slot): the block in each slot
     totals = costs[:, np.arange(count), orders[:, None]].reshape(len(lines), len(orders), count).sum(axis=-1)
     totals += noise(LINE_SPREAD, totals.shape)
 
     line, order = np.divmod(totals.ravel().argsort()[:CHECKED], len(orders))
     blocks = orders[order]  # (plan, slot)
-    moved = ways[line[:, None], np.arange(count), blocks] > STAYS
+    moved = distances[line[:, None], np.arange(count), blocks] > STAYS
     plan, slot = moved.nonzero()
     ends = np.repeat(here[None], len(line), axis=0)
     ends[plan, blocks[plan, slot]] = lines[line[plan], slot]
@@ -232,13 +233,13 @@ def line_targets(
 
 
 def _lines(here: Floats, noise: Noise) -> Floats:
-    """The places in lines through each of the blocks at these points. Shape (lines, slots, 2)."""
+    """The positions in lines through each of the blocks at these points. Shape (lines, slots, 2)."""
     count = len(here)
     angles = (np.arange(ANGLES) + noise.rng.random()) * math.pi / ANGLES
     pairs = here[None] - here[:, None]
     angles = np.concatenate([angles, np.arctan2(pairs[..., 1], pairs[..., 0])[~np.eye(count, dtype=bool)]])
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    offsets = np.arange(count) - np.arange(count)[:, None]  # of the slots, by the slot that the block has
+    offsets = np.arange(count) - np.arange(count)[:, None]  # offsets of the slots, by the block's slot
     steps = offsets * np.array(SPACINGS)[:, None, None]  # (spacing, slot of the block, slot)
     lines = steps[:, :, None, :, None] * directions[:, None]  # (spacing, slot of the block, direction, slot, 2)
     places = (here[:, None, None, None, None] + lines).reshape(-1, count, 2)
@@ -246,7 +247,7 @@ def _lines(here: Floats, noise: Noise) -> Floats:
 
 
 def _targets(ends: Floats, here: Floats) -> list[Point | None]:
-    """The blocks' ends; None for those that stay."""
+    """The blocks' target positions; None for blocks that stay."""
     return [
         None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
     ]
@@ -281,7 +282,7 @@ def cluster_targets(
 
 
 def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
-    """A starting point of the search, with every kind in one place: near its own or another kind's blocks."""
+    """A start of the search, with each kind gathered at one position: near its own or another kind's blocks."""
     middles = members @ here / members.sum(axis=1, keepdims=True)
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][np.arange(len(middles)) % 4]
@@ -311,7 +312,7 @@ def _improved(
 
 
 def _layouts(layout: Floats, block: int, places: Floats) -> Floats:
-    """The layouts with one block in each of the places. Shape (places, blocks, 2)."""
+    """The layouts with one block at each of the positions. Shape (positions, blocks, 2)."""
     layouts = np.repeat(layout[None], len(places), axis=0)
     layouts[:, block] = places
     return layouts
@@ -327,7 +328,8 @@ def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Flo
     own = (squares * members.T).sum(axis=-1)
     nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
     share = nearer * own / np.maximum(nearest, 1e-9)
-    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # a slope towards layouts with fewer wrong blocks
+    # makes the cost slope towards layouts with fewer wrong blocks
+    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL
     cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
     gaps = np.sqrt(_squared(layouts[:, :, None], layouts[:, None]))
     crowded = np.clip(CLUSTER_APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])
@@ -336,6 +338,6 @@ def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Flo
 
 
 def _squared(points: Floats, others: Floats) -> Floats:
-    """Squared distances between points: the last axis holds x and y."""
+    """Squared distances between points. The last axis contains x and y."""
     dx, dy = points[..., 0] - others[..., 0], points[..., 1] - others[..., 1]
     return dx * dx + dy * dy

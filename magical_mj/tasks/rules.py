@@ -1,4 +1,4 @@
-"""What the task modules share: drawing colours and shapes, and checking what is in a scene."""
+"""Functions for task modules: drawing colours and shapes, and checking scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _T = TypeVar("_T")
 def uniform_integer(rng: np.random.Generator, low: int, high: int) -> int:
     """A uniform integer from `low` to `high`, both included.
 
-    It uses `Generator.random` only: the scenes of a seed must stay the same for years, and numpy may change
+    It uses `Generator.random` only. The scenes of a seed must not change in the long term, but numpy may change
     the algorithms of its other draws.
     """
     return low + int((high - low + 1) * rng.random())
@@ -68,18 +68,18 @@ def inside(region: GoalRegion, blocks: Iterable[Block]) -> list[int]:
 
 
 def require(condition: bool, task: str, need: str) -> None:
-    """Raise `InvalidSceneError` unless the condition holds.
+    """Raises an `InvalidSceneError` unless the condition holds.
 
     Args:
-        condition: what must be true of a scene of the task.
+        condition: a condition on scenes of the task.
         task: the task's name.
-        need: what the task needs and what was found instead; the message continues "... it needs" with it.
+        need: the requirement, and what the scene has instead. The message ends with it: "... it needs <need>".
     """
     if not condition:
         raise InvalidSceneError(f"this is not a scene of {task}: it needs {need}")
 
 
 def require_regions(scene: Scene, task: str, number: Literal[0, 1]) -> None:
-    """Raise `InvalidSceneError` unless the scene has exactly `number` goal regions."""
+    """Raises an `InvalidSceneError` unless the scene has exactly `number` goal regions."""
     wanted = "exactly one goal region" if number else "no goal regions"
-    require(len(scene.regions) == number, task, f"{wanted}, and this has {len(scene.regions)}")
+    require(len(scene.regions) == number, task, f"{wanted}, but this has {len(scene.regions)}")

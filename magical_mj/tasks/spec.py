@@ -1,4 +1,4 @@
-"""The definition of a task as data: `TaskSpec`, which every task module makes."""
+"""The definition of a task as data, `TaskSpec`. Every task module defines one."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from magical_mj.utils.imports import errors_of_task
 from magical_mj.variants import VariationRules
 
 Rules = Literal["paper", "released"]
-"""Which scores and horizons: those of the paper's appendix, or of the original's released code where it differs."""
+"""The set of rules for scores and horizons: the paper's appendix, or the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
 Reward = Literal["none", "score"]
-"""The reward of the last step: 0 as at all other steps, since the benchmark has no reward, or the score."""
+"""The reward of the last step: 0, like all other steps, since the benchmark has no reward; or the score."""
 REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 _ROUNDING: Final = 1e-9
 
 Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
-"""(initial scene, present scene, noise) -> the remaining subgoals; called only if the task is not solved. An expert
-calls it again whenever a block is not where it was expected. The noise selects one of several good plans."""
+"""(initial scene, current scene, noise) -> the remaining subgoals. It is called only if the task is not solved. An
+expert calls it again whenever a block is not at its expected position. The noise selects one of several good plans."""
 PlanOfTrajectory = Callable[[tuple[Scene, ...], Noise], Iterable[Subgoal]]
 """The same for tasks with `trajectory=True`: (scenes so far, noise) -> the remaining subgoals."""
 
@@ -40,35 +40,35 @@ ScoreOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec(VariationRules):
-    """One task: what its variants may change, its score and its plan."""
+    """A task: its variation rules, its score and its plan."""
 
     summary: str
     """The goal in one line, for tables."""
     steps: int
     """The horizon under the paper's rules, in control steps."""
     released_steps: int | None = None
-    """The horizon under the released code's rules, where it differs."""
+    """The horizon under the released code's rules, if it differs."""
     score: ScoreFunction | ScoreOfTrajectory
-    """How well the final scene solves the task, in [0, 1]; or the scenes of all steps."""
+    """The score in [0, 1], of the final scene, or of the scenes of all steps."""
     trajectory: bool = False
-    """Whether `score` and `plan` take the scenes of all steps, instead of the initial and the present one."""
+    """Whether `score` and `plan` receive the scenes of all steps, instead of the initial and the current one."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
-    """The robot's bodies that can solve the task: those of `magical_mj.scene.bodies.BODIES` that it offers."""
+    """The bodies of `magical_mj.scene.bodies.BODIES` that can solve the task."""
     steps_of: tuple[tuple[str, int], ...] = ()
-    """Bodies that have another horizon, with theirs."""
+    """Pairs of a body and its horizon, for bodies with other horizons."""
     speeds: bool = False
-    """Whether actions are x-magical's speeds (`magical_mj.assets.robot.speed_signal`); the 18 then mean full speed."""
+    """Whether actions are x-magical's speeds (`magical_mj.assets.robot.speed_signal`). The 18 then mean full speed."""
 
     plan: Plan | PlanOfTrajectory | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
     like: str = ""
-    """The benchmark's task that this one is but for a change: policies of that task are told that they play it."""
+    """The benchmark's task that this task modifies. Policies for several tasks receive that task's name."""
     demonstrations: Path | str | None = None
-    """The folder of the demonstrations that another package ships for its task; learners are trained on them."""
+    """The folder of demonstrations that another package ships for its task. Learners are trained on them."""
 
     def __post_init__(self) -> None:
-        """Raises `TaskError` if a field has a wrong type or is out of its range."""
+        """Raises a `TaskError` if a field has a wrong type or is out of range."""
         super().__post_init__()
         self._require("summary", isinstance(self.summary, str), "a str")
         self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
@@ -89,44 +89,44 @@ class TaskSpec(VariationRules):
         return self.steps
 
     def check_body(self, body: str) -> None:
-        """Raises `SettingsError` unless the task offers this body; references to one's own are not looked at.
+        """Raises a `SettingsError` unless the task supports this body. References to users' bodies are not checked.
 
         Raises:
-            InvalidSceneError: if there is no such body.
+            InvalidSceneError: if the body does not exist.
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"{self.name} is not offered with the body {body!r}, which cannot solve it; it has "
+                f"{self.name} is not offered with the body {body!r}, which cannot solve it; it supports "
                 f"{', '.join(self.bodies)} (docs/bodies.md)"
             )
 
     def checked_score(self, scenes: Sequence[Scene], rules: Rules) -> float:
-        """What `score` returns, which must be a number in [0, 1] up to rounding; what rounding adds is cut off.
+        """The result of `score`, which must be a number in [0, 1] up to rounding, and is clipped to that range.
 
         Args:
-            scenes: the initial and the present one, with those of all steps between them if the task has `trajectory`.
+            scenes: the initial and the current scene. If the task has `trajectory`, also all scenes between them.
             rules: "paper" or "released".
 
         Raises:
-            TaskError: if it is anything else, or `score` raises an error that is not one of this package's.
+            TaskError: if the result is not such a number, or `score` raises an error that is not one of this package's.
         """
         with errors_of_task(f"{self.name}.score failed"):
             function: Callable[..., Any] = self.score
             score = function(*self._seen(scenes), rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
-            raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {short_repr(score)}")
+            raise TaskError(f"{self.name}.score must return a number in [0, 1], but returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
 
     def _seen(self, scenes: Sequence[Scene]) -> tuple[Any, ...]:
-        """The scenes as the task's functions take them."""
+        """The scenes as arguments of the task's functions."""
         return (tuple(scenes),) if self.trajectory else (scenes[0], scenes[-1])
 
     def subgoals(self, scenes: Sequence[Scene], noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
-        """The remaining subgoals; none if the task is solved by these rules. The scenes are those of `checked_score`.
+        """The remaining subgoals. Empty if the task is solved by these rules. The scenes are those of `checked_score`.
 
         Raises:
-            TaskError: if the task has no plan, or it returns anything else, or raises an error that is not one of this
-                package's.
+            TaskError: if the task has no plan, or the plan returns other values, or raises an error that is not one of
+                this package's.
         """
         plan, now = self.check_plan(), scenes[-1]
         if self.checked_score(scenes, rules) == 1.0:
@@ -139,19 +139,19 @@ class TaskSpec(VariationRules):
             if not isinstance(subgoal, Subgoal) or subgoal.block not in whose or not _is_point(subgoal.target):
                 raise TaskError(
                     f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
-                    f"{len(now.blocks) - 1}, whose targets are points (x, y), and returned {short_repr(subgoal)}"
+                    f"{len(now.blocks) - 1}, with points (x, y) as targets, but returned {short_repr(subgoal)}"
                 )
         return todo
 
     def check_plan(self) -> Callable[..., Any]:
-        """The plan; raises `TaskError` if there is none."""
+        """The plan. Raises a `TaskError` if there is none."""
         if self.speeds:
             raise TaskError(
                 f"the expert of {self.name} acts by speeds, which evaluations and videos do not store; "
                 f"magical-mj demos generate --tasks {self.name} plays its episodes"
             )
         if self.plan is None:
-            raise TaskError(f"{self.name} has no plan, so no expert can play it; give its TaskSpec one")
+            raise TaskError(f"{self.name} has no plan, which an expert needs; add one to its TaskSpec")
         return self.plan
 
 

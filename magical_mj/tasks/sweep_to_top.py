@@ -1,19 +1,19 @@
-"""SweepToTop: push all debris to the top. The task of x-magical (Zakka et al. 2021, XIRL), beside the benchmark.
+"""SweepToTop: push all debris to the top. x-magical's task (Zakka et al. 2021, XIRL), not part of the benchmark.
 
 Goal
-    The three pieces of debris, which are very light, are wholly inside the goal zone along the top wall.
+    The three pieces of debris, which are very light, are entirely inside the goal zone along the top wall.
 
 What varies
     Layout: one y for all debris, U(-0.1, 0.5), and three of the four columns x = -0.8, -0.32, 0.16, 0.64, in random
     order. Shape and colour: each piece's, and the zone's colour, which need not match. Dynamics: the five force caps.
-    All: all four. Robot and zone stay. There is neither Jitter nor CountPlus.
+    All: all four. The robot's pose and the zone's box are fixed. There is neither Jitter nor CountPlus.
 
 Score
-    The share of the debris whose bounding box is in the zone. Every step is rewarded with it ("sparse"), or with minus
-    the mean distance of the debris to y = 1, none above y = 0.88 ("dense").
+    The share of the debris whose bounding box is in the zone. As a reward, each step has this value ("sparse"), or
+    minus the mean distance of the debris to y = 1, where debris above y = 0.88 counts as 0 ("dense").
 
 Differences from the original
-    None of these. By ``seeds="original"`` environments draw the original's scenes; ours draw each axis on its own.
+    None of these. With ``seeds="original"``, environments draw the original's scenes. Ours draw each axis separately.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from magical_mj.tasks.rules import any_shapes, coloured, pick, pick_each, requir
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 PROTOCOL: Final = 1
-"""The number of the suite xmagical: what `magical_mj.tasks.protocol.PROTOCOL` is to the benchmark."""
+"""The protocol number of the suite xmagical; `magical_mj.tasks.protocol.PROTOCOL` is that of the benchmark."""
 
 DEBRIS_MASS: Final = 0.01
-HALF_WIDTH: Final = 1.1  # of the arena
+HALF_WIDTH: Final = 1.1  # half width of the arena, world units
 COLUMNS: Final = (-0.8, -0.32, 0.16, 0.64)
 ROWS: Final = (-0.1, 0.5)
 DRIVE_FORCES: Final = (3.2, 5.5)
-TARGET, ARRIVED = 1.0, 0.88  # y that the dense reward measures to, and above which it is 0
+TARGET, ARRIVED = 1.0, 0.88  # y to which the dense reward measures, and y above which it is 0
 DIAGONAL: Final = 2 * math.sqrt(2)
-"""What distances in the state vector are divided by: the diagonal of an arena of half width 1."""
+"""The unit of distances in the state vector: the diagonal of an arena of half width 1."""
 OPEN: Final = math.pi / 4
 """The angle between the open fingers."""
 
@@ -74,13 +74,13 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there are three pieces of debris and one zone."""
+    """Raises an `InvalidSceneError` unless there are three pieces of debris and one zone."""
     require_regions(scene, "SweepToTop", 1)
-    require(len(scene.blocks) == 3, "SweepToTop", f"three blocks, and this has {len(scene.blocks)}")
+    require(len(scene.blocks) == 3, "SweepToTop", f"three blocks, but this has {len(scene.blocks)}")
 
 
 def arrived(scene: Scene) -> NDArray[np.bool_]:
-    """Which debris is wholly inside the zone. Shape (3,)."""
+    """Whether each piece of debris is entirely inside the zone. Shape (3,)."""
     zone = scene.regions[0]
     inside = []
     for block in scene.blocks:
@@ -96,21 +96,22 @@ def arrived(scene: Scene) -> NDArray[np.bool_]:
 
 
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The share of the debris that is wholly inside the zone; the same under both rules."""
+    """The share of the debris that is entirely inside the zone. The same under both rules."""
     return float(arrived(final).mean())
 
 
 def dense_reward(scene: Scene) -> float:
-    """Minus the mean distance of the debris to y = 1, where nothing counts above y = 0.88."""
+    """Minus the mean distance of the debris to y = 1, where debris above y = 0.88 counts as 0."""
     ys = np.array([block.y for block in scene.blocks])
     return -float(np.where(ys > ARRIVED, 0.0, np.abs(TARGET - ys)).mean())
 
 
 def state_vector(scene: Scene) -> NDArray[np.float32]:
-    """x-magical's state vector, entry by entry as its documentation lists them. Shape (16,), with fingers (17,).
+    """x-magical's state vector, in the order of its documentation. Shape (16,), with fingers (17,).
 
-    The robot's x, y; x, y of each piece of debris; cosine and sine of the robot's angle; the distance of each piece to
-    the robot's centre, and to y = 1, both in diagonals of MAGICAL's arena; and how far the fingers are open, in [0, 1].
+    The entries are the robot's x, y; x, y of each piece of debris; cosine and sine of the robot's angle; the distance
+    of each piece to the robot's centre, and to y = 1, both in diagonals of MAGICAL's arena; and the opening of the
+    fingers, in [0, 1].
     """
     robot, body = scene.robot, BODIES.get(scene.robot.body)
     debris = np.array([(block.x, block.y) for block in scene.blocks])
@@ -124,10 +125,10 @@ def state_vector(scene: Scene) -> NDArray[np.float32]:
 
 
 def original_scene(variant: str, rng: np.random.RandomState, body: str = GRIPPER) -> Scene:
-    """The scene that the original draws next from its generator.
+    """The next scene that the original draws from its generator.
 
-    The draws are, each if the variant has it: five force caps, the zone's colour, the row, the columns, the shapes and
-    the colours of the debris.
+    The draws are, if the variant has them, in this order: five force caps, the zone's colour, the row, the columns, the
+    shapes and the colours of the debris.
     """
     dynamic, layouts, shapes, colours = (variant in (name, "All") for name in ("Dynamics", "Layout", "Shape", "Colour"))
     scene = replace(DEMO, robot=replace(DEMO.robot, body=body))

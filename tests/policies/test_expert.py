@@ -301,5 +301,5 @@ def test_goals_are_pictures_of_the_solved_scene() -> None:
     assert played(engine, "FindDupe", 3) == 1.0
     assert np.array_equal(info["goal"], engine.render("allo", 64))
     assert not np.array_equal(env.reset(seed=4)[1]["goal"], info["goal"])
-    with pytest.raises(SettingsError, match="eight tasks"):
+    with pytest.raises(SettingsError, match="whose task has a plan"):
         GoalPicture(gymnasium.make("CartPole-v1"))

@@ -196,7 +196,7 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
     )
     episodes = "--tasks planless:SPEC --variants Demo --episodes 1 --jobs 1"
     done = user.python("-m", "magical_mj", "evaluate", "--policy", "expert", *episodes.split(), "--out", "stuck")
-    assert "Planless has no plan, so no expert can play it" in done.stderr + done.stdout
+    assert "Planless has no plan, which an expert needs" in done.stderr + done.stdout
     user.runs(
         f"""
         from magical_mj import Engine, demos
@@ -388,7 +388,7 @@ def test_what_lacks_the_trajectory_is_refused_by_name(in_order: Any) -> None:
         with pytest.raises(StateError, match="score of in_order:SPEC depends on the scenes of all steps"):
             refused()
     assert engine.get_state() == composer.get_state() == single.get_state() == kept
-    with pytest.raises(SettingsError, match="give an engine of this task"):
+    with pytest.raises(SettingsError, match="use an engine of this task"):
         magical_mj.experts.Expert(magical_mj.Engine.of_scene(scene), ORDER)
     wrong = replace(FIND_DUPE, name="Wrong", trajectory=True)  # whose score takes two scenes
     with pytest.raises(TaskError, match=r"Wrong\.score failed"):

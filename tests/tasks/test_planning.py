@@ -43,7 +43,7 @@ def test_what_is_solved_by_one_set_of_rules_may_not_be_by_the_other() -> None:
 def test_a_plan_without_room_says_so() -> None:
     scene = magical_mj.sample_scene("MatchRegions", "Demo", 0)
     everywhere = replace(scene, regions=(replace(scene.regions[0], x_min=-0.9, y_min=-0.9, x_max=0.9, y_max=0.9),))
-    with pytest.raises(PlacementError, match="no place for block 2"):
+    with pytest.raises(PlacementError, match="no position for block 2"):
         task_spec("MatchRegions").subgoals((everywhere, everywhere), noise())
 
 

@@ -1,7 +1,7 @@
 """Scripted experts that solve every environment from the privileged state.
 
 An expert reads the true state of the simulation, tries manoeuvres on a copy of it, and acts with the same 18 actions as
-every other agent; SweepToTop's expert uses its continuous ones. Pictures of scenes that experts have solved tell goals.
+all other agents. SweepToTop's expert uses its continuous actions. Pictures of scenes solved by experts specify goals.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from magical_mj.utils.errors import SettingsError, TaskError, check_name
 
 __all__ = ["Expert", "GoalPicture", "Sweeper", "expert_of"]
 
-TRIES: Final = 10
-"""So many experts try to solve a scene for its picture, each with another seed."""
+EXPERTS: Final = 10
+"""The number of experts, each with another seed, that try to solve a scene for its picture."""
 
 
 def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
-    """The expert of a task: each call gives the action for the engine's present state.
+    """The expert of a task. Each call returns the action for the engine's current state.
 
     Raises:
-        TaskError: if it has none.
+        TaskError: if the task has no expert.
     """
     return Sweeper(env, seed) if task_spec(task).speeds else Expert(env, task, seed)
 
 
 class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """Adds `info["goal"]`: a picture of the episode's scene when an expert has solved it, uint8, (size, size, 3).
+    """Adds `info["goal"]`: a picture of the episode's scene after an expert has solved it, uint8, (size, size, 3).
 
-    The expert plays the episode at its reset, which takes up to some seconds unless the scene is a recent one, as it
-    always is in Demo. The picture does not depend on the episode's seed, but on its scene, and shows no drawn shifts.
+    The expert plays the episode at each reset, which takes up to several seconds. Recent scenes are cached, and Demo's
+    scene always is. The picture depends on the episode's scene, but not on its seed. It shows no drawn shifts.
 
     Args:
-        env: one of the package's environments, of a task with a plan.
+        env: an environment of this package, of a task with a plan.
         view: "ego" or "allo", or "scene", in 3-D.
         size: side of the picture in pixels.
 
     Raises:
-        SettingsError: if it is another environment, or there is no such view or size.
+        SettingsError: if the environment is another one, or the view or the size is invalid.
         TaskError: in `reset`, if no expert solves the scene.
     """
 
@@ -60,12 +60,12 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
         super().__init__(env)
         engine = getattr(env.unwrapped, "engine", None)
         if not isinstance(engine, Engine) or engine.task is None or engine.setup.speeds:
-            raise SettingsError(f"goals are pictures of the eight tasks and of those like them, not of {env.unwrapped}")
+            raise SettingsError(f"GoalPicture needs an environment whose task has a plan, not {env.unwrapped}")
         check_name("view", view, CAMERAS)
         self._engine, self._view, self._size = engine, view, check_size(size)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode."""
+        """Starts an episode. The goal is in its info."""
         observation, info = super().reset(seed=seed, options=options)
         engine = self._engine
         where = engine.task or "", engine.variant, engine.initial_scene
@@ -73,27 +73,27 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
         return observation, info | {"goal": self._goal}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One action."""
+        """Performs an action. The goal is in its info."""
         observation, reward, terminated, truncated, info = super().step(action)
         return observation, reward, terminated, truncated, info | {"goal": self._goal}
 
 
-@lru_cache(maxsize=100)  # as many as an environment has test scenes; large pictures take megabytes
+@lru_cache(maxsize=100)  # the number of an environment's test scenes; large pictures take megabytes
 def goal_picture(
     task: str, variant: str, scene: Scene, view: str, size: int, renderer: str | None
 ) -> NDArray[np.uint8]:
-    """The end of an expert's episode that begins in `scene` and has score 1: shape (size, size, 3), not writable.
+    """The end of an expert's episode that starts in `scene` and has score 1: shape (size, size, 3), not writable.
 
-    Raises a `TaskError` if the task has no plan, or no expert reaches that.
+    Raises a `TaskError` if the task has no plan, or no expert solves the scene.
     """
     with closing(Engine(task, variant, scene=scene, body=scene.robot.body, renderer=renderer)) as engine:
-        for seed in range(TRIES):
+        for seed in range(EXPERTS):
             engine.reset(scene=scene)
             expert = Expert(engine, task, seed)
             while not engine.step(expert()):
                 pass
             if engine.score() == 1.0:
                 picture = engine.render(view, size)
-                picture.flags.writeable = False  # all episodes in this scene have it
+                picture.flags.writeable = False  # all episodes in this scene share it
                 return picture
-    raise TaskError(f"{TRIES} experts tried a scene of {task}-{variant}, and none solved it")
+    raise TaskError(f"{EXPERTS} experts tried a scene of {task}-{variant}, but none solved it")

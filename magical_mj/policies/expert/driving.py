@@ -1,9 +1,9 @@
-"""Driving like a person with a keyboard, in a copy of the simulation, where actions have the same results.
+"""Driving like a person with a keyboard, in a copy of the simulation in which actions have the same results.
 
-That holds for shifts that replace or delay actions, too: what they will do is known like the rest of the true state.
+This includes shifts that replace or delay actions: their effects are known, like the rest of the true state.
 
-The robot turns towards a point, drives there, and corrects the heading on the way. The actions depend mostly on the
-point's position in the robot's frame, so that a learner can recover the rule.
+The robot turns towards a point, drives there, and corrects its heading on the way. The actions depend mostly on the
+point's position in the robot's frame, so that a learner can infer the rule.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ AIM: Final = 0.19  # rad; one action turns by 0.31, so that smaller errors canno
 FACE: Final = 0.6  # rad; with a larger error the robot turns without driving
 BEHIND: Final = 1.1  # rad; with a larger error a robot that carries a block drives back while it turns
 BRAKING: Final = 2.4  # units/s^2
-VIA: Final = 0.12  # world units: intermediate points count as reached within this distance
+VIA: Final = 0.12  # world units: distance at which intermediate points count as reached
 EITHER: Final = 0.6  # rad: to points this close to straight behind, the robot always turns right
 NEAR: Final = 0.3  # world units: to points this close behind it, the robot drives back instead of turning around
 STUCK, FREED = 3, 7  # actions without progress after which the robot drives back, and then tries again
-PATIENCE: Final = 12  # and gives up
+PATIENCE: Final = 12  # actions without progress after which it gives up
 PROGRESS: Final = 0.01  # world units or radians
 
 
 class HumanExecution:
     """A model of a person at the keyboard, who pauses for less than `hesitation` actions, and changes keys late.
 
-    With `delay_probability`, the last action is repeated once when another one is due.
+    With the probability `delay_probability`, the last action is repeated once before another one.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class HumanExecution:
         return last
 
     def pause(self) -> int:
-        """The number of actions to wait before starting something new."""
+        """The number of actions to wait before a new manoeuvre."""
         return int(self._rng.integers(self._hesitation))
 
 
@@ -63,10 +63,10 @@ class SavedState(NamedTuple):
     """A state of the lookahead.
 
     Attributes:
-        simulation: what `magical_mj.engine.simulation.Simulation.save` returns.
-        shifts: those of the episode, at the same step.
-        commands: one for each step since the lookahead was made; None: it has taken no effect so far.
-        scenes: the initial scene; with those of all steps since, if the score depends on them.
+        simulation: a value of `magical_mj.engine.simulation.Simulation.save`.
+        shifts: the shifts of the episode, at the same step.
+        commands: one for each step since the lookahead was created; None: it has had no effect so far.
+        scenes: the initial scene. If the score depends on the scenes of all steps, they follow.
     """
 
     simulation: NDArray[np.float64]
@@ -76,10 +76,10 @@ class SavedState(NamedTuple):
 
 
 class Lookahead:
-    """A copy of an engine's simulation in its present state, to try actions in; the engine is not changed.
+    """A copy of an engine's simulation in its current state, for trying actions. The engine is not changed.
 
-    Where actions are delayed, each is commanded as many steps earlier; if something else was commanded then, that is
-    what is taken. The lookahead begins when the first command takes effect that is not given yet.
+    With delayed actions, each action is commanded the corresponding number of steps earlier. If another action was
+    already commanded then, that one is executed. The lookahead starts at the first step whose command is still open.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -92,23 +92,23 @@ class Lookahead:
         self._records = engine.setup.trajectory
         self._scenes = list(engine.scored_scenes) if self._records else [engine.initial_scene]
         self.body = body_named(self._world.scene.robot.body)
-        """The robot's; without fingers it cannot grip blocks, and pushes them."""
+        """The robot's body. Without fingers, it cannot grip blocks and pushes them."""
         self.trace: list[int] = []
         """The actions since the last `restore`."""
         self.states: list[SavedState] = []
-        """The state after each of them."""
+        """The state after each of these actions."""
         self.execution: HumanExecution | None = None
         """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
         """The total number of simulated steps."""
         self.pending = [self.state]
-        """The states from the engine's to the one in which the lookahead begins, in which nothing can be done."""
+        """The states from the engine's to the lookahead's first one, whose commands are already given."""
         while self._shifts.delay > len(self._commands):
             self._take(NOOP)
             self.pending.append(self.state)
 
     def restore(self, state: SavedState) -> None:
-        """Goes to a state, with an empty history."""
+        """Restores a state, with an empty history."""
         self._simulation.restore(state.simulation)
         self._shifts, self._commands = state.shifts.copy(), list(state.commands)
         self._scenes = list(state.scenes)
@@ -125,7 +125,7 @@ class Lookahead:
         self.count += 1
 
     def _take(self, wanted: int) -> None:
-        """Takes an action, or what is taken instead if something else is commanded when it would have to be."""
+        """Executes an action, or the action that was already commanded for this step."""
         delay = self._shifts.delay
         at = len(self._commands) - delay
         self._commands.append(None)
@@ -139,17 +139,17 @@ class Lookahead:
 
     @property
     def state(self) -> SavedState:
-        """The present state."""
+        """The current state."""
         return SavedState(self._simulation.save(), self._shifts.copy(), tuple(self._commands), tuple(self._scenes))
 
     @property
     def commands(self) -> list[int]:
-        """What is to be commanded, beginning in the engine's present state, so that the present state is reached."""
+        """The commands that lead from the engine's current state to the lookahead's current state."""
         return [NOOP if command is None else command for command in self._commands]
 
     @property
     def robot(self) -> Pose:
-        """Where the robot is."""
+        """The robot's pose."""
         x, y, angle = self._world.poses(self._simulation.data.qpos)[0].tolist()
         return x, y, angle
 
@@ -161,7 +161,7 @@ class Lookahead:
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
 
     def block(self, index: int) -> Point:
-        """Where a block is."""
+        """A block's position."""
         x, y, _ = self._world.poses(self._simulation.data.qpos)[1 + index].tolist()
         return x, y
 
@@ -177,11 +177,11 @@ class Lookahead:
         return self.relative(self.block(index))
 
     def scene(self) -> Scene:
-        """The present scene."""
+        """The current scene."""
         return self._world.read(self._simulation.data.qpos)
 
     def scenes_to(self, scene: Scene) -> tuple[Scene, ...]:
-        """What the score of a scene depends on that is, or follows, the present one."""
+        """The scenes that determine the score of `scene`, which is the current one or follows it."""
         return tuple(self._scenes) if scene == self._scenes[-1] else (*self._scenes, scene)
 
 
@@ -190,7 +190,7 @@ def steer(
 ) -> tuple[Gripper, Turn, Drive]:
     """The next action towards the pose in which a point (world units) is straight `ahead` of the robot's centre.
 
-    With `reverse`, it turns while driving back if the point is far to the side.
+    With `reverse`, the robot turns while driving back if the point is far to the side.
     """
     right, forward = lookahead.relative(point)
     bearing = math.atan2(-right, forward)
@@ -216,10 +216,10 @@ def drive(
     within: float,
     reverse: bool = False,
 ) -> bool:
-    """Drives along a route (world units) until its last point is straight `ahead`; returns whether it is.
+    """Drives along a route (world units) until its last point is straight `ahead`. Returns whether it succeeded.
 
-    At the end, when the robot is at rest, that is so `within` a tolerance (world units). It gives up after `limit`
-    actions. For `reverse` see `steer`.
+    At the end, the robot is at rest, and the point is `within` a tolerance (world units). It gives up after `limit`
+    actions. `reverse` is described in `steer`.
     """
     return all(
         _drive(lookahead, point, gripper, limit, ahead, within if point is route[-1] else VIA, reverse)
@@ -247,7 +247,7 @@ def _drive(
 
 
 class Patience:
-    """Counts the actions without progress: after a few the robot should free itself, after more it should give up."""
+    """Counts the actions without progress. After a few, the robot should free itself; after more, it should give up."""
 
     def __init__(self) -> None:
         self._least, self._waited = math.inf, 0

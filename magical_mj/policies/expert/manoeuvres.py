@@ -1,4 +1,4 @@
-"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back; or push it."""
+"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back, or push it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.policies.expert.navigation import (
     cell_costs,
     cells,
     explore,
-    places,
+    points_ahead,
 )
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import Drive, Gripper, Turn
@@ -29,50 +29,50 @@ from magical_mj.scene.bodies import Body
 from magical_mj.tasks.planning import CARRYING, Noise, Subgoal
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
-"""World units, by shape: discs that stand for blocks in the search, between those inside and around the shapes."""
+"""The radius (world units) of each shape's disc in the search, between those of its inner and outer circles."""
 
 # Choosing a manoeuvre
 BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
-ASIDE: Final = 0.1  # and at most how far to the side
-BEHIND: Final = (0.2, 0.6)  # the same before it is pushed
-OFF_CENTRE: Final = 0.08  # and to the side; with a longer side that pushes, up to 0.1 from its end
+ASIDE: Final = 0.1  # the largest distance to the side
+BEHIND: Final = (0.2, 0.6)  # world units ahead of the robot where a block may be before it is pushed
+OFF_CENTRE: Final = 0.08  # the largest distance to the side; a wider body may push up to 0.1 from its side's end
 OFF_CENTRE_COST: Final = 40.0  # actions for each unit to the side
-FREE_OF_WALLS: Final = 0.7  # |x| and |y| of places from which a block can be pushed on: from a wall it cannot
-ASKEW: Final = 0.35  # rad: a push in a direction this close to the target's goes there, others go beside it
+FREE_OF_WALLS: Final = 0.7  # bound of |x| and |y| of positions from which a block can be pushed on: at a wall it cannot
+ASKEW: Final = 0.35  # rad: a push whose direction differs less from the target's goes to it, others pass it
 SIDES: Final = 16  # the number of directions from which a block can be gripped or pushed
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
 TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
-WALLED: Final = 12  # the cell's cost where a finger would be in a wall by calculation; sometimes it works anyway
+WALLED: Final = 12  # the cost of cells where the calculation has a finger in a wall; sometimes it works anyway
 DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
-CORNER_COST: Final = 4.0  # actions for each point of a route but the last
+CORNER_COST: Final = 4.0  # actions for each point of a route except the last
 SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
 
 # Executing a manoeuvre
-REACHED: Final = (0.36, 0.1)  # ahead, to the side: within these the block is between the fingers
-LOST: Final = (0.46, 0.14)  # beyond these the block is not held any more
+REACHED: Final = (0.36, 0.1)  # ahead, to the side: within these distances, the block is between the fingers
+LOST: Final = (0.46, 0.14)  # beyond these distances, the block is no longer held
 REACH: Final = 80  # actions: the longest path with a block
-CORRECTIONS: Final = 2  # routes: the second is driven if the first missed the target
+CORRECTIONS: Final = 2  # number of routes: the second is used if the first missed the target
 MISSED: Final = 60.0  # the cost (actions) of each unit of distance from the target, within the tolerance
-MISSED_BY_FAR: Final = 1000.0  # and beyond it
-FREE: Final = 0.5  # ahead: with the block this far away, the robot can turn
-FAR: Final = 0.75  # ahead: the distance from which it tries again
+MISSED_BY_FAR: Final = 1000.0  # the same beyond the tolerance
+FREE: Final = 0.5  # distance ahead of a block at which the robot can turn
+FAR: Final = 0.75  # distance ahead of a block from which the robot tries again
 BACKING: Final = 8  # actions
-SLIPPED: Final = 0.02  # world units by which a block that is pushed away from the target has slipped
+SLIPPED: Final = 0.02  # world units: a block that moves this far away from the target during a push has slipped
 CENTRING: Final = 0.5
 BACKED: Final = 3  # actions
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A subgoal, and how to go about it."""
+    """A subgoal, and a plan to reach it."""
 
     subgoal: Subgoal
     route: list[Point]
     """The points of the route to the block, or to the end if there is no block."""
     reverse: bool
-    """Whether to drive back while turning, with a block between the fingers; without fingers, to push with the back."""
+    """With fingers: whether to drive back while turning with a block. Without: whether to push with the back."""
     estimate: float
-    """About how many actions it takes."""
+    """The approximate number of actions."""
 
 
 def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
@@ -84,14 +84,14 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
 def manoeuvres(
     tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, body: Body
 ) -> list[Manoeuvre]:
-    """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest; without fingers, pushes.
+    """Candidate manoeuvres for a subgoal: one of the fastest for each side of the block; without fingers, pushes.
 
-    The tree holds the poses that the robot can reach, `costs` the additional cost of each cell for the robot without
-    a block.
+    The tree contains the poses that the robot can reach. `costs` is the additional cost of each cell for the robot
+    without a block.
     """
     if subgoal.block is None:
         gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
-        # the nearest ones, if none is within the tolerance
+        # if no pose is within the tolerance, the nearest ones
         nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))
         node = int(nodes[tree.steps[nodes].argmin()])
         route = simplified([*tree.path_to(node), (*subgoal.target, 0.0)], costs)
@@ -121,15 +121,15 @@ def manoeuvres(
 
 
 def _pushes(tree: SearchTree, costs: Ints, block: Pose, subgoal: Subgoal, aside: float) -> list[Manoeuvre]:
-    """Candidate pushes: straight to the target, or in other directions to where the target is at right angles.
+    """Candidate pushes: straight to the target, or in other directions to a point with the target at right angles.
 
-    So a block that cannot be pushed from behind goes there by a corner. `aside` is how far to the side of the robot's
-    centre it may be.
+    So a block that cannot be pushed from behind reaches the target by a corner. `aside` is the largest distance of the
+    block to the side of the robot's centre.
     """
     dx, dy = subgoal.target[0] - block[0], subgoal.target[1] - block[1]
     right, ahead = _relative(tree.poses, block)
     near = np.flatnonzero((np.abs(right) < aside) & (BEHIND[0] < abs(ahead)) & (abs(ahead) < BEHIND[1]))
-    headings = tree.poses[near, 2] + math.pi * (ahead[near] < 0)  # the robot's back pushes as well
+    headings = tree.poses[near, 2] + math.pi * (ahead[near] < 0)  # the robot can also push with its back
     sides = np.round(headings * SIDES / (2 * math.pi)).astype(int) % SIDES
     candidates = []
     for side in np.unique(sides).tolist():
@@ -155,7 +155,7 @@ def _pushes(tree: SearchTree, costs: Ints, block: Pose, subgoal: Subgoal, aside:
 
 
 def simplified(path: Sequence[Pose], costs: Ints) -> list[Point]:
-    """The fewest points of a path between which the robot can drive straight; without the first point."""
+    """The shortest list of a path's points that the robot can connect by straight lines, without the first point."""
     route, at = [], 0
     while at < len(path) - 1:
         following = range(len(path) - 1, at + 1, -1)
@@ -174,7 +174,7 @@ def _clear(start: Pose, end: Pose, costs: Ints) -> bool:
 
 
 def _relative(poses: NDArray[np.float64], block: Pose) -> NDArray[np.float64]:
-    """How far to the right and ahead of each of the robot's poses a block is. Shape (2, n)."""
+    """A block's distances to the right and ahead, for each of the robot's poses. Shape (2, n)."""
     x, y, angle = poses.T
     right = np.cos(angle) * (block[0] - x) + np.sin(angle) * (block[1] - y)
     return np.array([right, np.cos(angle) * (block[1] - y) - np.sin(angle) * (block[0] - x)])
@@ -186,7 +186,7 @@ def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
 
 
 def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
-    """The approximate number of actions to carry a block from (x, y) to its target, if gripped with this heading."""
+    """The approximate number of actions that carry a block from (x, y) to its target, if gripped with this heading."""
     robot = _behind(x, y, heading, GRIP)
     dx, dy = subgoal.target[0] - robot[0], subgoal.target[1] - robot[1]
     turn = abs((math.atan2(-dx, dy) - heading + math.pi) % (2 * math.pi) - math.pi)
@@ -195,7 +195,7 @@ def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
 
 
 def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
-    """Executes the manoeuvre; returns whether it succeeded."""
+    """Executes the manoeuvre. Returns whether it succeeded."""
     subgoal, block = manoeuvre.subgoal, manoeuvre.subgoal.block
     if block is None:
         return drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
@@ -209,9 +209,9 @@ def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
 
 
 def _push(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
-    """Drives at the target until the block is there, or does not come closer; returns whether it is there.
+    """Pushes the block to its target, until it does not come closer. Returns whether it is there.
 
-    Then the robot drives off, so that it can turn.
+    Afterwards the robot drives away, so that it can turn.
     """
     subgoal, side = manoeuvre.subgoal, -1 if manoeuvre.reverse else 1
     on, off = (Drive.FORWARD, Drive.BACK)[::side]
@@ -223,7 +223,7 @@ def _push(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) ->
         least = min(least, left)
         if left <= 0.6 * subgoal.tolerance or left > least + SLIPPED or patience.ends(left if touched else 9 + left):
             break
-        # with the block ahead, aim a little beside the target, so that the block does not slide off
+        # with the block ahead, aim slightly past the target, so that the block does not slide off
         right, ahead = lookahead.relative(subgoal.target)
         aside = lookahead.relative_block(block)[0]
         bearing = math.atan2(-side * (right - CENTRING * aside), side * ahead)
@@ -235,7 +235,7 @@ def _push(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) ->
 
 
 def _take(lookahead: Lookahead, block: int, limit: int) -> bool:
-    """Drives until the block is between the fingers, and closes them; returns whether it is held."""
+    """Drives until the block is between the fingers, and closes them. Returns whether the block is held."""
     patience = Patience()
     while len(lookahead.trace) < limit and not _within(lookahead, block, REACHED):
         right, ahead = lookahead.relative_block(block)
@@ -254,7 +254,7 @@ def _within(lookahead: Lookahead, block: int, box: Point) -> bool:
 
 
 def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
-    """Drives until the block is at its target; returns whether it is."""
+    """Drives until the block is at its target. Returns whether it is."""
     subgoal = manoeuvre.subgoal
     for _ in range(CORRECTIONS):
         left = limit - len(lookahead.trace)
@@ -277,9 +277,9 @@ def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -
     return False
 
 
-@lru_cache(maxsize=16)  # manoeuvres that take a block in the same way carry it along the same route
+@lru_cache(maxsize=16)  # manoeuvres with the same grip use the same route
 def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
-    """The points of a route that brings the block that the robot holds to its goal."""
+    """The points of a route that carries the held block to its goal."""
     x, y, _ = scene.robot.pose
     costs = cell_costs(obstacles(scene, block), LOADED)
     dx, dy = goal.x - x, goal.y - y
@@ -289,7 +289,7 @@ def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
     if share <= 0 or _clear((x, y, 0.0), end, costs):
         return [(goal.x, goal.y)]
     tree = explore(scene.robot.pose, costs, limit, goal)
-    gaps = np.hypot(*(places(tree.poses, goal.ahead) - (goal.x, goal.y)).T)
+    gaps = np.hypot(*(points_ahead(tree.poses, goal.ahead) - (goal.x, goal.y)).T)
     totals = tree.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - goal.within, 0, None)
     path = tree.path_to(int(totals.argmin()))
     return [*simplified(path, costs)[:-1], (goal.x, goal.y)]

@@ -1,7 +1,7 @@
 """Path search: the poses that the robot can reach between blocks at rest, with the fewest actions.
 
 A breadth-first search runs over a grid of positions and headings. Each cell keeps the first exact pose that reached
-it, so that the path through its parents is one that the robot can drive.
+it, so that the robot can drive the path through the pose's parents.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Discs = tuple[tuple[float, float, float], ...]
 
-HEADINGS: Final = 20  # the number of headings; one action turns by about one
-CELL: Final = 0.05  # world units
+HEADINGS: Final = 20  # the number of headings; one action turns by about one of them
+CELL: Final = 0.05  # world units, cell size of the search
 SIDE: Final = round(2 * c.ARENA_HALF_WIDTH / CELL)
 FINE: Final = 0.02  # world units, cell size of the clearance map
 FINE_REACH: Final = 1.4  # world units from the centre to the border of the clearance map
@@ -32,7 +32,7 @@ FINE_SIDE: Final = round(2 * FINE_REACH / FINE)
 
 GRIP: Final = 0.32  # from the robot's centre to that of a block between its fingers
 TURN_STEP: Final = c.SPEED_TURN / c.CONTROL_RATE
-AFTERWARDS: Final = 4  # actions that are explored after the goal is first reached, to find a better path
+AFTERWARDS: Final = 4  # actions explored after the goal is first reached, to find a better path
 SWITCH_COST: Final = 2  # actions lost when the robot reverses its direction
 
 EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
@@ -41,7 +41,7 @@ LOADED: Final = ((0.0, 0.0, 0.2), (0.1, 0.25, 0.1), (-0.1, 0.25, 0.1), (0.0, GRI
 """The robot with a block between its fingers."""
 WALL_MARGIN: Final = -0.01
 PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
-"""(clearance to blocks, additional actions for cells with less clearance, where blocks must be pushed aside)."""
+"""Pairs of a clearance to blocks and the cost (actions) of cells with less, where blocks must be pushed aside."""
 PUSH_LIMIT: Final = -0.2
 
 MOTIONS: Final = tuple(
@@ -51,12 +51,12 @@ _ADVANCE: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: 
 _SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
 _STEP: Final = np.array([_ADVANCE[drive] / c.CONTROL_RATE for _, drive in MOTIONS])
 _TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
-_SPINS, _SPUN = np.unique(_TURN, return_inverse=True)  # the different turns, and which one each motion has
+_SPINS, _SPUN = np.unique(_TURN, return_inverse=True)  # the different turns, and the index of each motion's turn
 _GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _STEP])
 
 
 class Goal(NamedTuple):
-    """The goal of a search: the point `ahead` of the robot is within a tolerance of a given point."""
+    """The goal of a search: the point `ahead` of the robot is within a tolerance of a target point."""
 
     ahead: float
     x: float
@@ -64,16 +64,16 @@ class Goal(NamedTuple):
     within: float
 
     def reached(self, poses: Floats) -> NDArray[np.bool_]:
-        """For which poses it is. Shape (n,)."""
-        return np.hypot(*(places(poses, self.ahead) - (self.x, self.y)).T) <= self.within
+        """Whether each pose reaches the goal. Shape (n,)."""
+        return np.hypot(*(points_ahead(poses, self.ahead) - (self.x, self.y)).T) <= self.within
 
 
 @dataclass(frozen=True)
 class SearchTree:
-    """The poses that the robot can reach from one pose, as a tree: each is one action after its parent."""
+    """The poses that the robot can reach from a start, as a tree. Each is one action after its parent."""
 
     poses: Floats
-    """Shape (n, 3); the first is the start."""
+    """Shape (n, 3). The first is the start."""
     parents: Ints
     steps: Ints
     """The number of actions to each pose. Shape (n,)."""
@@ -87,14 +87,14 @@ class SearchTree:
         return path[::-1]
 
 
-def places(poses: Floats, ahead: float) -> Floats:
-    """The point `ahead` of the robot's centre in each pose. Shape (n, 2)."""
+def points_ahead(poses: Floats, ahead: float) -> Floats:
+    """The points `ahead` of the robot's centre in each pose. Shape (n, 2)."""
     angles = poses[:, 2]
     return poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
 
 
 def footprint(body: Body) -> Discs:
-    """A body without fingers as discs in its frame: a row along the longer side of the box around its outline."""
+    """A body without fingers as discs in its frame. They are in a row along the longer side of its bounding box."""
     if not body.outline:
         return ((0.0, 0.0, body.radius),)
     (left, back), (right, front) = body.corners.min(axis=0).tolist(), body.corners.max(axis=0).tolist()
@@ -105,11 +105,11 @@ def footprint(body: Body) -> Discs:
 
 
 def cell_costs(obstacles: Floats, discs: Discs) -> Ints:
-    """The additional number of actions to enter each cell; negative where the robot cannot be.
+    """The additional number of actions to enter each cell. Negative for cells that the robot cannot occupy.
 
     Args:
         obstacles: x, y and radius of each block, shape (n, 3).
-        discs: the robot, with a block that it carries.
+        discs: the robot, including a block that it carries.
     """
     axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
     x, y = axis[:, None], axis[None, :]
@@ -157,9 +157,9 @@ def cells(poses: Floats) -> Ints:
 
 
 def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> SearchTree:
-    """The shortest paths from `start` to all cells that can be reached with `limit` actions, the cells' costs included.
+    """The shortest paths from `start` to all cells within `limit` actions, including the cells' costs.
 
-    Once a goal is reached, only a few more actions are explored.
+    After a goal is reached, only a few more actions are explored.
     """
     visited = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
     owner = np.empty(2 * len(costs), np.int64)
@@ -174,7 +174,7 @@ def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> S
         here, above, slots = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
         new = np.flatnonzero(~visited[slots])
         owner[slots[new]] = new
-        new = new[owner[slots[new]] == new]  # one for each cell
+        new = new[owner[slots[new]] == new]  # one pose for each cell
         here, above, slots = here[new], above[new], slots[new]
         visited[slots] = True
         if goal is not None and goal.reached(here).any():

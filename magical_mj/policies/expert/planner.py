@@ -1,6 +1,6 @@
 """The planner turns subgoals into actions: it tries candidate manoeuvres in the lookahead and keeps the best.
 
-Policies follow its plans: they plan an episode, act, and plan again if the state is not the predicted one.
+Policies follow its plans. They plan an episode, act, and plan again if the state is not the predicted one.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.variants import check_seed
 
-BUDGET: Final = 300  # simulated steps per step of the episode; once they are used, no new plan is started
-TRIES: Final = 8  # manoeuvres tried in one situation
+BUDGET: Final = 300  # simulated steps per step of the episode; after them, no new plan is started
+CANDIDATES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
-COST_NOISE: Final = 5.0  # the same for its cost after it was tried
+COST_NOISE: Final = 5.0  # the same for its cost after a trial
 NOISE_GROWTH, DELAY_DECAY = 1.5, 0.7  # factors of noise and of delays after each failed plan
-ROUND: Final = 3  # plans, after which the noise starts from 1 again: with much more of it every choice is a bad one
+ROUND: Final = 3  # plans, after which the noise restarts from 1: too much noise makes every choice a bad one
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
 FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
 REACH: Final = 90  # actions: the longest path
 ATTEMPTS: Final = 40  # the number of plans for an episode
-EXTRA_PLANS: Final = 2  # additional plans to find one that is done early
-PAUSE: Final = 4  # actions of waiting when there is nothing to do
-# actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
+EXTRA_PLANS: Final = 2  # additional plans to find one that finishes early
+PAUSE: Final = 4  # actions of waiting if no subgoal is left
+# actions of waiting with closed fingers. They are not no-ops, so that learners that drop no-ops keep them.
 SETTLING: Final = 8
 
 
@@ -45,7 +45,7 @@ class Plan(NamedTuple):
 
     score: float
     rest: int
-    """The number of unused actions when all subgoals are reached."""
+    """The number of remaining actions after all subgoals are reached."""
     actions: list[int]
     states: list[SavedState]
     """The states before each command and after the last one."""
@@ -55,11 +55,12 @@ class Planner:
     """Plans the rest of an episode.
 
     Args:
-        score: of a final scene, in [0, 1].
-        subgoals: the remaining subgoals in a scene; the last argument is the blocks that should not be moved.
-        lookahead: the copy of the simulation in which manoeuvres are tried.
+        score: the function that scores a final scene, in [0, 1].
+        subgoals: the function that returns a scene's remaining subgoals. Its last argument is the blocks to leave
+            alone.
+        lookahead: the copy of the simulation for trying manoeuvres.
         tries: the number of manoeuvres that are tried in one situation.
-        patience: the number of failures after which a block should not be moved any more in this plan.
+        patience: the number of failures after which a block is left alone in this plan.
         steady: execute plans without the pauses and delays of a person.
     """
 
@@ -69,7 +70,7 @@ class Planner:
         subgoals: Callable[[Scene, Noise, Collection[int]], Subgoals],
         lookahead: Lookahead,
         *,
-        tries: int = TRIES,
+        tries: int = CANDIDATES,
         patience: float = math.inf,
         steady: bool = False,
     ) -> None:
@@ -79,12 +80,13 @@ class Planner:
     def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
         """The best of several plans for the next `steps` actions: the first with the full score, if there is one.
 
-        A plan that is done early is preferred to one with the full score that still moves at the end.
+        Among plans with the full score, one that finishes early is preferred to one that still moves at the end.
 
         Args:
             steps: the number of remaining actions.
             budget: the number of simulated steps after which no new plan is started.
-            rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
+            rng: varies the plans. After each failure, execution becomes more precise, and noise grows for `ROUND`
+                plans.
         """
         end = self._lookahead.count + budget
         best = self._attempt(steps, Noise(rng, 1.0), self._execution(rng, DELAY_PROBABILITY))
@@ -137,7 +139,7 @@ class Planner:
         return Plan(self._score(lookahead.scene()), waited, lookahead.commands, states)
 
     def _best(self, here: SavedState, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
-        """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
+        """The best of the most promising manoeuvres, tried from a state. None if no subgoal is left."""
         if not todo:
             return None
         lookahead = self._lookahead
@@ -160,17 +162,17 @@ class Planner:
         return best
 
     def _rest(self, todo: Subgoals) -> float:
-        """The approximate number of actions that the subgoals still need from the present state."""
+        """The approximate number of actions for the subgoals from the current state."""
         scene = self._lookahead.scene()
         return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(scene_after(scene, todo)))
 
 
 class PlanFollower:
-    """A policy that drives one engine, which may be reset again; each call gives the action for its present state.
+    """A policy that drives one engine, which may be reset. Each call returns the action for its current state.
 
-    It plans when an episode starts, with the planner and the random generator that are made then, and again whenever
-    the state is not the one that its plan predicted. The budget is of simulated steps per step of the episode; once
-    they are used, no new plan is started.
+    When an episode starts, it creates a planner and a random generator, and plans. It plans again whenever the state is
+    not the predicted one. The budget is the number of simulated steps per step of the episode. When it is used up, no
+    new plan is started.
     """
 
     def __init__(
@@ -186,7 +188,7 @@ class PlanFollower:
         self._step = 0
 
     def __call__(self) -> int:
-        """The action for the present state."""
+        """The action for the current state."""
         left = self._horizon - self._env.steps
         if left <= 0:
             return NOOP
@@ -200,7 +202,7 @@ class PlanFollower:
 
 
 class Expert(PlanFollower):
-    """The expert: it plans with the task's own score and subgoals.
+    """The expert. It plans with the task's own score and subgoals.
 
     Args:
         env: an engine of the task.
@@ -208,24 +210,24 @@ class Expert(PlanFollower):
         seed: the seed of the expert's random choices.
 
     Raises:
-        UnknownNameError: if there is no such task.
-        TaskError: if it has no plan.
+        UnknownNameError: if the task does not exist.
+        TaskError: if the task has no plan.
         InvalidSceneError: if the engine's scene is not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if it is no engine.
+        SettingsError: if `env` is not an engine.
     """
 
     def __init__(self, env: Engine, task: str, seed: int = 0) -> None:
         if not isinstance(env, Engine):
             raise SettingsError(
                 f"an expert drives a magical_mj.Engine, not {short_repr(env)}; "
-                "in Gymnasium's environments that is env.unwrapped.engine"
+                "in Gymnasium environments, use env.unwrapped.engine"
             )
         spec = task_spec(task)
         spec.check_plan()
         spec.check(env.initial_scene)
         if spec.trajectory and not env.setup.trajectory:
-            raise SettingsError(f"the score of {task} depends on the scenes of all steps: give an engine of this task")
+            raise SettingsError(f"the score of {task} depends on the scenes of all steps: use an engine of this task")
         seed = check_seed(seed)
 
         def planner() -> Planner:

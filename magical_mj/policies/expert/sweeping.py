@@ -1,8 +1,8 @@
-"""SweepToTop's expert: it tries sweeps in a copy of the simulation, and plays the first that brings all debris home.
+"""SweepToTop's expert. It tries sweeps in a copy of the simulation, and plays the first one that sweeps in all debris.
 
-A sweep is a sequence of lanes. In each the robot goes below some of the debris, faces the top, and drives there with
-the debris ahead of it. Which debris shares a lane, the order of lanes, and the ways between them are drawn anew for
-every try. Actions are x-magical's speeds, so they can be as fine as steering needs.
+A sweep is a sequence of lanes. In each lane the robot drives below some of the debris, faces the top, and pushes the
+debris there. The debris of each lane, the order of the lanes, and the paths between them are random in every attempt.
+Actions are x-magical's continuous speeds, so that the robot can steer precisely.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import body_named
 from magical_mj.tasks.sweep_to_top import HALF_WIDTH, arrived
 
-TRIES: Final = 100
-"""Sweeps that are tried before the best one is played."""
-HALF_DEBRIS: Final = 0.11  # world units
+SWEEPS: Final = 100
+"""The number of sweeps that are tried before the best one is played."""
+HALF_DEBRIS: Final = 0.11  # half the side of a piece of debris, world units
 CLEARANCE: Final = 0.04
-EDGE: Final = 0.04  # of debris' centre from the end of the body that pushes it, at least
-GRIPPER_HALF: Final = 0.13  # of what closed fingers push
+EDGE: Final = 0.04  # least distance of debris' centre from the end of the pushing side
+GRIPPER_HALF: Final = 0.13  # half width of the closed fingers' pushing side
 NEAR, ALIGNED = 0.05, 0.06  # world units, rad
-PATIENCE: Final = 8  # steps without progress, after which a lane is left
+PATIENCE: Final = 8  # steps without progress, after which a lane is abandoned
 FAST: Final = 0.8
-ACCELERATION: Final = 3.2  # rad/s^2 with which a heading is approached: the long stick brakes with 4.7
+ACCELERATION: Final = 3.2  # rad/s^2, the braking rate towards a heading: the long stick can brake with 4.7
 
 Action = NDArray[np.float32]
 
 
 class Lane(NamedTuple):
-    """Debris that is pushed together."""
+    """Pieces of debris that are pushed together."""
 
     debris: tuple[int, ...]
     x: float
-    """Where the robot's centre drives."""
+    """The x of the robot's centre in the lane."""
 
 
 class Sweep(NamedTuple):
-    """One try: the actions, and the share of the debris that was brought home."""
+    """An attempt: its actions, and the share of the debris that reached the goal zone."""
 
     actions: list[Action]
     score: float
 
 
 class Sweeper:
-    """The expert for an engine of SweepToTop, which may be reset again; `seed` is that of its random choices.
+    """The expert for an engine of SweepToTop, which may be reset. `seed` determines its random choices.
 
-    Each call gives the action for the engine's present state.
+    Each call returns the action for the engine's current state.
     """
 
     def __init__(self, env: Engine, seed: int = 0) -> None:
@@ -60,7 +60,7 @@ class Sweeper:
         self._first = 0
 
     def __call__(self) -> Action:
-        """The action for the present state."""
+        """The action for the current state."""
         engine = self._env
         if engine.steps == 0 or not self._actions:
             self._actions = plan(engine, np.random.default_rng(self._seed)).actions
@@ -71,10 +71,10 @@ class Sweeper:
 
 
 def plan(engine: Engine, rng: np.random.Generator) -> Sweep:
-    """The first sweep that brings all debris home, or the best of all that were tried."""
+    """The first sweep that brings all debris into the goal zone, or the best of all attempts."""
     best = Sweep([], -1.0)
-    for number in range(TRIES):
-        sweep = _Try(engine, rng, steady=number == 0).sweep()
+    for number in range(SWEEPS):
+        sweep = _Attempt(engine, rng, steady=number == 0).sweep()
         if sweep.score > best.score:
             best = sweep
         if best.score == 1.0:
@@ -82,8 +82,8 @@ def plan(engine: Engine, rng: np.random.Generator) -> Sweep:
     return best
 
 
-class _Try:
-    """One try in a copy of the simulation."""
+class _Attempt:
+    """An attempt in a copy of the simulation."""
 
     def __init__(self, engine: Engine, rng: np.random.Generator, *, steady: bool) -> None:
         self._simulation: Simulation = engine.simulation.copy()
@@ -98,7 +98,7 @@ class _Try:
         self._wiggle, self._period = float(rng.uniform(0.15, 0.9)) if often else 0.0, int(rng.integers(3, 10))
 
     def sweep(self) -> Sweep:
-        """All lanes, one after the other, as long as there are steps and debris left."""
+        """Drives one lane after another, while steps and debris are left."""
         while self._left > 0:
             lanes = self._lanes()
             if not lanes:
@@ -108,7 +108,7 @@ class _Try:
         return Sweep(self._actions, score)
 
     def _lanes(self) -> list[Lane]:
-        """Lanes for the debris that is not home, in the order in which they are to be driven."""
+        """The lanes for debris outside the goal zone, in driving order."""
         scene = self._simulation.scene
         home = arrived(scene)
         todo = sorted((block.x, index) for index, block in enumerate(scene.blocks) if not home[index])
@@ -130,7 +130,7 @@ class _Try:
         return lanes
 
     def _drive_lane(self, lane: Lane) -> None:
-        """Goes below the lane's debris, and drives to the top."""
+        """Drives below the lane's debris, and then to the top."""
         scene = self._simulation.scene
         lowest = min(scene.blocks[index].y for index in lane.debris)
         below = lowest - HALF_DEBRIS - CLEARANCE - self._ahead()
@@ -150,7 +150,7 @@ class _Try:
         self._push(lane)
 
     def _ahead(self) -> float:
-        """How far the front is ahead of the robot's centre."""
+        """The distance of the front from the robot's centre."""
         return 0.38 if self._fingers else 0.05
 
     def _push(self, lane: Lane) -> None:
@@ -197,7 +197,7 @@ class _Try:
             self._act(-speed if reverse else speed, self._turn(heading))
 
     def _turn(self, heading: float) -> float:
-        """The turn of an action that approaches a heading (rad) without going beyond it."""
+        """The turn speed of an action that approaches a heading (rad) without overshooting."""
         simulation = self._simulation
         error = math.remainder(heading - simulation.scene.robot.angle, 2 * math.pi)
         rate = min(7 * abs(error), math.sqrt(2 * ACCELERATION * abs(error)), c.SPEED_TURN)
