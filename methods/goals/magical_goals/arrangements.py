@@ -1,4 +1,4 @@
-"""Relations of blocks to each other: in a line, in groups, all together."""
+"""Relations between blocks: in a line, in groups, all together."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ from magical_mj.tasks.planning import (
 )
 from magical_mj.utils.errors import check_name
 
-LINE_TOLERANCE: Final = 0.07  # world units: so near its place a block is there
+LINE_TOLERANCE: Final = 0.07  # world units: a block within this distance has reached its target
 GROUP_TOLERANCE: Final = 0.09
 ATTRIBUTES: Final = ("colour", "shape", "colour and shape")
 
 
 @dataclass(frozen=True)
 class InLine(Relation):
-    """All blocks are in one line: near the chord between the two that are farthest apart, without large gaps."""
+    """All blocks are in one line: near the chord between the two most distant blocks, without large gaps."""
 
     measures = 2
 
     @property
     def bits(self) -> float:
-        """Of two limits."""
+        """The bits of two limits."""
         return self.measures * LIMIT_BITS
 
     def deviations(self, layouts: Layouts) -> Floats:
-        """Distances from the chord, and along it from the block before."""
-        places = layouts.blocks
-        count, blocks, _ = places.shape
-        apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3).reshape(count, -1)
+        """Distances from the chord, and from the previous block along it."""
+        positions = layouts.blocks
+        count, blocks, _ = positions.shape
+        apart = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=3).reshape(count, -1)
         ends = np.stack(np.divmod(apart.argmax(axis=1), blocks), axis=1)
-        one, other = (np.take_along_axis(places, end[:, None, None], axis=1) for end in ends.T)
+        one, other = (np.take_along_axis(positions, end[:, None, None], axis=1) for end in ends.T)
         chord = (other - one)[:, 0]
         chord /= np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-9)
-        along = np.einsum("nbi,ni->nb", places - one, chord)
-        aside = np.abs(np.einsum("nbi,ni->nb", places - one, np.stack([-chord[:, 1], chord[:, 0]], axis=1)))
+        along = np.einsum("nbi,ni->nb", positions - one, chord)
+        aside = np.abs(np.einsum("nbi,ni->nb", positions - one, np.stack([-chord[:, 1], chord[:, 0]], axis=1)))
         order = along.argsort(axis=1)
         ranked = np.take_along_axis(along, order, axis=1)
         gaps, before = np.zeros_like(ranked), np.zeros_like(ranked)
@@ -67,7 +67,7 @@ class InLine(Relation):
 
     @property
     def text(self) -> str:
-        """Always the same but for the limits."""
+        """The text is constant except for the limits."""
         return "all blocks are in a line, at most {0:.2f} aside and {1:.2f} apart"
 
 
@@ -84,16 +84,16 @@ class Grouped(Relation):
     attribute: str
 
     def __post_init__(self) -> None:
-        """Raises an `UnknownNameError` for an attribute that does not exist."""
+        """Raises an `UnknownNameError` for an unknown attribute."""
         check_name("attribute", self.attribute, ATTRIBUTES)
 
     @property
     def bits(self) -> float:
-        """Of the attribute and the limit."""
+        """The bits of the attribute and the limit."""
         return choice_bits(len(ATTRIBUTES)) + LIMIT_BITS
 
     def deviations(self, layouts: Layouts) -> Floats:
-        """Ratios of distances to centroids; 0 if there is only one group."""
+        """Ratios of distances to centroids. 0 if there is only one group."""
         kinds = self._kinds(layouts.initial.blocks)
         members = np.array([[kind == value for kind in kinds] for value in sorted(set(kinds))], float)
         middles = members @ layouts.blocks / members.sum(axis=1, keepdims=True)
@@ -103,7 +103,7 @@ class Grouped(Relation):
         return (own / np.maximum(others, 1e-9))[..., None]
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Moves few blocks to others of their group."""
+        """Moves blocks to others of their group, as few as possible."""
         kinds, nearer = self._kinds(at.now.blocks), max(at.limits[0], 1e-3) ** -2
         targets = cluster_targets(_points(at.now), kinds, nearer, at.noise, at.stuck)
         return each_to(targets, GROUP_TOLERANCE)
@@ -125,7 +125,7 @@ class Together(Relation):
 
     @property
     def bits(self) -> float:
-        """Of the limit."""
+        """The bits of the limit."""
         return LIMIT_BITS
 
     def deviations(self, layouts: Layouts) -> Floats:
@@ -133,9 +133,9 @@ class Together(Relation):
         return np.linalg.norm(layouts.blocks - layouts.blocks.mean(axis=1, keepdims=True), axis=2, keepdims=True)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Moves blocks that are too far away to the nearest free place within half the limit."""
+        """Moves blocks that are too far away to the nearest free position within half the limit."""
         middle = np.mean(_points(at.now), axis=0)
-        near = [place for place in places_anywhere() if np.linalg.norm(place - middle) <= at.limits[0] / 2]
+        near = [position for position in places_anywhere() if np.linalg.norm(position - middle) <= at.limits[0] / 2]
         todo: list[Subgoal] = []
         for number, off in enumerate(self.deviations(layouts_of(at.initial, [at.now]))[0, :, 0]):
             if off > at.limits[0]:
@@ -146,7 +146,7 @@ class Together(Relation):
 
     @property
     def text(self) -> str:
-        """Always the same but for the limit."""
+        """The text is constant except for the limit."""
         return "all blocks are together, within {0:.2f} of their middle"
 
 

@@ -1,9 +1,9 @@
 """Infers a goal from demonstrations, by minimum description length (Rissanen, 1978).
 
-The goal is the relation with which the ends of the demonstrations have the shortest description: the bits of the
-relation itself, plus the bits that select each end among all layouts in which the relation holds. The fewer layouts
-fulfil a relation, the fewer bits this takes, so that the strictest of the relations that hold at all ends is
-preferred. In Bayesian concept learning this is the size principle (Tenenbaum, 1999).
+The goal is the relation that gives the final states of the demonstrations the shortest description: the bits of the
+relation itself, plus the bits that select each final state among all layouts in which the relation holds. The fewer
+layouts fulfil a relation, the fewer bits this takes. So the strictest of the relations that hold in all final states
+is preferred. In Bayesian concept learning this is called the size principle (Tenenbaum, 1999).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from magical_goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
-from magical_goals.places import LANDMARKS, WHO, Near, RobotInside, formulas
+from magical_goals.regions import LANDMARKS, WHO, Near, RobotInside, formulas
 from magical_goals.relation import Floats, Layouts, Relation, Situation, layouts_of, random_layouts
 from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise, Subgoal
@@ -25,7 +25,7 @@ from magical_mj.utils.errors import TrainingError
 FAILURE: Final = 0.05
 """The expected share of demonstrations that miss the goal."""
 UNTRUE: Final = 0.25
-"""The largest share of the demonstrations that may be left out when limits are fitted."""
+"""The largest share of the demonstrations that can be left out when limits are fitted."""
 
 Example = tuple[Scene, Scene]
 """The first and the last scene of a demonstration."""
@@ -36,9 +36,9 @@ class InferredGoal:
     """A relation with limits.
 
     Attributes:
-        relation: what should hold at the end.
-        limits: the largest deviations at which it holds, one for each measure.
-        saved: by how many bits it shortens the description of the demonstrations.
+        relation: the relation that should hold at the end.
+        limits: the largest deviations for which it holds, one for each measure.
+        saved: the number of bits by which it shortens the description of the demonstrations.
     """
 
     relation: Relation
@@ -51,7 +51,7 @@ class InferredGoal:
         return float((off <= self.limits).all(axis=2).mean())
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise, stuck: Collection[int] = ()) -> tuple[Subgoal, ...]:
-        """The remaining subgoals; none if the goal is reached. In lines and groups, stuck blocks stay, if possible."""
+        """The remaining subgoals. Empty if the goal is reached. In lines and groups, stuck blocks stay, if possible."""
         if self.score(initial, now) == 1.0:
             return ()
         return tuple(self.relation.subgoals(Situation(initial, now, self.limits, noise, stuck)))
@@ -61,7 +61,7 @@ class InferredGoal:
 
 
 def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
-    """All relations that make sense in these initial scenes."""
+    """All relations that are meaningful in these initial scenes."""
     blocks = min(len(scene.blocks) for scene in scenes)
     if all(scene.regions for scene in scenes):
         yield RobotInside()
@@ -74,10 +74,10 @@ def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
 
 
 def infer(examples: Sequence[Example]) -> list[InferredGoal]:
-    """The goals that shorten the description, the best first; equal ones in the order of the vocabulary.
+    """The goals that shorten the description, the best first. Equal ones are in the order of the vocabulary.
 
     Raises:
-        TrainingError: if there is none.
+        TrainingError: if there are none.
     """
     rng = np.random.default_rng(0)
     chance = {initial: random_layouts(initial, rng) for initial, _ in examples}
@@ -85,14 +85,14 @@ def infer(examples: Sequence[Example]) -> list[InferredGoal]:
     goals = sorted((goal for goal in fitted if goal.saved > 0), key=lambda goal: -goal.saved)
     if not goals:
         raise TrainingError(
-            f"the {len(examples)} demonstrations show no goal: no relation of blocks, robot, regions and corners holds "
-            "at the end of most of them that did not hold at the beginning, and would hardly hold by chance"
+            f"the {len(examples)} demonstrations show no goal: every relation of blocks, robot, regions and corners "
+            "fails at the end of too many of them, or already held at the start, or is likely to hold by chance"
         )
     return goals
 
 
 def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> InferredGoal:
-    """The relation with the limits that save most: they hold at all ends, or at all but the worst few."""
+    """The relation with the limits that save most. They hold in all final states, or in all except the worst few."""
     deviations = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
     worst = np.array([off[1].max(axis=0) for off in deviations])  # (demonstrations, measures)
     order = (worst / np.maximum(worst.max(axis=0), 1e-9)).max(axis=1).argsort(kind="stable")
@@ -112,7 +112,7 @@ def _share(off: Floats, limits: Floats) -> float:
 
 
 def _saved(off: Floats, limits: Floats, share: float) -> float:
-    """The bits saved for one demonstration: none if the relation already held at its beginning."""
+    """The bits saved for one demonstration. 0 if the relation already held at its start."""
     true = off <= limits
     if not true[1].all():
         return math.log2(FAILURE)

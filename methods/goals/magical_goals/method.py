@@ -1,4 +1,4 @@
-"""Goal inference as a training with a single update."""
+"""Goal inference as a training with one update."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magical_mj.utils.errors import SettingsError
 
 
 class GoalInference(Method):
-    """Infers the goal of each task from the first and last states of its demonstrations: see `infer`."""
+    """Infers the goal of each task from the first and last states of its demonstrations; see `infer`."""
 
     parts: ClassVar[tuple[str, ...]] = ()
 
@@ -31,12 +31,12 @@ class GoalInference(Method):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Also that states are looked at."""
+        """Also checks that observations are states."""
         super().check(settings)
         _check_states(settings)
 
     def update(self) -> Mapping[str, float]:
-        """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
+        """Infers all goals. Returns the minima of the saved bits, and of the lead over the second-best goal."""
         goals_of: dict[str, list[InferredGoal]] = {}
         for task in self.settings.tasks:
             goals_of[task] = infer([ends(demonstration) for demonstration in chosen(self.settings, task)])
@@ -45,11 +45,11 @@ class GoalInference(Method):
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
 
     def policy(self) -> GoalPolicy:
-        """Plans to reach the best goal of each task."""
+        """The policy that plans to reach the best goal of each task."""
         return self._policy
 
     def save_policy(self, folder: Path) -> None:
-        """Writes goals.json, in place of the one that may be there."""
+        """Writes goals.json, and replaces an existing one."""
         files.write(folder / GOALS, self._written, overwrite=True)
 
     def get_state(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class GoalInference(Method):
         return {"goals": self._written}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to inferred goals."""
+        """Restores inferred goals."""
         self._pursue(state["goals"])
 
     def _pursue(self, written: str) -> None:
@@ -67,10 +67,10 @@ class GoalInference(Method):
 
 def _check_states(settings: TrainingSettings) -> None:
     if not settings.states:
-        raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
+        raise SettingsError(f"goals are inferred from states, not from pictures: use --preset {STATE}")
 
 
 def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
-    """The first scene of a demonstration, and the last."""
+    """The first and the last scene of a demonstration."""
     scenes = demonstration.scenes()
     return scenes[0], scenes[-1]

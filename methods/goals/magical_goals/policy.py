@@ -1,4 +1,4 @@
-"""The policy, which plans in a copy of the simulation to reach the goal, and its file: goals.json in a run's folder."""
+"""The policy, which plans in a copy of the simulation to reach the goal, and its file, goals.json in a run's folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from magical_goals.arrangements import Grouped, InLine, Together
 from magical_goals.inference import InferredGoal
-from magical_goals.places import Belonging, Near, RobotInside
+from magical_goals.regions import Belonging, Near, RobotInside
 from magical_goals.relation import Relation
 from magical_mj.learners.settings import STATE
 from magical_mj.policies.expert.driving import Lookahead
@@ -21,30 +21,30 @@ from magical_mj.policies.expert.planner import PlanFollower, Planner
 from magical_mj.policies.interface import Episode
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
 
-TRIES: Final = 4  # manoeuvres tried in one situation
-PATIENCE: Final = 2  # failures after which a block is not moved any more
-BUDGET: Final = 16  # simulated steps per step of the episode; once they are used, no new plan is started
+CANDIDATES: Final = 4  # manoeuvres tried in one situation
+PATIENCE: Final = 2  # failures after which a block is left alone
+BUDGET: Final = 16  # simulated steps per step of the episode; after them, no new plan is started
 
 GOALS: Final = "goals.json"
-"""The file in a run's folder."""
+"""The policy's file in a run's folder."""
 SHOWN: Final = 5
 """The number of alternatives that are listed for each task, for comparison only."""
 RELATIONS: Final[Mapping[str, type[Relation]]] = MappingProxyType(
     {kind.__name__: kind for kind in (Belonging, RobotInside, Near, InLine, Grouped, Together)}
 )
-"""By their names in the file."""
+"""The relations by their names in the file."""
 
 
 class GoalPolicy:
     """Plans to reach the goal of the task's demonstrations.
 
-    It gets the simulation. It uses the initial and the present state, the number of remaining steps, and a copy of the
-    simulation to plan in, but neither the task's score nor its plan (which the experts use).
+    It has access to the simulation. It uses the initial and the current state, the number of remaining steps, and a
+    copy of the simulation for planning. It uses neither the task's score nor its plan (which the experts use).
 
     Attributes:
-        goals: by task.
-        tasks: the tasks that it can act in.
-        preset: the name of the state track.
+        goals: task -> goal.
+        tasks: the tasks that it can play.
+        preset: the name of the preset of states.
     """
 
     uses_simulation = True
@@ -54,14 +54,12 @@ class GoalPolicy:
         self.goals, self.tasks = dict(goals), tuple(tasks or goals)
 
     def reset(self, episode: Episode) -> None:
-        """An episode begins."""
+        """Begins an episode."""
         env, goal = episode.env, self.goals.get(episode.task)
         if goal is None:
-            raise SettingsError(f"this policy was trained on {', '.join(self.tasks)}, and cannot act in {episode.task}")
+            raise SettingsError(f"this policy was trained on {', '.join(self.tasks)} and cannot play {episode.task}")
         if env is None or env.horizon is None:
-            raise SettingsError(
-                "a policy that plans needs the simulation itself; it cannot play in vector environments"
-            )
+            raise SettingsError("a planning policy needs the simulation itself and cannot play in vector environments")
         initial = env.initial_scene
 
         def planner() -> Planner:
@@ -69,7 +67,7 @@ class GoalPolicy:
                 partial(goal.score, initial),
                 partial(goal.subgoals, initial),
                 Lookahead(env),
-                tries=TRIES,
+                tries=CANDIDATES,
                 patience=PATIENCE,
                 steady=True,
             )
@@ -77,12 +75,12 @@ class GoalPolicy:
         self._next = PlanFollower(env, env.horizon, planner, episode.rng, BUDGET)
 
     def __call__(self, _: Any) -> int:
-        """An action; there are no observations."""
+        """The next action. The policy has no observations."""
         return self._next()
 
 
 def to_json(goals_of: Mapping[str, Sequence[InferredGoal]]) -> str:
-    """The goals of each task, the best first. Only the best one is read again."""
+    """The goals of each task, the best first. `from_json` reads only the best one."""
     table = {
         task: {
             "goal": str(goals[0]),
@@ -105,14 +103,14 @@ def from_json(text: str) -> dict[str, InferredGoal]:
     try:
         return {task: _goal(entry) for task, entry in json.loads(text).items()}
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, MagicalError) as error:
-        raise TrainingError(f"these are no goals as a training writes them: {type(error).__name__}: {error}") from error
+        raise TrainingError(f"the goals are invalid: {type(error).__name__}: {error}") from error
 
 
 def load_goals(folder: Path | str) -> GoalPolicy:
     """The policy in a run's folder.
 
     Raises:
-        TrainingError: if there is none, or the file is damaged.
+        TrainingError: if the file is missing or damaged.
     """
     path = Path(folder) / GOALS
     try:
@@ -131,5 +129,5 @@ def _goal(entry: Mapping[str, Any]) -> InferredGoal:
 
 
 def _frozen(value: Any) -> Any:
-    """Lists as the tuples that they were."""
+    """Converts lists back to tuples."""
     return tuple(_frozen(item) for item in value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""The interface of relations, the possible goals; and the positions of robot and blocks that they are measured on."""
+"""The interface of relations, the possible goals; and the positions of robot and blocks that they measure."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from magical_mj.tasks.planning import REACHABLE, Noise, Subgoal
 Floats = NDArray[np.float64]
 
 SAMPLES: Final = 20_000
-"""Random layouts, by which the chance that a relation holds is estimated."""
+"""The number of random layouts for estimating the probability that a relation holds."""
 LIMIT_BITS: Final = 4.0
-"""The description length of a learnt limit: one of sixteen values."""
+"""The description length of a learnt limit, one of sixteen values."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ def random_layouts(initial: Scene, rng: np.random.Generator) -> Layouts:
 
 @dataclass(frozen=True)
 class Situation:
-    """What subgoals are computed from.
+    """The arguments of subgoals.
 
     Attributes:
         initial: the first scene of the episode.
-        now: the present scene.
-        limits: the largest deviations at which the relation holds, one for each measure.
+        now: the current scene.
+        limits: the largest deviations for which the relation holds, one for each measure.
         noise: selects one of several good sets of subgoals.
         stuck: blocks that lines and groups should not move.
     """
@@ -76,7 +76,7 @@ class Situation:
 class Relation(ABC):
     """A relation that each block, or the robot, can fulfil. Its fields are saved in goals.json.
 
-    It is measured by deviations, which are 0 if it is fulfilled exactly. It holds if all deviations are within limits,
+    It is measured by deviations. They are 0 if it is fulfilled exactly. It holds if all deviations are within limits,
     which are learnt: see `infer`.
 
     Attributes:
@@ -88,7 +88,7 @@ class Relation(ABC):
     @property
     @abstractmethod
     def bits(self) -> float:
-        """The description length, learnt limits included."""
+        """The description length, including learnt limits."""
 
     @abstractmethod
     def deviations(self, layouts: Layouts) -> Floats:
@@ -96,12 +96,12 @@ class Relation(ABC):
 
     @abstractmethod
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """What to move where so that the relation holds; in lines and groups, stuck blocks stay, if possible."""
+        """The subgoals that make the relation hold. In lines and groups, stuck blocks stay, if possible."""
 
     @property
     @abstractmethod
     def text(self) -> str:
-        """The relation in English, a format string for the limits."""
+        """The relation in English, as a format string for the limits."""
 
 
 def choice_bits(options: int) -> float:

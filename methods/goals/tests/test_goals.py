@@ -17,8 +17,8 @@ import pytest
 from magical_goals.arrangements import Grouped, InLine, Together
 from magical_goals.inference import Example, InferredGoal, infer
 from magical_goals.method import ends
-from magical_goals.places import Belonging, Near, RobotInside
 from magical_goals.policy import GOALS, GoalPolicy, from_json, load_goals, to_json
+from magical_goals.regions import Belonging, Near, RobotInside
 from magical_goals.relation import Relation, layouts_of
 
 import magical_mj

@@ -1,1 +1,1 @@
-"""`relational`, which clones from states under tested assumptions, and `redraw`, its student that sees pictures."""
+"""`relational`, cloning from states under tested assumptions, and `redraw`, its student, which observes pictures."""

@@ -1,10 +1,11 @@
-"""Samples by hindsight: every way that was driven is a way to where it ended.
+"""Hindsight samples: every path that was driven shows how to reach its end.
 
-The robot plays in the demo scene, free or with the block that it carries in a demonstration, by random pieces of
-driving and turning that touch nothing else. The end of such a way is then laid on a moment shortly before the
-demonstration takes or leaves something, and what the robot did before becomes what it should do from there, as in
-goal-conditioned supervised learning (Ghosh et al. 2021, arXiv:1912.06088). This holds because a robot that touches
-nothing moves alike everywhere. Ways that would cross other blocks, or that are much longer than need be, are left out.
+The robot plays in the demo scene, free or with the block that it carries in a demonstration, with random segments of
+driving and turning that touch no other object. The path is then transformed, so that it ends at a pose shortly before
+the demonstration grips or releases a block. The robot's actions on the path become the actions that lead to this pose,
+as in goal-conditioned supervised learning (Ghosh et al. 2021, arXiv:1912.06088). This is valid because the motion of a
+robot that touches nothing does not depend on its pose. Paths that would cross other blocks, or that are much longer
+than necessary, are left out.
 """
 
 from __future__ import annotations
@@ -22,41 +23,41 @@ from magical_mj.learners.networks import blocks_of
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
 from magical_mj.utils.errors import PhysicsError
-from magical_relational.samples import WAY, Replay, Samples, front, in_hand
+from magical_relational.samples import PATH_POINTS, Replay, Samples, front, in_hand
 
 Floats = NDArray[np.floating[Any]]
 
 LENGTH: Final = 34
-"""The greatest number of steps of a play, which is half a turn and 2.4 units."""
-PIECES: Final = (
+"""The largest number of steps of a play, enough for half a turn and 2.4 units."""
+SEGMENTS: Final = (
     (True, Drive.NONE, 10),
     (False, Drive.FORWARD, 10),
     (True, Drive.FORWARD, 6),
     (False, Drive.FORWARD, 5),
 )
-"""Of a play: whether it turns, how it drives, and for how many steps at most."""
+"""The segments of a play: whether it turns, how it drives, and the largest number of steps."""
 BUMPS: Final = 40
-"""How often a play may touch something and go on from `BACK` steps earlier."""
+"""The number of times that a play may touch an object and continue from `BACK` steps earlier."""
 BACK: Final = 3
 TOUCHED: Final = 0.01
-"""Units that a block may move in a play that does not touch it."""
+"""The largest motion (units) of a block that counts as untouched."""
 SLIPPED: Final = 0.08
-"""Units that a carried block may move in the robot's hand."""
+"""The largest motion (units) of a carried block between the fingers."""
 BLOCKED: Final = 0.02
-"""Units below which a step forward after another one met a wall."""
+"""The least distance (units) of a second step forward that is not blocked by a wall."""
 BEFORE: Final = 8
-"""Steps before the end of a motion, or before a grip and its `MARGIN`, on which a way's end may be laid."""
+"""The numbers of steps before the end of a motion, or before a grip and its `MARGIN`, for the end of a path."""
 MARGIN: Final = 3
 APART: Final = (0.36, 0.3)
-"""Units that a way keeps from other blocks: the robot's middle, and that of the block that it carries."""
+"""The clearance (units) of a path from other blocks, for the centres of the robot and of the carried block."""
 ROOM: Final = 0.45
-"""Units to the nearest block where a free play begins."""
+"""The least distance (units) to the nearest block at the start of a free play."""
 SPEED: Final = (0.1, 0.3125)
-"""The robot's, in units and rad a step."""
+"""The robot's speed, in units and rad per step."""
 LONGER: Final = (1.5, 3)
-"""How much longer a way may be than the shortest: times, and steps."""
+"""The largest length of a path relative to the shortest one: a factor, and additional steps."""
 CLOSE: Final = 0.08
-"""Units from its end, within which a way only turns."""
+"""The distance (units) from its end within which a path only turns."""
 
 
 class _Play(NamedTuple):
@@ -76,7 +77,7 @@ class _Moment(NamedTuple):
 def by_hindsight(
     engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator
 ) -> list[Samples]:
-    """At least `count` samples, from so many plays of each kind; fewer if hardly any way can be laid anywhere."""
+    """At least `count` samples, from `plays` plays of each kind. Fewer if few paths fit."""
     moments = [_moments(replay) for replay in replays]
     library: dict[tuple[int, int | None], list[_Play]] = {}
     for number, replay in enumerate(replays):
@@ -97,20 +98,20 @@ def by_hindsight(
         group = moments[number][rng.integers(len(moments[number]))]
         moment = group[rng.integers(len(group))]
         chosen = library.get(_kind(number, moment))
-        part = _laid(chosen[rng.integers(len(chosen))], replays[number], moment, rng) if chosen else None
+        part = _transformed(chosen[rng.integers(len(chosen))], replays[number], moment, rng) if chosen else None
         if part is not None:
             parts.append(part)
-            found += len(part.way)
+            found += len(part.path)
     return parts
 
 
 def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
-    """Free ways are alike in all demonstrations; a block is held in another way in each."""
+    """The kind of a play. Free plays suit all demonstrations, while each demonstration grips a block differently."""
     return (-1, None) if moment.held is None else (number, moment.held)
 
 
 def _held(replay: Replay) -> dict[int, list[_Moment]]:
-    """For each block, the moments at which it alone moves."""
+    """For each block, the moments at which it is the only one that moves."""
     moving, begun = (np.zeros((replay.never, MAX_BLOCKS), bool) for _ in range(2))
     for motion in replay.motions():
         moving[motion.begin : motion.end, motion.block] = begun[motion.begin, motion.block] = True
@@ -120,7 +121,7 @@ def _held(replay: Replay) -> dict[int, list[_Moment]]:
 
 
 def _moments(replay: Replay) -> list[list[_Moment]]:
-    """Those shortly before each grip, before each end of a motion, and, where no block moves, before the end."""
+    """The moments shortly before each grip, before each end of a motion, and, if no block moves, before the end."""
     held = {moment.step: moment for group in _held(replay).values() for moment in group}
     moving = {step for motion in replay.motions() for step in range(motion.begin, motion.end)}
     found = []
@@ -136,24 +137,24 @@ def _moments(replay: Replay) -> list[list[_Moment]]:
 
 
 def _free_steps(replay: Replay) -> list[int]:
-    """Steps at which the robot is not near any block; the one at which it is farthest from all, if there are none."""
+    """The steps at which the robot is not near any block. If there are none, the one with the largest distance."""
     there = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
-    gaps = np.linalg.norm(replay.places - replay.states[:, None, :2], axis=2)
+    gaps = np.linalg.norm(replay.positions - replay.states[:, None, :2], axis=2)
     gaps = np.where(there, gaps, np.inf).min(1)[:-1]
     still = ~replay.moving[:-1].any(1)
     return np.flatnonzero(still & (gaps > ROOM)).tolist() or [int(gaps.argmax())]
 
 
 def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Generator) -> _Play:
-    """Random pieces of driving and turning from a moment on, which touch nothing but what is held."""
+    """Random segments of driving and turning from a moment on, which touch only the held block."""
     engine.set_state(replay.saved[moment.step])
     gripper = Gripper.OPEN if moment.held is None else Gripper.CLOSE
     states, saved, actions = [engine.state_vector()], [engine.get_state()], []
-    bumps, piece = 0, []
+    bumps, segment = 0, []
     try:
         while len(actions) < LENGTH and bumps < BUMPS:
-            piece = piece or _piece(gripper, rng)
-            action = piece.pop()
+            segment = segment or _segment(gripper, rng)
+            action = segment.pop()
             engine.step(action)
             state = engine.state_vector()
             pushing = len(actions) > 1 and action == actions[-1] and action % 3 == Drive.FORWARD
@@ -161,19 +162,19 @@ def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Genera
                 left = max(1, len(states) - BACK)
                 del states[left:], saved[left:], actions[left - 1 :]
                 engine.set_state(saved[-1])
-                bumps, piece = bumps + 1, []
+                bumps, segment = bumps + 1, []
             else:
                 states.append(state)
                 saved.append(engine.get_state())
                 actions.append(action)
     except PhysicsError:
-        pass  # what was played until then is as good
+        pass  # the steps until then can be used
     return _Play(np.array(states), np.array(actions, dtype=np.int64))
 
 
-def _piece(gripper: Gripper, rng: np.random.Generator) -> list[int]:
+def _segment(gripper: Gripper, rng: np.random.Generator) -> list[int]:
     """One action a few times: a turn, a drive, or both."""
-    turn, drive, most = PIECES[rng.integers(len(PIECES))]
+    turn, drive, most = SEGMENTS[rng.integers(len(SEGMENTS))]
     action = Action(gripper, Turn(int(rng.integers(1, 3))) if turn else Turn.NONE, drive)
     return [action.number] * int(rng.integers(1, most + 1))
 
@@ -183,7 +184,7 @@ def _distance(state: NDArray[np.float32], other: NDArray[np.float32]) -> float:
 
 
 def _touches(start: NDArray[np.float32], state: NDArray[np.float32], held: int | None) -> bool:
-    """Whether anything else has moved since the start, or what is held has slipped."""
+    """Whether another block has moved since the start, or the held one has slipped."""
     before, now = (blocks_of(torch.from_numpy(values[None]))[0, :, 1:3].numpy() for values in (start, state))
     moved = np.linalg.norm(now - before, axis=1)
     if held is not None:
@@ -194,23 +195,23 @@ def _touches(start: NDArray[np.float32], state: NDArray[np.float32], held: int |
 
 
 def _turn(angle: Any) -> Floats:
-    """The matrix that turns columns by an angle; rows, back."""
+    """The matrix that rotates columns by an angle, and rows back."""
     return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
 
 
-def _laid(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
-    """A piece of a play from its start on, with its end laid on a moment: what of it is a good way there."""
+def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
+    """Samples of a play's first part, transformed so that it ends at a moment: those on a good path to it."""
     end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
     context, last = replay.states[moment.step], play.states[end]
     angle = float(context[2] - last[2])
     turn = _turn(angle)
 
-    def laid(places: NDArray[Any]) -> Floats:
-        return context[:2] + (places - last[:2]) @ turn.T
+    def transformed(positions: NDArray[Any]) -> Floats:
+        return context[:2] + (positions - last[:2]) @ turn.T
 
     blocks = blocks_of(torch.from_numpy(play.states)).numpy()
-    poses = np.concatenate([laid(play.states[:, :2]), play.states[:, 2:3].astype(float) + angle], 1)
-    ahead = front(poses) if moment.held is None else laid(blocks[:, moment.held, 1:3])
+    poses = np.concatenate([transformed(play.states[:, :2]), play.states[:, 2:3].astype(float) + angle], 1)
+    ahead = front(poses) if moment.held is None else transformed(blocks[:, moment.held, 1:3])
     steps = np.arange(end)
     good = _clear(poses[:end], ahead[:end], replay, moment) & _direct(poses[:end], context[:3], end - steps)
     steps = steps[good]
@@ -223,32 +224,32 @@ def _laid(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator
         held = blocks_of(states)[:, moment.held]
         held[:, 1:3] = torch.from_numpy(ahead[steps])
         held[:, 3] = torch.from_numpy(blocks[steps, moment.held, 3] + angle)
-    later = np.linspace(steps, end, WAY // 2, axis=1).round().astype(int)
-    way = torch.from_numpy(np.concatenate([poses[later][..., :2], ahead[later]], 1)).float()
+    later = np.linspace(steps, end, PATH_POINTS // 2, axis=1).round().astype(int)
+    path = torch.from_numpy(np.concatenate([poses[later][..., :2], ahead[later]], 1)).float()
     here = np.array([moment.step])
     loose, freedoms = (
         [part.expand(len(steps), *part.shape[1:]) for part in parts]
         for parts in (replay.loose(here), replay.freedoms(here))
     )
-    return Samples._make([states, torch.from_numpy(play.actions[steps]), *loose, way, *freedoms])
+    return Samples._make([states, torch.from_numpy(play.actions[steps]), *loose, path, *freedoms])
 
 
 def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment) -> NDArray[np.bool_]:
-    """From which steps on the way keeps clear of other blocks, or as clear as the moment at its end does."""
+    """The steps from which the path stays clear of other blocks, or as clear as the moment at its end."""
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
     others = blocks[:, 0] > 0
     if moment.held is not None:
         others[moment.held] = False
-    places, clear = blocks[others, 1:3], np.ones(len(poses), bool)
+    positions, clear = blocks[others, 1:3], np.ones(len(poses), bool)
     ends = [replay.states[moment.step, :2], *(() if moment.held is None else (blocks[moment.held, 1:3],))]
     for own, end, apart in zip((poses[:, :2], ahead), ends, APART, strict=False):
-        least = np.minimum(apart, np.linalg.norm(places - end, axis=1) - TOUCHED)
-        clear &= (np.linalg.norm(own[:, None] - places, axis=2) > least).all(1)
+        least = np.minimum(apart, np.linalg.norm(positions - end, axis=1) - TOUCHED)
+        clear &= (np.linalg.norm(own[:, None] - positions, axis=2) > least).all(1)
     return np.logical_and.accumulate(clear[::-1])[::-1]
 
 
 def _direct(poses: Floats, end: NDArray[Any], steps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether the steps that are left are not many more than turning, driving straight and turning would take."""
+    """Whether the remaining steps are few compared with turning, driving straight and turning."""
     to_end = end[:2] - poses[:, :2]
     distance = np.linalg.norm(to_end, axis=1)
     bearing = np.arctan2(to_end[:, 1], to_end[:, 0]) - math.pi / 2 - poses[:, 2]
@@ -259,5 +260,5 @@ def _direct(poses: Floats, end: NDArray[Any], steps: NDArray[np.int64]) -> NDArr
 
 
 def _size(angles: Floats) -> Floats:
-    """Of angles, at most pi."""
+    """The absolute values of angles, at most pi."""
     return np.abs((angles + math.pi) % math.tau - math.pi)

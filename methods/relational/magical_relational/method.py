@@ -1,19 +1,20 @@
-"""`relational`: behavioural cloning that assumes more about a task, as far as the demo scene bears it out.
+"""`relational`: behavioural cloning under assumptions about a task, each kept only if the demo score holds.
 
-A network sees blocks and regions from the robot (`network`). New networks are trained on the demonstrations
-alone, and others under all assumptions (`samples`); each policy plays in the demo scene after
-`relational.trial` updates. The assumptions are kept if the mean score there is no more than `relational.loss` below the
-best so far. If they are not, they are tried one after the other, each beside those that were kept. The policy is that
-of the last trial that was kept.
+The network observes blocks and regions in the robot's frame (`network`). New networks are trained on the demonstrations
+alone, and others under all assumptions (`samples`). After `relational.trial` updates, each policy plays in the
+demo scene. The assumptions are kept if the mean score is at most `relational.loss` below the best so far. If they are
+not kept, they are tried one after the other, each together with those kept before. The policy is that of the last
+trial that was kept.
 
-Every trial begins with new networks: those that have learnt the demo scene keep to what told them the way there, even
-when they are shown more. `mirror` is tried only where `egocentric` was kept: whoever sees where in the arena things are
-tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
+Every trial starts with new networks: networks that have learnt the demo scene rely on its positions, even
+if they are then trained on more samples. `mirror` is tried only if `egocentric` was kept: a network that observes
+positions in the arena can distinguish mirrored samples from the demo scene, so the demo score would not show whether
+they are wrong.
 
-The rules are the same for all tasks, and `assumptions.json` in the run's folder says what came of them. No other scene
-is ever seen.
+The rules are the same for all tasks, and `assumptions.json` in the run's folder records the trials. No other scene
+is used.
 
-This needs more than the paper's methods have: the states of demonstrations, the simulation of the demo scene (for
+This needs more than the paper's methods: the states of demonstrations, the simulation of the demo scene (for
 rollouts, hindsight and grips), and its score.
 """
 
@@ -46,32 +47,32 @@ from magical_relational.samples import Replay, Samples, displace, joined, mirror
 from magical_relational.settings import PREMISES, RelationalSettings, RelationalTrainingSettings
 
 REPORT: Final = "assumptions.json"
-"""In a run's folder: of each trial what was assumed, the score in the demo scene, and whether it was kept."""
+"""The file in a run's folder with each trial's assumptions, its demo score, and whether it was kept."""
 BATCHES: Final = 16
-"""In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
+"""The number of batches in an update: preparing many samples at once takes half the time of separate batches."""
 SHOWN: Final = 0.35
-"""The share of samples with everything in its place."""
+"""The share of unchanged samples."""
 GRIPPED: Final = 0.25
-"""The share of all others that are of `grips`, where that is assumed. Half of the rest are by `hindsight`."""
+"""The share of `grips` among all other samples, if it is assumed. Half of the rest are from `hindsight`."""
 AVERAGED: Final = 0.2
-"""The share of the latest weights, after each update, in the moving average that plays: it plays more evenly."""
+"""The share of the latest weights in the moving average of weights, which plays more consistently."""
 NOISE: Final = (0.01, 0.01, 0.02)
-"""Deviation of what is added to the robot's pose in samples: units, units, rad."""
+"""The standard deviation of noise on the robot's pose in samples: units, units, rad."""
 
 
 class Sources(NamedTuple):
-    """From what samples are drawn: demonstrations without no-ops, ways by hindsight, and grips.
+    """The sources of samples: demonstrations without no-ops, paths from hindsight, and grips.
 
-    Where no way can be laid anywhere, or no block is taken, these are demonstrations, too.
+    The last two fall back to demonstrations if empty.
     """
 
     shown: Samples
-    ways: Samples
+    paths: Samples
     grips: Samples
 
 
 def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSettings, seed: int) -> Sources:
-    """What demonstrations show, and what trying in their scene adds, as far as that may be assumed."""
+    """The samples of demonstrations, and those of hindsight and grips in their scene if these are to be assumed."""
     rng = np.random.default_rng(seed)
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         replays = [Replay(engine, demonstration) for demonstration in demonstrations]
@@ -84,7 +85,7 @@ def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSett
 
 
 class Relational(Method):
-    """Minimises -E log pi(a | s) over samples that the kept assumptions make of demonstrations."""
+    """Minimises -E log pi(a | s) over demonstrations that are changed under the kept assumptions."""
 
     parts: ClassVar[tuple[str, ...]] = ("relational",)
     settings_type: ClassVar[type[TrainingSettings]] = RelationalTrainingSettings
@@ -108,14 +109,14 @@ class Relational(Method):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Checks what a training needs; raises the errors with which it would begin."""
+        """Checks the requirements of a training, and raises the errors of its start."""
         if not settings.states or len(settings.tasks) > 1:
-            raise SettingsError(f"relational learns one task, and from states: give one task and the preset {STATE}")
+            raise SettingsError(f"relational learns one task from states: give one task and the preset {STATE}")
         super().check(settings)
 
     @property
     def actor(self) -> Ensemble:
-        """The policy as it is now."""
+        """The current policy."""
         return self._actor
 
     @property
@@ -125,15 +126,15 @@ class Relational(Method):
 
     @property
     def _kept(self) -> list[str]:
-        """What the last trial assumed that was kept."""
+        """The assumptions of the last trial that was kept."""
         return next((trial["assumed"] for trial in reversed(self._report) if trial["kept"]), [])
 
     def samples(self, size: int, *, changed: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """States (size, names) and actions (size,) of demonstrations, changed under the assumptions that were kept."""
+        """States (size, names) and actions (size,) of demonstrations, changed under the kept assumptions."""
         return self._draw_samples(self._kept if changed else [], size)
 
     def update(self) -> Mapping[str, float]:
-        """Trains each network on `BATCHES` batches of its own; judges what is assumed when its trial ends."""
+        """Trains each network on `BATCHES` separate batches. At the end of a trial, evaluates its assumptions."""
         chosen, assumed = self.settings.relational, self._assumed
         losses, right = [], []
         for network, optimizer in zip(self._learning.members, self._optimizers, strict=True):
@@ -159,25 +160,25 @@ class Relational(Method):
         return {"loss": torch.stack(losses).mean().item(), "accuracy": torch.stack(right).mean().item()}
 
     def policy(self) -> TrainedPolicy:
-        """Draws from what the networks hold probable."""
+        """The policy that draws actions from the networks' probabilities."""
         return TrainedPolicy(self._actor, self.settings.tasks, self.settings.preset)
 
     def save_policy(self, folder: Path) -> None:
-        """Writes the networks, and what was assumed."""
+        """Writes the networks, and the report on assumptions."""
         save_policy(folder, self._actor, self.settings)
         self.write_report(folder)
 
     def fault(self) -> str | None:
-        """Whether a weight is not finite."""
+        """A message if a weight is not finite."""
         finite = all(values.isfinite().all() for values in self._actor.state_dict().values())
-        return None if finite else "a weight is not finite any more"
+        return None if finite else "a weight is no longer finite"
 
     def write_report(self, folder: Path) -> None:
-        """Writes what was assumed."""
+        """Writes the report on assumptions."""
         files.write(folder / REPORT, json.dumps(self._report, indent=1) + "\n", overwrite=True)
 
     def get_state(self) -> dict[str, Any]:
-        """Weights, also those of the last trial that was kept, optimizers, what was judged, and the generator."""
+        """The current weights, those of the last kept trial, the optimizers, the report, and the generator."""
         return {
             "count": self._count,
             "updates": self.updates,
@@ -192,7 +193,7 @@ class Relational(Method):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
+        """Restores a state from `get_state`."""
         self._count, self.updates, self._best = state["count"], state["updates"], state["best"]
         self._assumed, self._waiting = list(state["assumed"]), list(state["waiting"])
         self._report = list(state["report"])
@@ -203,13 +204,13 @@ class Relational(Method):
         self.draw.set_state(state["draw"])
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
+        """States (size, names) and actions (size,), in random order, changed under these assumptions."""
         shown = round(SHOWN * size)
         grips = round(GRIPPED * (size - shown)) if "grips" in assumed else 0
-        ways = (size - shown - grips) // 2 if "hindsight" in assumed else 0
+        paths = (size - shown - grips) // 2 if "hindsight" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self.draw))
-            for source, count in zip(self._sources, (size - ways - grips, ways, grips), strict=True)
+            for source, count in zip(self._sources, (size - paths - grips, paths, grips), strict=True)
         ]
         samples = joined(parts)
         if "displace" in assumed:
@@ -224,9 +225,9 @@ class Relational(Method):
         return states.to(self.device), actions.to(self.device)
 
     def _judge(self) -> None:
-        """Plays in the demo scene, which decides whether what is assumed is kept; begins the next trial."""
+        """Plays in the demo scene, decides whether the assumptions are kept, and begins the next trial."""
         chosen = self.settings.relational
-        (score,) = self.demo_scores(chosen.rollouts).values()  # of the one task
+        (score,) = self.demo_scores(chosen.rollouts).values()  # there is one task
         best = max((trial["score"] for trial in self._report if trial["kept"]), default=0.0)
         keep = score >= best - chosen.loss
         self._report.append({"assumed": self._assumed, "score": score, "kept": keep})
@@ -239,7 +240,7 @@ class Relational(Method):
             self._begin(following)
 
     def _next(self) -> list[str] | None:
-        """What the next trial assumes: all, or one more than was kept; None if nothing is left to try."""
+        """The assumptions of the next trial: all, or one more than the kept ones. None if all trials are done."""
         every = list(self._assumptions)
         tried = [trial["assumed"] for trial in self._report]
         if every not in tried:
@@ -263,7 +264,7 @@ class Relational(Method):
             torch.optim.Adam(network.parameters(), chosen.learning_rate, fused=True)
             for network in self._learning.networks
         ]
-        # Fewer, if assumptions are kept together.
+        # There are fewer if assumptions are kept together.
         self.updates = self._count + (max(1, 2 - len(self._report)) + len(self._waiting)) * chosen.trial
 
     def _weights(self) -> dict[str, torch.Tensor]:

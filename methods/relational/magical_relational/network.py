@@ -1,8 +1,9 @@
-"""The network of `relational`: what the robot sees of each block and region, and how these stand to each other.
+"""The network of `relational`: the blocks and regions in the robot's frame, and their relations to each other.
 
-It looks at one state, in the robot's frame, and the order of blocks and regions changes nothing: each is a
-node of a graph, and each node hears from all others (as in the graph networks of Battaglia et al. 2018,
-arXiv:1806.01261). Several such networks with other first weights are one policy: their probabilities are averaged.
+It observes one state, in the robot's frame, and does not depend on the order of blocks and regions. Each is a
+node of a graph, and receives messages from all others (as in the graph networks of Battaglia et al. 2018,
+arXiv:1806.01261). A policy consists of several such networks with different initial weights. Their probabilities are
+averaged.
 """
 
 from __future__ import annotations
@@ -17,25 +18,25 @@ from magical_mj.scene.state_vector import FINGERS
 from magical_relational.settings import RelationalSettings
 
 ARENA: Final = 4 + 4
-"""Features of a node that tell where in the arena it and the robot are, and how the robot is turned there."""
+"""The number of a node's features with its position in the arena, and the robot's pose."""
 NODE: Final = 5 + 2 + 4 + 4 + 6 + 1 + 2 + ARENA
 _FINGERS: Final = slice(NODE - ARENA - 2, NODE - ARENA)
 EDGE: Final = 6
 MOTION: Final = (0.01, 0.03)
-"""Units or rad in a step by which a robot that does not stand still moves at least, and rad by which a finger does."""
+"""The least motion in a step of a robot that is not at rest: units or rad of the robot, and rad of a finger."""
 STANDING: Final = 0.25
-"""How sharp probabilities are while nothing moves, in parts of `RelationalSettings.sharpness`."""
+"""The sharpness of probabilities while nothing moves, as a share of `RelationalSettings.sharpness`."""
 
 
 class RelationalNetwork(nn.Module):
-    """From states to logits of the 18 actions."""
+    """Maps states to logits of the 18 actions."""
 
     arena: Tensor
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
         check_size(hidden * (NODE + 2 * EDGE + 11 * hidden + 2 * 2 * hidden + 2 * ONE_HOT))
-        self.register_buffer("arena", torch.ones(()))  # 0: no feature tells where in the arena anything is
+        self.register_buffer("arena", torch.ones(()))  # 0: positions in the arena are hidden
         self.node = nn.Sequential(nn.Linear(NODE, hidden), nn.ReLU(), nn.Linear(hidden, hidden))
         self.rounds = nn.ModuleList(Messages(hidden) for _ in range(2))
         self.share = nn.Linear(hidden, 1)
@@ -52,7 +53,7 @@ class RelationalNetwork(nn.Module):
         return self.act(*graph(states, self.arena))
 
     def act(self, nodes: Tensor, edges: Tensor, present: Tensor) -> Tensor:
-        """The same, of what `graph` returns."""
+        """The logits for the results of `graph`."""
         fingers = nodes[:, 0, _FINGERS]
         nodes = self.node(nodes)
         hears = present[:, None] & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
@@ -64,7 +65,7 @@ class RelationalNetwork(nn.Module):
 
 
 class Messages(nn.Module):
-    """One round in which each node hears the strongest of what the others say to it."""
+    """One round of messages. Each node receives the maxima of the others' messages."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
@@ -74,7 +75,7 @@ class Messages(nn.Module):
         self.update = nn.Sequential(nn.Linear(2 * hidden, hidden), nn.ReLU(), nn.Linear(hidden, hidden))
 
     def forward(self, nodes: Tensor, edges: Tensor, hears: Tensor) -> Tensor:
-        """New nodes (n, k, hidden), of nodes, of edges (n, k, k, EDGE), and of who hears whom (n, k, k)."""
+        """New nodes (n, k, hidden), from nodes, edges (n, k, k, EDGE), and which nodes send to which (n, k, k)."""
         said = self.edge(edges) + self.listener(nodes)[:, :, None] + self.speaker(nodes)[:, None]
         heard = said.relu().masked_fill(~hears[..., None], 0.0).amax(2)
         return nodes + self.update(torch.cat([nodes, heard], 2))
@@ -91,13 +92,13 @@ class Ensemble(nn.Module):
 
     @property
     def members(self) -> list[RelationalNetwork]:
-        """Its networks."""
+        """The networks."""
         return [network for network in self.networks if isinstance(network, RelationalNetwork)]
 
     def forward(self, histories: Tensor, tasks: Tensor) -> Tensor:
-        """Logits, shape (n, 18), for histories (n, HISTORY, names), of which the last two states count; of one task.
+        """Logits, shape (n, 18), for histories (n, HISTORY, names) of one task. Only the last two states are used.
 
-        Where nothing came of the last action, they are less sharp, so that a robot that is stuck tries something else.
+        If the last action had no effect, the logits are less sharp, so that a robot that is stuck tries other actions.
         """
         del tasks
         change = (histories[:, -1] - histories[:, -2]).abs()
@@ -105,38 +106,38 @@ class Ensemble(nn.Module):
         return self.logits(histories[:, -1]) * torch.where(stands, STANDING, 1.0)[:, None]
 
     def logits(self, states: Tensor) -> Tensor:
-        """The same for states (n, names) of a robot that moves."""
+        """The logits for states (n, names) of a moving robot."""
         chances = torch.stack([network(states).softmax(1) for network in self.networks]).mean(0)
         return self.settings.sharpness * chances.clamp(min=1e-9).log()
 
 
 def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The blocks and regions of states (n, names) as the robot sees them; absent in the whole batch ones are left out.
+    """The blocks and regions of states (n, names) in the robot's frame. Those absent in the whole batch are left out.
 
     Returns:
         Nodes (n, k, NODE), edges (n, k, k, EDGE) from the second to the first, and which nodes are present (n, k).
     """
     blocks, regions = blocks_of(states), regions_of(states)
-    if not torch.compiler.is_exporting():  # the shapes in an exported network do not depend on what it sees
+    if not torch.compiler.is_exporting():  # the shapes in an exported network are fixed
         blocks, regions = blocks[:, blocks[..., 0].any(0)], regions[:, regions[..., 0].any(0)]
     b, r = blocks.shape[1], regions.shape[1]
-    place, angle = states[:, None, :2], states[:, 2:3]
+    position, angle = states[:, None, :2], states[:, 2:3]
     sin, cos = angle.sin(), angle.cos()
     frame = torch.stack([cos, sin, -sin, cos], 2).unflatten(2, (2, 2))[:, 0]
 
     half = (regions[..., 3:5] - regions[..., 1:3]) / 2
-    places = torch.cat([blocks[..., 1:3], regions[..., 1:3] + half], 1)
-    seen = (places - place) @ frame.transpose(1, 2)
+    positions = torch.cat([blocks[..., 1:3], regions[..., 1:3] + half], 1)
+    seen = (positions - position) @ frame.transpose(1, 2)
     distance = seen.norm(dim=2, keepdim=True)
     heading = blocks[..., 3] - angle
 
     def padded(values: Tensor, before: int, after: int) -> Tensor:
         return nn.functional.pad(values, (0, 0, before, after))
 
-    # A region looks the same after a quarter turn if it is a square, and after a half turn anyway.
+    # A square region is symmetric under quarter turns, and all regions under half turns.
     difference = half[..., 0] - half[..., 1]
     turned = torch.cat([(2 * angle).cos(), (2 * angle).sin(), (4 * angle).cos(), (4 * angle).sin()], 1)
-    inside = half - (place - places[:, b:]).abs()
+    inside = half - (position - positions[:, b:]).abs()
     form = [
         half.mean(2),
         difference * turned[:, :1],
@@ -145,7 +146,7 @@ def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         turned[:, 3:4].expand(-1, r),
         inside.amin(2).clamp(-0.5, 0.5),
     ]
-    where = torch.cat([place, sin[..., None], cos[..., None]], 2).expand(-1, b + r, -1)
+    where = torch.cat([position, sin[..., None], cos[..., None]], 2).expand(-1, b + r, -1)
     nodes = torch.cat(
         [
             seen,
@@ -157,15 +158,15 @@ def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             padded(torch.stack(form, 2), b, 0),
             padded(torch.ones_like(half[..., :1]), b, 0),
             states[:, None, FINGERS].expand(-1, b + r, -1),
-            arena * torch.cat([where, places, places - place], 2),
+            arena * torch.cat([where, positions, positions - position], 2),
         ],
         2,
     )
     apart = seen[:, :, None] - seen[:, None]
     colours = torch.cat([blocks[..., COLOURS], regions[..., 5:]], 1)
     shapes = padded(blocks[..., SHAPES], 0, r)
-    # How deep each node's middle is in each region, in units; outside it is negative.
-    depth = (half[:, None] - (places[:, :, None] - places[:, None, b:]).abs()).amin(3).clamp(-0.5, 0.5)
+    # The depth of each node's centre in each region, in units; negative outside.
+    depth = (half[:, None] - (positions[:, :, None] - positions[:, None, b:]).abs()).amin(3).clamp(-0.5, 0.5)
     depth = nn.functional.pad(depth, (b, 0))
     edges = torch.cat(
         [

@@ -17,11 +17,11 @@ from magical_relational.settings import RelationalSettings, RelationalTrainingSe
 
 POLICY: Final = "relational.safetensors"
 PLAYED: Final = ("hidden", "networks", "sharpness")
-"""The settings that the policy needs; files of earlier versions have others, too."""
+"""The settings that the policy needs. Files of earlier versions contain additional ones."""
 
 
 def save_policy(folder: Path, actor: Ensemble, settings: RelationalTrainingSettings) -> None:
-    """Writes the policy into a run's folder, with the settings and the task that are needed to use it."""
+    """Writes the policy into a run's folder, with the required settings and the task."""
     chosen = {name: getattr(settings.relational, name) for name in PLAYED}
     contents = {"weights": actor.state_dict(), "relational": chosen, "tasks": list(settings.tasks)}
     checkpoint.write(folder / POLICY, contents)
@@ -32,7 +32,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     """The policy in a run's folder, on the CPU.
 
     Raises:
-        TrainingError: if there is none, or the file is damaged.
+        TrainingError: if the file is missing or damaged.
     """
     path = files.to_path(folder) / POLICY
     contents = checkpoint.read(path)
@@ -42,4 +42,4 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
         return TrainedPolicy(actor, contents["tasks"], STATE)
     except Exception as error:
-        raise TrainingError(f"{path} holds something else than a policy of relational: {error}") from error
+        raise TrainingError(f"{path} does not contain a policy of relational: {error}") from error

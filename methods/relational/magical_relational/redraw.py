@@ -1,13 +1,13 @@
-"""`redraw`: cloning from pictures of scenes that were changed as `relational` may, and drawn as the policy sees them.
+"""`redraw`: cloning from pictures of scenes that are changed under `relational`'s assumptions.
 
 Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:1912.12294). The first is that of
-`relational`: it learns from states, and the demo scene decides which assumptions it keeps. The second sees only
-pictures. It learns with what probabilities the first acts (soft targets: Hinton, Vinyals and Dean 2015,
-arXiv:1503.02531) in states that the kept assumptions make of the demonstrations: each is drawn anew, so that a
-displaced block is seen elsewhere, and what has another colour is seen in it. Two pictures in three are of a
-demonstration as it was, with what was done there.
+`relational`. It learns from states, and the demo score decides which assumptions are kept. The second observes only
+pictures. It learns the first policy's action probabilities (soft targets: Hinton, Vinyals and Dean 2015,
+arXiv:1503.02531) in demonstrated states that are changed under the kept assumptions. Each state is drawn again, so that
+the picture shows displaced blocks and changed colours. Two pictures in three show an unchanged demonstration,
+with the demonstrator's action.
 
-Besides what `relational` needs this takes the renderer, in training. The second policy looks at pictures alone.
+In addition to the requirements of `relational`, training needs the renderer. The second policy uses only pictures.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from magical_relational.method import Relational
 from magical_relational.settings import RelationalTrainingSettings
 
 POOL: Final = 2048
-"""Pictures from which batches are drawn, until others take their place."""
+"""The number of pictures from which batches are drawn, before they are replaced."""
 SHOWN: Final = 2 / 3
-"""The share of them that are of a demonstration as it was."""
+"""The share of pictures of unchanged demonstrations."""
 BATCHES: Final = 128
-"""From each pool: with 64 samples in each, a picture is seen four times."""
+"""The number of batches from each pool: with 64 samples in each, a picture is used four times."""
 MISSING: Final = 50.0
-"""Units right of and above the arena: where things are that a sample lacks."""
+"""The position (units) to the right of and above the arena for objects that a sample lacks."""
 
 
 class Redraw(BehaviouralCloning):
-    """Minimises -E log pi(a | picture of s); a is drawn by the policy of `relational`, or is what was done in s."""
+    """Minimises -E log pi(a | picture of s); a is drawn by the policy of `relational`, or is the demonstrator's."""
 
     parts: ClassVar[tuple[str, ...]] = ("network", "bc", "relational")
     settings_type: ClassVar[type[TrainingSettings]] = RelationalTrainingSettings
@@ -68,18 +68,18 @@ class Redraw(BehaviouralCloning):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Checks what a training needs; raises the errors with which it would begin."""
+        """Checks the requirements of a training, and raises the errors of its start."""
         if settings.states or len(settings.tasks) > 1 or len(PRESETS[settings.preset].frames) > 1:
             raise SettingsError("redraw learns one task from one view: give one task and the preset LoRes4E or LoRes4A")
         Relational.check(replace(settings, preset=STATE))
 
     def dataset(self, demonstrations: object) -> Pool:
-        """The pictures to learn from."""
+        """The pictures for training."""
         del demonstrations
         return Pool(self._teacher, PRESETS[self.settings.preset].frames[0][0], self.settings.renderer)
 
     def update(self) -> Mapping[str, float]:
-        """Trains the first policy until it is done, then the second."""
+        """Trains the first policy until it is finished, and then the second."""
         if not self._teacher.finished:
             metrics = self._teacher.update()
             self.updates = self._teacher.updates + self._batches
@@ -90,27 +90,27 @@ class Redraw(BehaviouralCloning):
         return super().update()
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """As of cloning, with the likeliest actions (n,)."""
+        """The same as in cloning, with the most probable actions (n,)."""
         loss, logits, probabilities, others = super().loss()
         return loss, logits, probabilities.argmax(1), others
 
     def recalibrate(self) -> None:
-        """As of cloning, once there is a second policy."""
+        """The same as in cloning, after the second policy's training has begun."""
         if self._count:
             super().recalibrate()
 
     def save_policy(self, folder: Path) -> None:
-        """Writes the second policy, and what the first one assumed."""
+        """Writes the second policy, and the first one's report on assumptions."""
         super().save_policy(folder)
         self._teacher.write_report(folder)
 
     def get_state(self) -> dict[str, Any]:
-        """The states of both policies, and where the present pool began."""
+        """The states of both policies, and the generator's state at the start of the current pool."""
         own = {"count": self._count, "begun": self._data.begun, "teacher": self._teacher.get_state()}
         return super().get_state() | own
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned; draws the pool again."""
+        """Restores a state from `get_state`, and draws the pool again."""
         super().set_state(state)
         self._teacher.set_state(state["teacher"])
         self.updates = self._teacher.updates + self._batches
@@ -124,7 +124,7 @@ class Pool:
     """Pictures of samples under the teacher's assumptions, and the probabilities of its actions there.
 
     Attributes:
-        begun: the state of the teacher's generator from which the present pictures were drawn.
+        begun: the state of the teacher's generator before the current pictures were drawn.
     """
 
     def __init__(self, teacher: Relational, view: str, renderer: str | None) -> None:
@@ -134,7 +134,7 @@ class Pool:
         self.begun = teacher.draw.get_state()
 
     def renew(self) -> None:
-        """Draws other samples."""
+        """Draws new samples."""
         self.begun = self._teacher.draw.get_state()
         shown, demonstrated = self._teacher.samples(round(SHOWN * POOL), changed=False)
         states, _ = self._teacher.samples(POOL - len(shown))
@@ -145,13 +145,13 @@ class Pool:
         self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures)
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
-        """Random ones of the present pictures, with one frame each; the actions are probabilities (n, 18)."""
+        """Random samples of the current pictures, with one frame each. The actions are probabilities (n, 18)."""
         rows = torch.randint(POOL, (size,), generator=generator)
         return Batch(self._pictures[rows.numpy()], self._probabilities[rows], torch.zeros(size, dtype=torch.int64))
 
 
 class Redrawer:
-    """Draws what would be seen in states, whether or not they were ever simulated; from "ego" or "allo"."""
+    """Draws states in the view "ego" or "allo". They need not be from a simulation."""
 
     def __init__(self, view: str, renderer: str | None) -> None:
         self._view, self._renderer = view, renderer
@@ -169,9 +169,9 @@ class Redrawer:
 
 
 def scenes_of(states: Tensor) -> list[Scene]:
-    """The scenes of states (n, names), at rest; what a state does not show is out of sight.
+    """The scenes of states (n, names), at rest. Objects that are missing in a state are out of sight.
 
-    Blocks are sorted by their shapes, so that few models draw all samples.
+    Blocks are sorted by shape, so that few models are sufficient for all samples.
     """
     numbers = zip(states.numpy(), blocks_of(states).numpy(), regions_of(states).numpy(), strict=True)
     return [Scene(_robot(state), _blocks(blocks), _regions(regions)) for state, blocks, regions in numbers]

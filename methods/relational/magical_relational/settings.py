@@ -12,35 +12,35 @@ from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.settings import Count, Names, Settings
 
 ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace")
-"""What `relational` tries to assume about a task, in this order: see `magical_relational.samples`."""
+"""The assumptions that `relational` tries, in this order: see `magical_relational.samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
-"""Assumptions that are tried only where another one was kept."""
+"""Assumptions that are tried only if another one was kept."""
 
 
 @dataclass(frozen=True)
 class RelationalSettings(Settings):
-    """Behavioural cloning with assumptions that the demo scene must bear out; not in the paper."""
+    """Behavioural cloning with assumptions that the demo score must support. It is not in the paper."""
 
     part: ClassVar[str] = "relational"
 
-    assumptions: Annotated[Names, Meta(description="those that are tried, together or in this order")] = ASSUMPTIONS
+    assumptions: Annotated[Names, Meta(description="assumptions to try, together or in this order")] = ASSUMPTIONS
     hidden: Count = 64
-    networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 2
-    trial: Annotated[Count, Meta(description="updates, of 16 batches each, after which the demo scene judges")] = 200
+    networks: Annotated[int, Meta(ge=1, le=100, description="number of networks whose probabilities are averaged")] = 2
+    trial: Annotated[Count, Meta(description="updates of a trial, of 16 batches each")] = 200
     batch_size: Count = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
-    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge")] = 80
+    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that evaluate a trial")] = 80
     loss: Annotated[
         Share,
-        Meta(description="of score in the demo scene that an assumption may cost (1: all are kept)"),
+        Meta(description="loss of demo score at which assumptions are still kept (1: all are kept)"),
     ] = 0.15
-    ways: Annotated[Count, Meta(description="samples by hindsight")] = 30_000
-    grips: Annotated[Count, Meta(description="samples of taking a block from close by")] = 5_000
-    plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each block it moves")] = 8
-    sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 2.0
+    ways: Annotated[Count, Meta(description="samples from hindsight")] = 30_000
+    grips: Annotated[Count, Meta(description="samples of gripping a block from nearby")] = 5_000
+    plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each moved block")] = 8
+    sharpness: Annotated[Positive, Meta(description="exponent of the policy's probabilities")] = 2.0
 
     def __post_init__(self) -> None:
-        """Checks the names."""
+        """Checks the names of assumptions."""
         super().__post_init__()
         names = self.assumptions.split(",") if isinstance(self.assumptions, str) else self.assumptions
         names = tuple(name.strip() for name in names if name.strip())
@@ -48,7 +48,7 @@ class RelationalSettings(Settings):
             check_name("assumption", name, ASSUMPTIONS)
         for number, name in enumerate(names):
             if name in PREMISES and PREMISES[name] not in names[:number]:
-                raise SettingsError(f"{name} is tried where {PREMISES[name]} was kept: name {PREMISES[name]} before it")
+                raise SettingsError(f"{name} needs {PREMISES[name]}: list {PREMISES[name]} before it")
         object.__setattr__(self, "assumptions", names)
 
 

@@ -17,7 +17,7 @@ from magical_relational.method import REPORT, Relational, demonstrated
 from magical_relational.network import STANDING, Ensemble, graph
 from magical_relational.policy import POLICY, load_policy
 from magical_relational.redraw import Redraw, Redrawer, scenes_of
-from magical_relational.samples import WAY, Freedom, Replay, Samples, displace, in_hand, mirror, rename
+from magical_relational.samples import PATH_POINTS, Freedom, Replay, Samples, displace, in_hand, mirror, rename
 from magical_relational.settings import RelationalSettings
 
 from magical_mj import TASKS, demos
@@ -156,8 +156,8 @@ def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -
 def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
     chosen = RelationalSettings(assumptions=("hindsight",), ways=200, plays=2)
     shown, ways, _ = demonstrated([shipped(task)[0]], chosen, 0)
-    assert len(ways.way) >= 200
-    ends = ways.way[:, WAY // 2 - 1]
+    assert len(ways.path) >= 200
+    ends = ways.path[:, PATH_POINTS // 2 - 1]
     assert torch.cdist(ends, shown.states[:, :2]).amin(1).max() < 0.03  # steps without action are not shown
     assert (ways.states[:, :2] - ends).norm(dim=1).max() > 0.5
 
@@ -173,13 +173,13 @@ def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
     for way in ways:
         (block,) = way.pair[0].nonzero()[:, 0].tolist()
         first = way.states[0]
-        places = blocks_of(first[None])[0, :, 1:3].numpy()
-        moved = np.linalg.norm(blocks_of(way.states)[..., 1:3].numpy() - replay.places[0], axis=2).max(0)
+        positions = blocks_of(first[None])[0, :, 1:3].numpy()
+        moved = np.linalg.norm(blocks_of(way.states)[..., 1:3].numpy() - replay.positions[0], axis=2).max(0)
         pushed.append(moved[block] > 0.1)
-        others = np.linalg.norm(places - replay.places, axis=2).min(0)  # each is where it was at some time
+        others = np.linalg.norm(positions - replay.positions, axis=2).min(0)  # each is where it was at some time
         assert np.delete(others, block).max() < 0.03
         (scene,) = scenes_of(first[None])
-        number = [np.allclose((other.x, other.y), places[block]) for other in scene.blocks].index(True)
+        number = [np.allclose((other.x, other.y), positions[block]) for other in scene.blocks].index(True)
         with closing(Engine.of_scene(scene)) as engine:
             for action in [*way.actions.tolist(), *[CLOSED] * 2]:
                 engine.step(action)
@@ -249,11 +249,11 @@ def test_some_samples_keep_everything_in_its_place() -> None:
     while not learner.finished:
         learner.update()
 
-    def places(changed: bool) -> torch.Tensor:
+    def positions(changed: bool) -> torch.Tensor:
         blocks = blocks_of(learner.samples(2000, changed=changed)[0])
         return blocks[..., :3].flatten(1)
 
-    shown, samples = places(False).unique(dim=0), places(True)
+    shown, samples = positions(False).unique(dim=0), positions(True)
     in_place = (samples[:, None] == shown).all(2).any(1).float().mean()
     assert 0.45 <= in_place <= 0.57
 

@@ -1,7 +1,7 @@
-"""Relations to places: which blocks belong in which goal regions, whether the robot is in one, and to landmarks.
+"""Relations to regions and landmarks: the region of each block, the robot's region, and distances from landmarks.
 
-A formula says which block belongs in which region. It is a conjunction of literals about a block and a region at the
-beginning of the episode. In the end the block should be in the region if the formula is true, and outside if it is not.
+A formula assigns blocks to regions. It is a conjunction of literals about a block and a region at the start of the
+episode. At the end, the block should be in the region if the formula is true, and outside if it is not.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from magical_mj.tasks.planning import (
 from magical_mj.utils.errors import check_name
 
 Predicate = Callable[[Block, GoalRegion, Iterable[Block]], bool]
-"""Its arguments: a block, a region, and the blocks that began in the region."""
+"""A function of a block, a region, and the blocks that started in the region."""
 
 RELATIVE: Final[Mapping[str, Predicate]] = MappingProxyType(
     {
@@ -62,20 +62,20 @@ ABSOLUTE: Final[Mapping[str, Predicate]] = MappingProxyType(
     | {f"is a {shape}": _has(shape) for shape in SHAPES}
     | {f"is at a {colour} region": _at(colour) for colour in COLOURS}
 )
-"""Predicates that name one of four colours or shapes, which takes two more bits."""
+"""Predicates with one of four colours or shapes, which costs two more bits."""
 
 PREDICATES: Final = {**RELATIVE, **ABSOLUTE}
 KINDS: Final = len(RELATIVE) + 3
 LITERALS: Final = 3
-"""The largest number in a formula."""
+"""The largest number of literals in a formula."""
 
 Literal = tuple[str, bool]
-"""A predicate's name, and whether it is to be true."""
+"""A predicate's name, and its required truth value."""
 
 
 @dataclass(frozen=True)
 class Belonging(Relation):
-    """A block is in a region if and only if the formula is true of them.
+    """A block is in a region if and only if the formula is true for them.
 
     Attributes:
         formula: the literals that must all be true.
@@ -84,19 +84,19 @@ class Belonging(Relation):
     formula: tuple[Literal, ...]
 
     def __post_init__(self) -> None:
-        """Raises an `UnknownNameError` for predicates that do not exist."""
+        """Raises an `UnknownNameError` for unknown predicates."""
         for name, _ in self.formula:
             check_name("predicate", name, PREDICATES)
 
     @property
     def bits(self) -> float:
-        """For each literal: the predicate's kind, whether it is negated, and the colour or shape if it names one."""
+        """For each literal: the bits of the predicate's kind, its negation, and its colour or shape if it has one."""
         return LIMIT_BITS + sum(
             choice_bits(KINDS) + 1 + choice_bits(4) * (name in ABSOLUTE) for name, _ in self.formula
         )
 
     def wanted(self, initial: Scene) -> NDArray[np.bool_]:
-        """Which block should be in which region. Shape (blocks, regions)."""
+        """Whether each block should be in each region. Shape (blocks, regions)."""
         wanted = np.ones((len(initial.blocks), len(initial.regions)), dtype=bool)
         for column, region in enumerate(initial.regions):
             there = [block for block in initial.blocks if region.contains(block)]
@@ -105,12 +105,12 @@ class Belonging(Relation):
         return wanted
 
     def deviations(self, layouts: Layouts) -> Floats:
-        """The number of regions that each block is wrongly inside or outside of."""
+        """For each block, the number of regions in which it is wrongly inside or outside."""
         wrong = _inside(layouts.blocks, layouts.initial) != self.wanted(layouts.initial)
         return wrong.sum(axis=2, keepdims=True).astype(float)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Moves blocks to free places in their regions, or out of all regions."""
+        """Moves blocks to free positions in their regions, or out of all regions."""
         todo: list[Subgoal] = []
         scene, regions = at.now, at.now.regions
         for number, wanted in enumerate(self.wanted(at.initial)):
@@ -118,23 +118,23 @@ class Belonging(Relation):
             if all(region.contains(block) == wants for region, wants in zip(regions, wanted, strict=True)):
                 continue
             own = [region for region, wants in zip(regions, wanted, strict=True) if wants]
-            places = places_inside(own[0]) if own else places_outside(regions)
-            todo.append(bring(scene, number, places, at.noise))
+            positions = places_inside(own[0]) if own else places_outside(regions)
+            todo.append(bring(scene, number, positions, at.noise))
             scene = scene_after(scene, todo[-1:])
         return todo
 
     @property
     def text(self) -> str:
         """Such as "a block is in a region if and only if it is red"."""
-        told = " and ".join(f"it {'' if true else 'not '}{name}" for name, true in self.formula)
-        return f"a block is in a region if and only if {told}"
+        conditions = " and ".join(f"it {'' if true else 'not '}{name}" for name, true in self.formula)
+        return f"a block is in a region if and only if {conditions}"
 
 
-def _inside(places: Floats, initial: Scene) -> NDArray[np.bool_]:
-    """Which of the places, shape (n, things, 2), are in which regions. Shape (n, things, regions)."""
+def _inside(positions: Floats, initial: Scene) -> NDArray[np.bool_]:
+    """Whether each position, shape (n, bodies, 2), is in each region. Shape (n, bodies, regions)."""
     lower = np.array([(region.x_min, region.y_min) for region in initial.regions]).reshape(-1, 2)
     upper = np.array([(region.x_max, region.y_max) for region in initial.regions]).reshape(-1, 2)
-    at = places[:, :, None]
+    at = positions[:, :, None]
     return np.logical_and.reduce([at >= lower, at <= upper]).all(axis=3)
 
 
@@ -144,7 +144,7 @@ class RobotInside(Relation):
 
     @property
     def bits(self) -> float:
-        """Of the limit alone."""
+        """The bits of the limit."""
         return LIMIT_BITS
 
     def deviations(self, layouts: Layouts) -> Floats:
@@ -153,18 +153,18 @@ class RobotInside(Relation):
         return 1.0 - inside.any(axis=2, keepdims=True).astype(float)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Drives to the nearest place in a region."""
-        places = [place for region in at.now.regions for place in places_inside(region)]
-        return [drive(at.now, places, at.noise, tolerance=0.1)]
+        """Drives to the nearest position in a region."""
+        positions = [position for region in at.now.regions for position in places_inside(region)]
+        return [drive(at.now, positions, at.noise, tolerance=0.1)]
 
     @property
     def text(self) -> str:
-        """Always the same."""
+        """A constant text."""
         return "the robot is in a region"
 
 
 def formulas(scenes: Iterable[Scene]) -> Iterator[Belonging]:
-    """The formulas that differ in these initial scenes; of equivalent ones the shortest, or the first listed."""
+    """The formulas that differ in these initial scenes. For equivalent ones, the shortest, or the first one listed."""
     scenes = list(scenes)
     literals = list(itertools.product(PREDICATES, (True, False)))
     known: dict[bytes, Belonging] = {}
@@ -206,13 +206,13 @@ class Near(Relation):
     landmark: str
 
     def __post_init__(self) -> None:
-        """Raises an `UnknownNameError` for what does not exist."""
+        """Raises an `UnknownNameError` for an unknown subject or landmark."""
         check_name("subject", self.who, WHO)
         check_name("landmark", self.landmark, LANDMARKS)
 
     @property
     def bits(self) -> float:
-        """Of the subject, the landmark and the limit."""
+        """The bits of the subject, the landmark and the limit."""
         return choice_bits(len(WHO)) + choice_bits(len(LANDMARKS)) + LIMIT_BITS
 
     def deviations(self, layouts: Layouts) -> Floats:
@@ -221,16 +221,18 @@ class Near(Relation):
         return np.linalg.norm(who - LANDMARKS[self.landmark], axis=2, keepdims=True)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Moves what is too far away to the nearest place that is near enough, with a margin."""
+        """Moves blocks, or the robot, that are too far away to the nearest position within the limit, less a margin."""
         landmark = LANDMARKS[self.landmark]
-        places = sorted(places_anywhere(), key=lambda place: math.dist(place, landmark))
-        places = [place for place in places if math.dist(place, landmark) <= at.limits[0] - TOLERANCE] or places[:1]
+        positions = sorted(places_anywhere(), key=lambda position: math.dist(position, landmark))
+        positions = [
+            position for position in positions if math.dist(position, landmark) <= at.limits[0] - TOLERANCE
+        ] or positions[:1]
         if self.who == "the robot":
-            return [drive(at.now, places, at.noise, TOLERANCE)]
+            return [drive(at.now, positions, at.noise, TOLERANCE)]
         todo: list[Subgoal] = []
         for number, block in enumerate(at.now.blocks):
             if math.dist((block.x, block.y), landmark) > at.limits[0]:
-                todo.append(bring(scene_after(at.now, todo), number, places, at.noise))
+                todo.append(bring(scene_after(at.now, todo), number, positions, at.noise))
         return todo
 
     @property
