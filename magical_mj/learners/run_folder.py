@@ -88,8 +88,8 @@ class RunFolder:
         policy = loader_in(path)
         if policy is not None and not (path / CHECKPOINT).exists():
             raise TrainingError(
-                f"{path} contains a policy ({policy.name}), but {CHECKPOINT}, which is needed to continue, is missing: "
-                f"restore it; or delete {policy.name} and {METRICS} to start again"
+                f"{path} contains a policy ({policy.name}), but {CHECKPOINT} is missing, and its training cannot "
+                f"continue: restore that file, or delete {policy.name} and {METRICS} to start again"
             )
         last = self.last_checkpoint()
         self.finished = self._policy() if last is not None and last.update == last.updates else None

@@ -161,11 +161,11 @@ def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
             block forever.
     """
     if path.exists() and not path.is_file():
-        raise error(f"{path} is a folder, a pipe or a device, not a plain file")
+        raise error(f"{path} is not a plain file, but a folder, a pipe or a device")
     with path.open("rb") as file:
         content = file.read(most + 1)
     if len(content) > most:
-        raise error(f"{path} is larger than the limit of {most:,} bytes")
+        raise error(f"{path} is larger than {most:,} bytes, the limit")
     return content
 
 

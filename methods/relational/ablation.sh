@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# What each assumption of relational brings, by leaving it out (docs/results.md): methods/relational/ablation.sh
-# Two tasks, 100 episodes. About 25 minutes of one core; run again, it goes on.
+# The effect of each assumption of relational, measured by leaving it out (docs/results.md): methods/relational/ablation.sh
+# Two tasks, 100 episodes. About 25 minutes on one core. If it is run again, it continues.
 set -euo pipefail
 
 # NAME ASSUMPTIONS

@@ -343,7 +343,7 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         ({"device": "cuda:7"}, "no device 'cuda:7'"),
         ({"num_envs": 0}, "at least 1"),
         ({"num_envs": True}, "num_envs"),
-        ({"task": "all", "variant": "all"}, "60 environments"),
+        ({"task": "all", "variant": "all"}, "num_envs=1 must be at least 60"),
         ({"workers": -1}, "workers"),
         ({"preset": "HiRes"}, "preset"),
         ({"autoreset_mode": AutoresetMode.NEXT_STEP}, "SAME_STEP"),
@@ -361,7 +361,7 @@ def test_scores_of_whole_episodes_are_refused_by_name(tmp_path: Path, monkeypatc
         'SPEC = replace(OURS, name="Whole", trajectory=True, plan=None, score=lambda scenes, rules: 0.0)\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(SettingsError, match=r"the score of whole_episode:SPEC depends; use gymnasium\.make"):
+    with pytest.raises(SettingsError, match=r"the score of whole_episode:SPEC depends on them; use gymnasium\.make"):
         batched.make("whole_episode:SPEC,MoveToRegion", num_envs=2, device="cpu")
 
 

@@ -35,7 +35,7 @@ def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
     assert len(set(actions(loaded, 0))) > 5  # two seconds of training leave it undecided
     with pytest.raises(SettingsError, match=r"observations of shape \(96, 96, 12\)"):
         loaded(picture[:, :, :3])
-    with pytest.raises(SettingsError, match="trained on MoveToRegion, and cannot act in FindDupe"):
+    with pytest.raises(SettingsError, match="trained on MoveToRegion and cannot play FindDupe"):
         loaded.reset(Episode("FindDupe", "Demo", 0))
     for weights in loaded.actor.parameters():
         weights.data.fill_(float("nan"))

@@ -114,7 +114,7 @@ def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
 )
 def test_networks_that_are_too_large_are_not_built(changes: dict[str, Any], states: bool) -> None:
     network = changed(tiny(), changes).network
-    with pytest.raises(SettingsError, match="50,000,000 is the most"):
+    with pytest.raises(SettingsError, match="at most 50,000,000"):
         Actor(network, 1, states=states)
 
 
