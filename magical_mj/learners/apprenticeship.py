@@ -29,7 +29,7 @@ RESTART: Final = 100
 
 
 class Apprenticeship(RewardLearner):
-    """Learns features, and rewards those in which the policy differs most from the demonstrations.
+    """Learns features, and rewards their largest differences between demonstrations and policy.
 
     The first `features.batches` updates train the features as an autoencoder, on demonstrations without augmentation.
     Each later update finds the weight vector w in the unit ball that maximises w . (E_demonstrations Phi - E_policy

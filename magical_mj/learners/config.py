@@ -20,7 +20,7 @@ from magical_mj.utils.settings import changed
 START: Final = "made"
 """The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
 GROUP: Final = "magical_mj.methods"
-"""The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
+"""The entry-point group for methods of installed packages, such as ``mine = "package.module:Mine"``."""
 
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point"),

@@ -85,7 +85,7 @@ def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]
 
 
 def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
-    """The demonstrations of a task from which a run learns.
+    """A run's demonstrations of a task.
 
     Raises:
         DemonstrationError: if there are none, or fewer than the number in the settings.
@@ -96,7 +96,7 @@ def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
 
 
 def digest(settings: TrainingSettings) -> str:
-    """The SHA-256 of the user's demonstrations from which a run learns; empty without any."""
+    """The SHA-256 of the user's demonstrations in a run; empty if there are none."""
     if not settings.recordings:
         return ""
     parts = (demo.digest for task in settings.tasks for demo in chosen(settings, task))

@@ -35,7 +35,7 @@ ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans.
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "split", "rules")}
 """The settings that the table `evaluation` of an experiment's file may contain."""
 LEAST_PAIRS: Final = 5
-"""The least number of environments for which a rank correlation is printed."""
+"""The least number of environments for printing a rank correlation."""
 
 Watch = Callable[[str, Progress], None]
 

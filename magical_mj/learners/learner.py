@@ -43,7 +43,7 @@ class Method(ABC):
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Setting -> the method's own default, instead of the paper's."""
     observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
-    """The observations from which it can learn."""
+    """The supported observations."""
     updates: int
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -194,7 +194,7 @@ def threads_for(settings: TrainingSettings, begun: int | None = None) -> int:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """A context in which PyTorch's global generators have this seed. At its end, their states are restored."""
+    """Gives PyTorch's global generators this seed within a context. At its end, their states are restored."""
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
         yield

@@ -45,7 +45,7 @@ FIRST_COLUMNS: Final = ["update", "seconds"]
 
 
 class Checkpoint(msgspec.Struct):
-    """A checkpoint, from which a training continues. The fields are in the order of the file."""
+    """A checkpoint of a training. The fields are in the order of the file."""
 
     update: Annotated[int, Meta(ge=0)]
     """The number of updates so far."""
@@ -111,7 +111,7 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[Checkpoint | None]:
-        """A context in which no other process can train in the folder. Creates it, with its config.toml, if needed.
+        """A context that locks the folder against other processes. Creates it, with its config.toml, if needed.
 
         Yields the last checkpoint. It is read again, since another process may have continued the training.
 
@@ -174,7 +174,7 @@ class RunFolder:
                 )
         if start.get("recordings", "") != digest(self._settings):
             raise TrainingError(
-                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was started: restore "
+                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was begun: restore "
                 "them, or train in another folder"
             )
         return as_integer(start.get("threads"), 1, MOST_THREADS)

@@ -39,7 +39,7 @@ class Gripper(IntEnum):
 
 
 class Turn(IntEnum):
-    """The direction in which the robot turns. Left is counter-clockwise."""
+    """The robot's turn direction. Left is counter-clockwise."""
 
     NONE = 0
     LEFT = 1
@@ -47,7 +47,7 @@ class Turn(IntEnum):
 
 
 class Drive(IntEnum):
-    """The direction in which the robot drives along its heading."""
+    """The robot's drive direction along its heading."""
 
     NONE = 0
     FORWARD = 1

@@ -41,7 +41,7 @@ MAX_BLOCKS: Final = 10
 # for right blocks, the ratio of the squared distances to the nearest other centroid and to their own exceeds this
 NEARER: Final = 3
 ZERO_SCORE_SHARE: Final[Mapping[Rules, float]] = MappingProxyType({"paper": 0.5, "released": 0.75})
-"""The share of right blocks up to which the score is 0."""
+"""The largest share of right blocks with score 0."""
 
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:

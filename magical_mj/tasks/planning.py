@@ -2,7 +2,7 @@
 
 A plan gives blocks and their target positions, and experts find the actions. It is part of a task (`TaskSpec.plan`).
 
-The second half finds target positions at which blocks form a line or clusters, with low costs. A line goes
+The second half finds low-cost target positions that form a line or clusters. A line goes
 through one of the blocks, which stays. All directions, spacings and orders are compared. Clusters are found by local
 search: the best move of one block to one position is made, until no move is an improvement. A block may also return
 to its current position, at no cost, so that only the necessary blocks are moved.
@@ -260,7 +260,7 @@ def cluster_targets(
 
     Args:
         points: the blocks' positions.
-        kinds: the colour or shape by which to cluster.
+        kinds: each block's colour or shape, the criterion of the clusters.
         nearer: the factor between a block's squared distances to the nearest other centroid and to its own.
         noise: selects one of several good layouts.
         fixed: the blocks that must stay.

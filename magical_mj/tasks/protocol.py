@@ -18,4 +18,4 @@ MUJOCO: Final = ("3", "4")
 """The equivalent series of MuJoCo: ten actions differ by rounding, and 200 demonstrations have the same scores."""
 
 DEMONSTRATIONS: Final = 2
-"""The number of the shipped set of demonstrations, from which policies learn."""
+"""The number of the shipped set of demonstrations for training policies."""

@@ -76,7 +76,7 @@ Names = str | Iterable[str]
 """Names as a list, or as one string separated by commas. "all" means all of them."""
 
 GROUP: Final = "magical_mj.tasks"
-"""The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+"""The entry-point group for tasks of installed packages, such as ``PushOut = "push_out:SPEC"``."""
 _SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
 """How a module defines a task."""
 DRAWS: Final = 3
@@ -121,7 +121,7 @@ def _parts_of_id(text: object) -> Pair | None:
 
 
 def task_name(task: str) -> str:
-    """The name under which results of a task are stored. References to announced tasks are replaced by their names.
+    """The name of a task in stored results. References to announced tasks are replaced by their names.
 
     Raises:
         UnknownNameError: if the task does not exist.
@@ -208,7 +208,7 @@ def check_rules(rules: str) -> Rules:
 
 
 def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Scene:
-    """The scene in which an episode with this seed starts. It is the same on every machine and in every process.
+    """The initial scene of an episode with this seed. It is the same on every machine and in every process.
 
     Environments are evaluated on the scenes of seeds 0 to 99. For another body of the robot, poses are drawn from the
     same generators until the body fits.

@@ -83,7 +83,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
     Args:
         name: the setting's name, for messages.
         value: the value. Numbers of numpy are accepted. Bools are not accepted as numbers.
-        kind: the annotation of its field: a type with `Meta`, in which ``ge``, ``gt`` and ``le`` are bounds.
+        kind: the annotation of its field, a type with `Meta`; ``ge``, ``gt`` and ``le`` are bounds.
         text: whether numbers and bools may be given as text, as in ``--set ppo.clip=0.02``.
 
     Raises:

@@ -139,7 +139,7 @@ class Collection:
 
         Raises:
             OSError: if it cannot be saved.
-            SettingsError: if the file in which it is saved has other content.
+            SettingsError: if its file has other content.
         """
         path = self._folder / name
         with suppress(FileExistsError):  # from an earlier run, or another process

@@ -67,7 +67,7 @@ def catalogue(
     Args:
         environments: the pairs (task, variant) that can be chosen.
         simulation: where the simulation runs. The browser has the scenes of a few seeds only.
-        shifts: environment -> the shifts with which it can be chosen, such as "clutter:3".
+        shifts: environment -> the shifts that can be combined with it, such as "clutter:3".
     """
     return {
         "protocol": PROTOCOL,

@@ -170,7 +170,7 @@ def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 @pytest.mark.parametrize("kind", [Remembering, Linear])
 def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, kind: Any) -> None:
-    with pytest.raises(TaskError, match=r"Excessive.score must return a number in \[0, 1\], and returned 2.0"):
+    with pytest.raises(TaskError, match=r"Excessive.score must return a number in \[0, 1\], but returned 2.0"):
         magical_mj.evaluate(kind(), tasks=f"{excessive}:SPEC", variants="Jitter", episodes=6, **STATE)
     with pytest.raises(TaskError, match=r"Broken.score failed: ZeroDivisionError: division by zero \(.*excessive_"):
         magical_mj.evaluate(kind(), tasks=f"{excessive}:BROKEN", variants="Demo", episodes=2, **STATE)

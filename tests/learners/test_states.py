@@ -180,7 +180,7 @@ def test_all_demonstrations_at_hand_are_learnt_from_and_the_policy_is_saved(tmp_
     assert all(torch.equal(every[name], four[name]) for name in every)
     saved = load_policy(tmp_path / "every").actor.state_dict()
     assert all(torch.equal(every[name], saved[name]) for name in every)
-    with pytest.raises(TrainingError, match="holds a training already"):
+    with pytest.raises(TrainingError, match="already contains a training"):
         clone(settings, {"MoveToRegion": given}, tmp_path / "every")
     with pytest.raises(DemonstrationError, match="no demonstrations of MoveToRegion are given"):
         clone(settings, {"MoveToRegion": []})

@@ -1,4 +1,4 @@
-"""Driving like a person with a keyboard, in a copy of the simulation in which actions have the same results.
+"""Driving like a person with a keyboard, in an exact copy of the simulation.
 
 This includes shifts that replace or delay actions: their effects are known, like the rest of the true state.
 
@@ -29,7 +29,7 @@ AIM: Final = 0.19  # rad; one action turns by 0.31, so that smaller errors canno
 FACE: Final = 0.6  # rad; with a larger error the robot turns without driving
 BEHIND: Final = 1.1  # rad; with a larger error a robot that carries a block drives back while it turns
 BRAKING: Final = 2.4  # units/s^2
-VIA: Final = 0.12  # world units: distance at which intermediate points count as reached
+VIA: Final = 0.12  # world units: intermediate points this close count as reached
 EITHER: Final = 0.6  # rad: to points this close to straight behind, the robot always turns right
 NEAR: Final = 0.3  # world units: to points this close behind it, the robot drives back instead of turning around
 STUCK, FREED = 3, 7  # actions without progress after which the robot drives back, and then tries again

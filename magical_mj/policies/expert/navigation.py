@@ -131,7 +131,7 @@ def _least(room: Floats, discs: Discs) -> Floats:
 
 @lru_cache
 def _walled(discs: Discs) -> NDArray[np.bool_]:
-    """The cells in which the robot would be in a wall."""
+    """The cells that would put the robot into a wall."""
     axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
     room = c.ARENA_HALF_WIDTH - np.maximum(np.abs(axis[:, None]), np.abs(axis[None, :]))
     return _least(room, discs) < WALL_MARGIN

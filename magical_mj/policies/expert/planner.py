@@ -29,7 +29,7 @@ CANDIDATES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
 COST_NOISE: Final = 5.0  # the same for its cost after a trial
 NOISE_GROWTH, DELAY_DECAY = 1.5, 0.7  # factors of noise and of delays after each failed plan
-ROUND: Final = 3  # plans, after which the noise restarts from 1: too much noise makes every choice a bad one
+ROUND: Final = 3  # the noise restarts from 1 after this number of plans: too much noise makes every choice a bad one
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
 FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
 REACH: Final = 90  # actions: the longest path
@@ -60,7 +60,7 @@ class Planner:
             alone.
         lookahead: the copy of the simulation for trying manoeuvres.
         tries: the number of manoeuvres that are tried in one situation.
-        patience: the number of failures after which a block is left alone in this plan.
+        patience: a block is left alone in this plan after this number of failures.
         steady: execute plans without the pauses and delays of a person.
     """
 

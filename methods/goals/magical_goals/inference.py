@@ -37,8 +37,8 @@ class InferredGoal:
 
     Attributes:
         relation: the relation that should hold at the end.
-        limits: the largest deviations for which it holds, one for each measure.
-        saved: the number of bits by which it shortens the description of the demonstrations.
+        limits: the largest deviations that fulfil it, one for each measure.
+        saved: the number of bits that it saves in the description of the demonstrations.
     """
 
     relation: Relation

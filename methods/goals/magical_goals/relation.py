@@ -60,7 +60,7 @@ class Situation:
     Attributes:
         initial: the first scene of the episode.
         now: the current scene.
-        limits: the largest deviations for which the relation holds, one for each measure.
+        limits: the largest deviations that fulfil the relation, one for each measure.
         noise: selects one of several good sets of subgoals.
         stuck: blocks that lines and groups should not move.
     """

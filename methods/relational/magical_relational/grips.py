@@ -26,7 +26,7 @@ from magical_relational.hindsight import SPEED
 from magical_relational.samples import MOVED, PATH_POINTS, Replay, Samples, front, in_hand
 
 NEAR: Final = range(4, 17)
-"""The numbers of steps before a grip at which the robot leaves a demonstration."""
+"""The robot leaves a demonstration this number of steps before a grip."""
 LATE: Final = 6
 """In a grip, the fingers close within this number of steps after the block starts to move."""
 SEGMENTS: Final = (2, 4)
@@ -40,15 +40,15 @@ ATTEMPTS: Final = 8
 SHORTEST: Final = 7
 """The least number of steps of an informative grip."""
 NEXT_TO: Final = 0.3
-"""The distance (units) of the block from the robot's centre at which it stops and closes the fingers."""
+"""The robot stops and closes the fingers at this distance (units) of its centre from the block."""
 TURNS: Final = (-0.7, 0.7)
-"""The range of random steps by which it turns too little or too far."""
+"""The range of random errors of turns, in steps."""
 DRIVES: Final = (-1.0, 2.0)
-"""The range of random steps by which it stops too early or too late."""
+"""The range of random errors of drives, in steps."""
 CLOSING: Final = 4
 """The number of steps for closing the fingers."""
 PULLING: Final = 3
-"""The number of steps backward with closed fingers in which the block must follow."""
+"""The block must follow for this number of steps backward with closed fingers."""
 SLIPPED: Final = 0.05
 """The largest motion (units) of a held block between the fingers while it is pulled."""
 ALIKE: Final = 0.03

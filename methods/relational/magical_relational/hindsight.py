@@ -111,7 +111,7 @@ def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
 
 
 def _held(replay: Replay) -> dict[int, list[_Moment]]:
-    """For each block, the moments at which it is the only one that moves."""
+    """For each block, the moments when only it moves."""
     moving, begun = (np.zeros((replay.never, MAX_BLOCKS), bool) for _ in range(2))
     for motion in replay.motions():
         moving[motion.begin : motion.end, motion.block] = begun[motion.begin, motion.block] = True

@@ -37,7 +37,7 @@ from magical_relational.method import Relational
 from magical_relational.settings import RelationalTrainingSettings
 
 POOL: Final = 2048
-"""The number of pictures from which batches are drawn, before they are replaced."""
+"""The number of pictures in a pool. Batches are drawn from it until it is replaced."""
 SHOWN: Final = 2 / 3
 """The share of pictures of unchanged demonstrations."""
 BATCHES: Final = 128

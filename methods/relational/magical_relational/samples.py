@@ -14,7 +14,7 @@
   `egocentric` was kept, the robot may have any pose together with this block, and may be rotated together with a block
   that it brings to a region. False if the absolute position of an object matters.
 
-Each is false in some tasks. `magical_relational.method` keeps those for which the demo score holds.
+Each is false in some tasks. `magical_relational.method` keeps an assumption only if the demo score holds.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Samples(NamedTuple):
     actions: Tensor
     """Shape (n,)."""
     groups: Tensor
-    """The group in which each block is displaced, shape (n, MAX_BLOCKS): its region, or MAX_REGIONS + its own
+    """Each block's group, which is displaced as a whole, shape (n, MAX_BLOCKS): its region, or MAX_REGIONS + its own
     number; -1 if the block does not exist."""
     movable: Tensor
     """Which of these groups may be displaced, shape (n, MAX_REGIONS + MAX_BLOCKS)."""
@@ -207,7 +207,7 @@ class Replay:
         return torch.from_numpy(np.concatenate([robot[..., :2], front(robot)], 1))
 
     def _around(self, step: int, block: int) -> NDArray[np.float32] | None:
-        """The centre of the region in which this motion of a block ends, if it ends near that."""
+        """The centre of the region at the end of this block's motion, if it ends near that."""
         while step < self.never - 1 and self.next[step, block] <= step + CARRIED:
             step += 1
         for region in self._regions:
@@ -234,7 +234,7 @@ _MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number
 
 
 def mirror(states: Tensor, actions: Tensor, generator: torch.Generator) -> Tensor:
-    """Mirrors half of the states left to right, in place. Returns the actions, of which the same half are mirrored."""
+    """Mirrors half of the states left to right, in place. Returns the actions with the same half mirrored."""
     half = torch.rand(len(states), generator=generator) < 0.5
     sign = 1.0 - 2.0 * half[:, None]
     states[:, [0, 2, 3, 5]] *= sign
