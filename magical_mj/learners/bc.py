@@ -114,8 +114,8 @@ def clone(
     """Trains a policy by behavioural cloning in memory.
 
     Args:
-        settings: settings of the method "bc". If `settings.demonstrations` is a number, the seed chooses as many
-            demonstrations of each task.
+        settings: settings of the method "bc". If `settings.demonstrations` is a number, the seed chooses that
+            number of demonstrations of each task.
         demonstrations: task -> demonstrations. All are used by default. None: those in the settings.
         out: a new folder for the policy, from where `evaluate` loads it; None: it is not saved. Only `train` saves its
             progress and can be resumed.

@@ -67,7 +67,7 @@ def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> 
     fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
     if not fitting:
         raise DemonstrationError(
-            f"policies learn from the demo scene, but all demonstrations {origin} are of others: "
+            f"policies learn from the demo scene, but all demonstrations {origin} are of other scenes: "
             f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
         )
     return fitting

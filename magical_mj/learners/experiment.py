@@ -71,7 +71,7 @@ class Run:
 
     Attributes:
         settings: the settings of the training.
-        quick: whether they are the quick ones.
+        quick: whether these are the settings of quick trainings.
         changes: the changed settings, except the seed.
         evaluation: the settings of the evaluation, as in `EVALUATION`.
         folder: the folder of the experiment.
@@ -161,7 +161,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
     """The runs of an experiment in the folder `out`, whose file is TOML with the `ExperimentSettings`.
 
     Raises:
-        SettingsError, UnknownNameError: if the file holds invalid settings.
+        SettingsError, UnknownNameError: if the file contains invalid settings.
         UntrustedNameError: if it refers to the code of a task that the user has not named.
     """
     file, out = to_path(file), to_path(out)

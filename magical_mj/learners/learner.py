@@ -154,7 +154,7 @@ class Learner(Method):
 
 
 def device(name: str) -> torch.device:
-    """The device of that name. "auto": an accelerator if there is one, otherwise the CPU."""
+    """The device of that name; "auto": an accelerator, or the CPU. Raises a `SettingsError` if it does not exist."""
     if name == "auto":
         accelerator = torch.accelerator.current_accelerator(check_available=True)
         return torch.device("cpu") if accelerator is None or accelerator.type in UNUSABLE else accelerator

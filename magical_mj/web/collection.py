@@ -189,7 +189,7 @@ class Collection:
         return "scenes" in self.study.shows or (offer is not None and offer[:3] == (task, variant, seed))
 
     def keep(self, recording: str, participant: str, about: Mapping[str, Any]) -> float:
-        """Replays a recording and saves it as a demonstration. A recording that is sent twice counts once.
+        """Replays a recording, and saves it as a demonstration before it returns. A repeated recording counts once.
 
         Args:
             recording: the text of the recording.

@@ -214,7 +214,7 @@ class PlayerSession:
         return json.dumps(reply, separators=(",", ":"))
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Frees the simulation."""
         if self._engine is not None:
             self._engine.close()
             self._engine = None

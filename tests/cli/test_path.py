@@ -59,5 +59,5 @@ def test_recordings_of_other_tasks_or_scenes_are_refused(shell: Shell) -> None:
     train = ("train", "bc", "--preset", "State", "--demonstrations", "mine", "--out", "runs/mine", "--tasks")
     assert "there are no demonstrations of FindDupe in" in shell.fails(2, *train, "FindDupe")
     assert "of MoveToRegion in " in (error := shell.fails(2, *train, "MoveToRegion"))
-    assert "are of others: MoveToRegion-Layout" in error
+    assert "are of other scenes: MoveToRegion-Layout" in error
     assert not Path("runs").exists()
