@@ -2,10 +2,10 @@
 
 A plan gives blocks and their target positions, and experts find the actions. It is part of a task (`TaskSpec.plan`).
 
-The second half finds low-cost target positions that form a line or clusters. A line goes
-through one of the blocks, which stays. All directions, spacings and orders are compared. Clusters are found by local
-search: the best move of one block to one position is made, until no move is an improvement. A block may also return
-to its current position, at no cost, so that only the necessary blocks are moved.
+The second half finds low-cost target positions that form a line or clusters. A line goes through one of the blocks,
+which stays. All directions, spacings and orders are compared. Clusters are found by local search: the best move of one
+block to one position is made, until no move is an improvement. A block may also return to its current position, at no
+cost, so that only the necessary blocks are moved.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Driving like a person with a keyboard, in an exact copy of the simulation.
 
-This includes shifts that replace or delay actions: their effects are known, like the rest of the true state.
+Actions have the same results in the copy, even with shifts that replace or delay actions: their effects are known,
+like the rest of the true state.
 
 The robot turns towards a point, drives there, and corrects its heading on the way. The actions depend mostly on the
 point's position in the robot's frame, so that a learner can infer the rule.
