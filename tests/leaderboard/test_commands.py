@@ -128,10 +128,10 @@ def test_what_was_to_be_played_and_was_not_is_said(folder: Path) -> None:
 
 ALTERED: list[tuple[Row, str]] = [
     ({"steps": 39}, "steps: expert, run 0, MoveToRegion Layout, seed 2: 39 are recorded, but it has 40 actions"),
-    ({"mujoco": "0.1"}, "mujoco: expert, run 0, MoveToRegion Layout, seed 2: it was played with '0.1', and run.json"),
+    ({"mujoco": "0.1"}, "mujoco: expert, run 0, MoveToRegion Layout, seed 2: it was played with '0.1', but run.json"),
     ({"preset": "State"}, "with 'State', but run.json contains 'LoRes4E'; and 1 more"),
-    ({"run": 1}, "run: expert, run 1, MoveToRegion Layout, seed 2: run.json does not name it"),
-    ({"policy": "noop"}, "run: noop, run 0, MoveToRegion Layout, seed 2: run.json does not name it"),
+    ({"run": 1}, "run: expert, run 1, MoveToRegion Layout, seed 2: run.json does not include it"),
+    ({"policy": "noop"}, "run: noop, run 0, MoveToRegion Layout, seed 2: run.json does not include it"),
     ({"variant": "Colour", "scene": None}, "environment: expert, run 0, MoveToRegion Colour, seed 2: run.json does"),
 ]
 

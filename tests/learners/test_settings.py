@@ -69,7 +69,7 @@ def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None
 
 
 def test_toml_holds_what_means_something_to_the_method() -> None:
-    text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",), renderer="software"))
+    text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",), demonstrations=10, renderer="software"))
     for name in described(TrainingSettings):
         assert f"{name.rpartition('.')[2]} = " in text
     assert "[bc]" in to_toml(tiny("bc"))

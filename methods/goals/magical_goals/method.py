@@ -67,7 +67,7 @@ class GoalInference(Method):
 
 def _check_states(settings: TrainingSettings) -> None:
     if not settings.states:
-        raise SettingsError(f"goals are inferred from states, not from pictures: use --preset {STATE}")
+        raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
 
 
 def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:

@@ -267,7 +267,7 @@ def test_the_policy_uses_neither_the_tasks_score_nor_its_plan(goals: dict[str, I
     env.reset(seed=4)
     ASKED.clear()
     policy = GoalPolicy({"Unscored": goals["FixColour"]})
-    policy.reset(Episode("Unscored", "Layout", 4, 0, env))
+    policy.reset(Episode("Unscored", "Layout", 4, 0, env=env))
     actions = [action for action, _ in play(env, iter(lambda: policy(None), None))]
     assert len(actions) == env.horizon
     assert not ASKED
