@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What each assumption of relational brings, by leaving it out (docs/results.md): methods/relational/ablation.sh
+# What each assumption of relational brings, by leaving it out (TRIED.md): methods/relational/ablation.sh
 # Two tasks, 100 episodes. About 25 minutes of one core; run again, it goes on.
 set -euo pipefail
 
