@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+NEVER = "\N{EN DASH}"
 PAGE = (Path(__file__).parents[2] / "docs" / "shifts.md").read_text("utf-8")
 
 
@@ -22,7 +23,7 @@ def halved(scores: list[float]) -> int | None:
 def test_what_breaks_cloning_from_pictures() -> None:
     table = rows("From pictures, BC, five runs")
     first = {name: halved([float(cell) for cell in cells[:6]]) for name, cells in table.items()}
-    assert {name: cells[6].replace("–", "None") for name, cells in table.items()} == {
+    assert {name: cells[6].replace(NEVER, "None") for name, cells in table.items()} == {
         n: str(f) for n, f in first.items()
     }
     assert [name for name, strength in first.items() if strength == 2] == ["light", "latency", "texture"]
