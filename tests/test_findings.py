@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from demonstration_statistics import STATISTICS
 
-from magical_mj import TASKS, VARIANTS, sample_scene
+from magical_mj import TASKS, VARIANTS, demos, sample_scene
 from magical_mj.evaluation.reports.statistics import rank_correlation
 from magical_mj.leaderboard.standings import Standing, own_standings, published
 
@@ -206,3 +207,13 @@ def test_the_demonstrations_page_has_the_scores_of_behavioural_cloning(heading: 
         for method, cell in zip((name, other), shown, strict=True):
             if method:
                 assert cell == f"{mean(method, 'Demo', tasks=[task]):.2f} / {mean(method, 'Jitter', tasks=[task]):.2f}"
+
+
+def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:
+    page = (ROOT / "docs" / "demonstrations.md").read_text("utf-8")
+    table = page.partition("| | ours | people |")[2].split("\n\n")[0].splitlines()[2:]
+    shipped = [demos.load(task) for task in TASKS]
+    for line, statistic in zip(table, STATISTICS.values(), strict=True):
+        shown = line.split("|")[2].strip()
+        decimals = len(shown.partition(".")[2])
+        assert f"{np.mean([statistic(of_task) for of_task in shipped]):.{decimals}f}" == shown, line
