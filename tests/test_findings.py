@@ -96,7 +96,7 @@ CORNER, REGION, COLOUR, SHAPE = ["MoveToCorner"], ["MoveToRegion"], ["ClusterCol
 
 @cache
 def statements() -> list[str]:
-    """What the page has to say, without emphasis and links."""
+    """The sentences with figures that the page must contain, without emphasis and links."""
     rest = {"without": "MoveToRegion"}
     plain = methods()["pixels-gail-no-augmentation-quick"].means["MoveToRegion", "Demo"]
     needed = {task: mean("replay", "Colour", tasks=[task]) for task in ("FixColour", "ClusterColour")}

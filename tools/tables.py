@@ -66,7 +66,7 @@ OURS: Final = {
     "WGAIL-GP (ST)": "WGAIL-GP (ST, State)",
     "AL (ST)": "AL (ST, State)",
 }
-"""The paper's methods -> ours with which its claims are compared: five or three runs in all environments."""
+"""The paper's methods -> ours that are compared with its claims: five or three runs in all environments."""
 DIFFERENT: Final = 0.02
 """Two figures that differ by less are called equal."""
 
