@@ -1,13 +1,13 @@
-"""What the scores of the state track can be compared with: memory, corrections, and demonstrations of the test.
+"""Bounds for imitation from states: memory, corrections, and demonstrations of the test variant.
 
-- `Replay` plays the actions of a demonstration, whatever happens: what memory alone does.
-- The oracle clones demonstrations that the expert makes in other scenes of a test variant (`split="dev"`): what the
-  network of behavioural cloning can do with the right data. It uses scenes that no method of the benchmark may see.
-- `dagger` may ask the expert while it learns: in the demo scene, which is all that it sees, the policy acts up to a
-  random step, and from there the expert shows how the episode should have ended (Kelly et al. 2019, HG-DAgger,
-  arXiv:1810.02890, with a random step instead of a person's). What it shows is added to the ten demonstrations.
+- `Replay` plays the actions of a demonstration and ignores the scene. It shows what memory alone scores.
+- The oracle clones demonstrations that the expert makes in other scenes of a test variant (`split="dev"`). It shows
+  what the network of behavioural cloning scores with the right data. No method of the benchmark may see these scenes.
+- `dagger` may ask the expert while it learns (Kelly et al. 2019, HG-DAgger, arXiv:1810.02890, with a random step
+  instead of a person's choice). It sees the demo scene only. In each episode the policy acts up to a random step, and
+  the expert acts from there. The expert's part is added to the ten demonstrations.
 
-    $ magical-mj evaluate --policy Replay=tools.bounds:Replay --preset State --episodes 20 --out scores/replay
+    $ magical-mj evaluate --policy replay=tools.bounds:Replay --out runs/replay
     $ python tools/bounds.py oracle MoveToRegion Layout --out scores/oracle
     $ python tools/bounds.py dagger MoveToRegion --out scores/dagger-MoveToRegion
 """
@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import argparse
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magical_mj import Engine, evaluate
 from magical_mj.demos import Transitions
@@ -35,28 +35,32 @@ from magical_mj.tasks.registry import SPLITS, task_spec
 
 DEMONSTRATIONS = 25
 ROUNDS, CORRECTIONS = 3, 20
-"""Of `dagger`: how often a policy is trained and corrected, and in how many episodes each time."""
+"""How often `dagger` trains and corrects a policy, and in how many episodes each time."""
 
 
 class Replay:
-    """Plays one of 10 demonstrations, and then nothing. All begin in the demo scene: none is nearer than others."""
+    """Plays one of a task's 25 demonstrations without looking, and then does nothing. The seed chooses which one."""
 
-    preset = "State"
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
-        """An episode begins, for which one is drawn."""
-        shown = shipped(episode.task)
-        chosen = episode.rng().choice(drawn(episode.task, episode.run, 10, len(shown)))
-        self._actions = iter(shown[chosen].actions.tolist())
+        """Chooses the episode's demonstration."""
+        shown = known(episode.task)
+        self._actions = iter(shown[episode.seed % len(shown)])
 
-    def __call__(self, state: NDArray[Any]) -> int:
+    def __call__(self, _: Any) -> int:
         """The next action of the demonstration."""
-        del state
         return next(self._actions, NOOP)
 
 
+@cache
+def known(task: str) -> list[list[int]]:
+    """The actions of each of a task's demonstrations."""
+    return [demonstration.actions.tolist() for demonstration in shipped(task)]
+
+
 def oracle(task: str, variant: str, out: Path) -> float:
-    """The mean score in a variant of a policy that was cloned from demonstrations of other scenes of it."""
+    """The mean score in a variant of a policy cloned from demonstrations in other scenes of that variant."""
     shown = [demonstrate(task, variant, SPLITS["dev"] + number) for number in range(DEMONSTRATIONS)]
     policy = cloned(task, shown)
     frame = evaluate({"Oracle": policy}, tasks=task, variants=variant, preset="State", jobs=1, out=out)
@@ -64,12 +68,12 @@ def oracle(task: str, variant: str, out: Path) -> float:
 
 
 def cloned(task: str, shown: list[Any]) -> TrainedPolicy:
-    """A policy that was trained on all of these demonstrations."""
+    """A policy trained on all of these demonstrations."""
     return clone(load_settings("bc", task, preset="State", device="cpu", demonstrations=len(shown)), {task: shown})
 
 
 def dagger(task: str, out: Path) -> float:
-    """The mean score in all variants of a policy that the expert has corrected in the demo scene."""
+    """The mean score over all variants of a policy that the expert corrected in the demo scene."""
     shown = shipped(task)
     data: list[Any] = [shown[number] for number in drawn(task, 0, 10, len(shown))]
     for number in range(ROUNDS):
@@ -82,7 +86,10 @@ def dagger(task: str, out: Path) -> float:
 
 
 def corrected(task: str, policy: TrainedPolicy, seed: int) -> Transitions:
-    """An episode of the demo scene that the policy begins and the expert ends; what the policy did counts as no-ops."""
+    """An episode of the demo scene that the policy begins and the expert ends.
+
+    The policy's own actions are stored as no-ops, which cloning leaves out.
+    """
     with closing(Engine(task, "Demo", seed=seed)) as engine:
         begin(policy, episode := Episode(task, "Demo", seed))
         taken_over = episode.rng().integers(task_spec(task).horizon())
@@ -91,7 +98,7 @@ def corrected(task: str, policy: TrainedPolicy, seed: int) -> Transitions:
             states.append(engine.state_vector())
             learning = len(actions) >= taken_over
             action = expert() if learning else policy(states[-1])
-            actions.append(action if learning else NOOP)  # cloning leaves out no-ops
+            actions.append(action if learning else NOOP)
             over = engine.step(action)
     return Transitions(np.array(states), np.array(actions))
 
@@ -100,7 +107,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bound", choices=["oracle", "dagger"])
     parser.add_argument("task")
-    parser.add_argument("variant", nargs="?", default="Layout", help="of the oracle")
+    parser.add_argument("variant", nargs="?", default="Layout", help="the oracle's test variant")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     if given.bound == "oracle":

@@ -25,9 +25,13 @@ from magical_mj.variants import VARIANTS, Axis
 
 ROOT: Final = Path(__file__).parent.parent
 COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
-"""The paper's methods with its default settings, beside which ours stand."""
-AGENTS: Final = {"noop": "Doing nothing (`noop`)", "random": "Random actions (`random`)"}
-"""What no learner should fall below, by the names of their entries."""
+"""The paper's methods with its default settings."""
+AGENTS: Final = {
+    "noop": "Doing nothing (`noop`)",
+    "random": "Random actions (`random`)",
+    "replay": "Replaying a demonstration (`replay`)",
+}
+"""The entries of policies that ignore their observations: lower bounds for learners."""
 HEADLINES: Final = (
     "BC (ST, quick)",
     "Redraw (ST, quick)",
@@ -38,9 +42,33 @@ HEADLINES: Final = (
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the README, if they were evaluated everywhere."""
+"""The learners in the README, if they were evaluated in all environments."""
 ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)", "BC (ST, allo.)")
-"""The paper's BC, and the same with less; ours, with --quick, are called so too."""
+"""The paper's BC and its ablations. Ours, with --quick, have the same names."""
+GROUPS: Final = {
+    "Memory": ("Demo", "Jitter", "Dynamics"),
+    "Distraction": ("Colour", "Shape"),
+    "Generalisation": ("Layout", "CountPlus", "All"),
+}
+"""Variants whose scores rise and fall together, by what they test."""
+IN_COLOUR: Final = ("replay", "BC (ST, quick)", "Redraw (ST, quick)", "BC (ST, State)", "Relational (ST, State)")
+"""Our methods in the table of Colour; the paper's are BC and GAIL, for one task."""
+CLONED: Final = "BC (ST), compared with GAIL"
+OURS: Final = {
+    CLONED: "BC (ST, State)",
+    "BC (ST)": "BC (ST, quick)",
+    "BC (MT)": "BC (MT, quick)",
+    "BC (ST, allo.)": "BC (ST, quick, allo.)",
+    "BC (ST, no aug.)": "BC (ST, quick, no aug.)",
+    "BC (ST, no trans./rot. aug.)": "BC (ST, quick, no trans./rot. aug.)",
+    "GAIL (ST)": "GAIL (ST, State)",
+    "GAIL (MT)": "GAIL (MT, State)",
+    "WGAIL-GP (ST)": "WGAIL-GP (ST, State)",
+    "AL (ST)": "AL (ST, State)",
+}
+"""The paper's methods -> ours that are compared with its claims: five or three runs in all environments."""
+DIFFERENT: Final = 0.02
+"""Two figures that differ by less are called equal."""
 
 AXES: Final[dict[Axis, str]] = {
     "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad, "
@@ -90,9 +118,13 @@ def presets() -> str:
     return table(("Preset", "Observation"), rows)
 
 
-def _mean(standing: Standing, variants: Iterable[str]) -> float:
-    """Over the environments of these variants; NaN if there are none."""
-    means = [float(values.mean()) for (_, variant), values in standing.means.items() if variant in variants]
+def _mean(standing: Standing, variants: Iterable[str], tasks: Iterable[str] = TASKS) -> float:
+    """The mean over the environments of these variants and tasks; NaN if there are none."""
+    means = [
+        float(values.mean())
+        for (task, variant), values in standing.means.items()
+        if variant in variants and task in tasks
+    ]
     return sum(means) / len(means) if means else float("nan")
 
 
@@ -100,62 +132,150 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(standings: Sequence[Standing], *, intervals: bool = False) -> str:
-    """Of each method the mean score over tasks in each variant, in blocks; (m/n): of m of the n tasks.
-
-    With intervals, each has its 95 % interval over the runs (stratified bootstrap), if there are several.
-    """
+def overview(standings: Sequence[Standing]) -> str:
+    """Each method's mean score over tasks in each variant, in blocks; (m/n): over m of the n tasks."""
     rows: list[Sequence[str]] = []
     for block, heading in BLOCKS.items():
         group = [standing for standing in standings if standing.block == block]
         rows += [(f"**{heading}**", *[""] * (2 + len(VARIANTS)))] if group else []
         for standing in group:
-            name = AGENTS.get(standing.name, label(standing))
-            runs = "5" if standing.kind == "published" else str(len(standing.entry.runs))
-            scores = (_over_tasks(standing, variant, intervals) for variant in VARIANTS)
-            rows.append((name, ", ".join(standing.privileges), runs, *scores))
+            scores = (_over_tasks(standing, variant) for variant in VARIANTS)
+            rows.append((_label(standing), ", ".join(standing.privileges), _runs(standing), *scores))
     return table(("Method", "May also use", "Runs", *VARIANTS), rows)
 
 
-def _over_tasks(standing: Standing, variant: str, intervals: bool) -> str:
+def _label(standing: Standing) -> str:
+    return AGENTS.get(standing.name, label(standing))
+
+
+def _runs(standing: Standing) -> str:
+    return "5" if standing.kind == "published" else str(len(standing.entry.runs))
+
+
+def _over_tasks(standing: Standing, variant: str) -> str:
     wanted = [pair for pair in ENVIRONMENTS if pair[1] == variant]
-    there = [pair for pair in wanted if pair in standing.means]
-    part = f" ({len(there)}/{len(wanted)})" if len(there) < len(wanted) else ""
-    strata = [standing.means[pair] for pair in there]
-    if intervals and strata and all(len(runs) > 1 for runs in strata):
-        part = " [{:.2f}, {:.2f}]".format(*mean_interval(strata)) + part
-    return f"{_mean(standing, (variant,)):.2f}{part}" if there else ""
+    played = [pair for pair in wanted if pair in standing.means]
+    part = f" ({len(played)}/{len(wanted)})" if len(played) < len(wanted) else ""
+    return f"{_mean(standing, (variant,)):.2f}{part}" if played else ""
 
 
-def costs(learnt: Iterable[Standing]) -> str:
-    """Of each of our learners what a training cost, for one task and for all tasks that it learnt."""
+def groups(standings: Iterable[Standing], noop: Standing) -> str:
+    """Means over the groups of variants, with 95 % intervals over runs, of the methods played in all environments."""
+    rows: list[Sequence[str]] = []
+    complete = [standing for standing in standings if standing.everywhere]
+    best_first = sorted(complete, key=lambda standing: -_mean(standing, GROUPS["Generalisation"]))
+    others = [task for task in TASKS if task != "MoveToRegion"]
+    for block, heading in BLOCKS.items():
+        group = [standing for standing in best_first if standing.block == block]
+        rows += [(f"**{heading}**", *[""] * (3 + len(GROUPS)))] if group else []
+        for standing in group:
+            means = (_with_interval(standing, variants) for variants in GROUPS.values())
+            without = _number(_mean(standing, GROUPS["Generalisation"], others))
+            rows.append((_label(standing), _runs(standing), *means, without, _above(standing, noop)))
+    return table(("Method", "Runs", *GROUPS, "... without MoveToRegion", "... above doing nothing"), rows)
+
+
+def _with_interval(standing: Standing, variants: Sequence[str]) -> str:
+    strata = [values for (_, variant), values in standing.means.items() if variant in variants]
+    several = all(len(runs) > 2 for runs in strata)
+    interval = " [{:.2f}, {:.2f}]".format(*mean_interval(strata)) if several else ""
+    return f"{_mean(standing, variants):.2f}{interval}"
+
+
+def _above(standing: Standing, noop: Standing) -> str:
+    """The mean over the environments of (score - noop's) / (1 - noop's); empty if the rules differ."""
+    if standing.entry.rules != noop.entry.rules:
+        return ""
+    pairs = [pair for pair in ENVIRONMENTS if pair[1] in GROUPS["Generalisation"]]
+    floors = [float(noop.means[pair].mean()) for pair in pairs]
+    parts = [(standing.means[pair].mean() - floor) / (1 - floor) for pair, floor in zip(pairs, floors, strict=True)]
+    return f"{sum(parts) / len(parts):.2f}"
+
+
+def colours(standings: Iterable[Standing], paper: Iterable[Standing]) -> str:
+    """The scores in each task's Colour."""
+    ours = {standing.name: standing for standing in standings}
+    papers = [standing for standing in paper if standing.name in ("BC (ST)", "GAIL (ST)")]
+    shown = [*(ours[name] for name in IN_COLOUR), *papers]
+    rows = [(_label(method), *(f"{method.means[task, 'Colour'].mean():.2f}" for task in TASKS)) for method in shown]
+    return table(("Colour", *TASKS), rows)
+
+
+def claims(standings: Iterable[Standing], paper: Iterable[Standing]) -> str:
+    """The paper's claims, each with two of its figures, the same two of ours, and whether their order is the same."""
+    found = {standing.name: standing for standing in standings}
+    ours = {name: found[our_name] for name, our_name in OURS.items()}
+    papers = {standing.name: standing for standing in paper}
+    papers[CLONED] = papers["BC (ST)"]
+    rows = []
+    for (claim, *theirs), (_, *here) in zip(_claimed(papers), _claimed(ours), strict=True):
+        order = _order(*here)
+        verdict = "again" if order == _order(*theirs) else "no difference" if order == "equal" else "no"
+        rows.append((claim, *("{:.2f}, {:.2f}".format(*figures) for figures in (theirs, here)), verdict))
+    return table(("Claim", "Paper", "Ours", ""), rows)
+
+
+def _claimed(methods: Mapping[str, Standing]) -> list[tuple[str, float, float]]:
+    """Each claim and the two figures that it compares."""
+    cloned, bc, bc_all, from_above, unmoved, plain = (
+        methods[name] for name in (CLONED, "BC (ST)", "BC (MT)", "BC (ST, allo.)", ABLATIONS[1], ABLATIONS[2])
+    )
+    gail, gail_all, wgail, al = (methods[name] for name in COMPARED[2:])
+    both = [task for task in TASKS if (task, "Shape") in ENVIRONMENTS]
+    lost = {name: 1 - _mean(bc, (name,), both) / _mean(bc, ("Demo",), both) for name in ("Colour", "Shape")}
+    al_demo = {task: _mean(al, ("Demo",), (task,)) for task in TASKS}
+    jitter = [_mean(method, ("Jitter",)) for method in (bc, unmoved, plain)]
+
+    def pair(claim: str, variant: str, large: Standing, small: Standing, task: str = "") -> tuple[str, float, float]:
+        tasks, where = ((task,), f"{variant}, {task}") if task else (TASKS, variant)
+        return f"{claim} ({where})", _mean(large, (variant,), tasks), _mean(small, (variant,), tasks)
+
+    return [
+        ("BC loses a larger part of Demo's score in Colour than in Shape (seven tasks)", lost["Colour"], lost["Shape"]),
+        pair("GAIL scores more than BC", "Demo", gail, cloned),
+        pair("GAIL scores more than BC", "Layout", gail, cloned),
+        pair("BC scores more than GAIL", "Colour", cloned, gail),
+        pair("GAIL scores more than WGAIL-GP", "Demo", gail, wgail),
+        (
+            "AL learns MoveToRegion better than any other task (Demo; the best of the others)",
+            al_demo.pop("MoveToRegion"),
+            max(al_demo.values()),
+        ),
+        pair("BC for one task scores more than for all", "Demo", bc, bc_all),
+        pair("GAIL for one task scores more than for all", "Demo", gail, gail_all),
+        pair("BC for all tasks scores more than for one", "Demo", bc_all, bc, "FixColour"),
+        *(
+            pair("BC for one task scores more than for all", "Colour", bc, bc_all, task)
+            for task in ("MoveToCorner", "MatchRegions", "FindDupe")
+        ),
+        pair("BC with the robot's view scores more than from above", "Layout", bc, from_above),
+        pair("BC scores more with augmentations than without", "Jitter", bc, plain),
+        (
+            "Translation and rotation give most of that (Jitter: their gain, the others')",
+            jitter[0] - jitter[1],
+            jitter[1] - jitter[2],
+        ),
+        pair("BC scores more with translation and rotation than without", "Colour", bc, unmoved, "FindDupe"),
+        pair("Colour augmentations alone change little", "Colour", unmoved, plain),
+    ]
+
+
+def _order(first: float, second: float) -> str:
+    return "equal" if abs(first - second) < DIFFERENT else "more" if first > second else "less"
+
+
+def trainings(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
+    """Each training's cost, and its rank correlation with the paper's method over the environments of both."""
+    papers = {standing.name: standing for standing in paper}
     rows = []
     for standing in learnt:
-        if standing.kind == "published":
-            continue
-        tasks = len({task for task, _ in standing.means})
         hours, steps = standing.entry.card.training.hours, standing.entry.card.training.steps
-        each = 1 if "(ST" in standing.name else tasks
-        rows.append(
-            (
-                label(standing),
-                str(tasks),
-                *("not recorded" if hours is None else f"{hours * factor:.2g}" for factor in (1 / each, tasks / each)),
-                *("not recorded" if steps is None else f"{steps * factor:,.0f}" for factor in (1 / each, tasks / each)),
-            )
-        )
-    columns = ("Tasks", "Hours a task", "Hours a run", "Environment steps a task", "... a run")
-    return table(("", *columns), rows)
-
-
-def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
-    """Of each of the paper's methods that we trained, its rank correlation with the paper's over the environments."""
-    rows = [
-        (label(standing), *(_number(rank_correlation(standing.means, other.means)) for other in paper))
-        for standing in learnt.values()
-        if standing.name.split(" (")[0] in {other.name.split(" (")[0] for other in paper}
-    ]
-    return table(("", *COMPARED), rows)
+        tasks = 1 if "(ST" in standing.name else len({task for task, _ in standing.means})
+        words = ["?" if hours is None else f"{hours / tasks:.2g}", "?" if steps is None else f"{steps / tasks:,.0f}"]
+        other = papers.get(f"{standing.name.split(' (')[0]} ({'MT' if '(MT' in standing.name else 'ST'})")
+        order = _number(rank_correlation(standing.means, other.means)) if other else ""
+        rows.append((label(standing), *words, str(len(standing.means)), order))
+    return table(("", "Hours a task", "Steps a task", "Environments", "Rank correlation"), rows)
 
 
 def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
@@ -188,11 +308,15 @@ def readme() -> dict[str, str]:
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     learnt, agents, paper = _results()
+    own = [*learnt.values(), *agents]
+    noop = next(standing for standing in agents if standing.name == "noop")
     return {
-        "overview": overview([*learnt.values(), *agents, *paper], intervals=True),
-        "costs": costs(learnt.values()),
-        "agreement": agreement(learnt, paper),
+        "groups": groups([*own, *paper], noop),
+        "overview": overview([*own, *paper]),
+        "colours": colours(own, paper),
+        "claims": claims(own, published()),
         "ablations": ablations(learnt.values(), published()),
+        "trainings": trainings(learnt.values(), paper),
     }
 
 

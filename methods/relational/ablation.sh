@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The effect of each assumption of relational, measured by leaving it out (docs/results.md): methods/relational/ablation.sh
+# The effect of each assumption of relational, measured by leaving it out (TRIED.md): methods/relational/ablation.sh
 # Two tasks, 100 episodes. About 25 minutes on one core. If it is run again, it continues.
 set -euo pipefail
 

@@ -20,7 +20,7 @@ def test_what_stays_makes_the_tests_fail(test: str, code: int, processes: int, t
     system, tests = tmp_path / "system", tmp_path / "tests"
     system.mkdir()
     tests.mkdir()
-    shutil.copy(Path(__file__).parents[1] / "conftest.py", tests)
+    shutil.copy(Path(__file__).parents[2] / "conftest.py", tests)
     (tests / "test_it.py").write_text(f"{test}\n")
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *(["-n", "1"] if processes else []), str(tests)],

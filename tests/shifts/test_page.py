@@ -1,0 +1,39 @@
+"""What docs/shifts.md says about its tables of behavioural cloning follows from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+NEVER = "\N{EN DASH}"
+PAGE = (Path(__file__).parents[2] / "docs" / "shifts.md").read_text("utf-8")
+
+
+def rows(heading: str) -> dict[str, list[str]]:
+    """Axis -> the cells of a table."""
+    lines = PAGE.partition(f"| {heading} |")[2].split("\n\n")[0].splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {name: rest for name, *rest in cells}
+
+
+def halved(scores: list[float]) -> int | None:
+    """The first strength with less than half of the score at strength 0."""
+    return next((strength for strength, score in enumerate(scores) if score < scores[0] / 2), None)
+
+
+def test_what_breaks_cloning_from_pictures() -> None:
+    table = rows("From pictures, BC, five runs")
+    first = {name: halved([float(cell) for cell in cells[:6]]) for name, cells in table.items()}
+    assert {name: cells[6].replace(NEVER, "None") for name, cells in table.items()} == {
+        n: str(f) for n, f in first.items()
+    }
+    assert [name for name, strength in first.items() if strength == 2] == ["light", "latency", "texture"]
+    assert next(iter(table)) == min(table, key=lambda name: float(table[name][2])) == "light"
+    assert {name for name, strength in first.items() if strength is None} == {
+        *("sensor", "slip", "palette", "clutter", "friction"),
+    }
+
+
+def test_what_breaks_cloning_from_states() -> None:
+    table = {name: [float(cell) for cell in cells] for name, cells in rows("From states, BC").items()}
+    assert halved(table["pose (seven tasks)"]) == 3
+    assert 1 - table["latency"][1] / table["latency"][0] > 1 / 3
