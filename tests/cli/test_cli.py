@@ -68,7 +68,7 @@ def test_out_is_a_file_or_its_folder(shell: Shell) -> None:
             assert shell(*command, *out) == (0, f"{path}\n", "")
             assert Path(path).is_file()
         assert f"must end in {name[-4:]}" in shell.fails(2, *command, "--out", "a.jpg")
-    assert "--out is a folder" in shell.fails(2, "evaluate", "--policy", "noop", "--out", "scores.jsonl")
+    assert "--out must be a folder" in shell.fails(2, "evaluate", "--policy", "noop", "--out", "scores.jsonl")
 
 
 def test_help_and_version(shell: Shell) -> None:

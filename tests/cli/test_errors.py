@@ -152,7 +152,7 @@ def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -
 def test_the_tour_keeps_out_of_folders_with_other_files(shell: Shell, name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("precious")
     error = shell.fails(1, "demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
-    assert "holds files that this command has not made" in error
+    assert "holds files that this command did not make" in error
     assert (tmp_path / name).read_text() == "precious"
     assert len(list(tmp_path.iterdir())) == 1
 

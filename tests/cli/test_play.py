@@ -108,7 +108,7 @@ def test_an_episode_is_played_recorded_and_read_again(
     assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
     assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
     assert "5 s, score so far 0.00" in player.lines[5][1]
-    assert "not solved; kept, D discards it" in player.lines[-1][1]
+    assert "not solved; saved, D discards it" in player.lines[-1][1]
     (demo,) = load("MoveToRegion", tmp_path)
     assert len(demo.actions) == 40
     assert demo.demonstrator == "human"
@@ -136,7 +136,11 @@ def test_only_what_was_saved_last_is_discarded(tmp_path: Path, capsys: pytest.Ca
     """Never an episode of before that is the same; and without a folder nothing is kept."""
     env = magical_mj.Engine("MoveToRegion", seed=0)
     demo = load("MoveToRegion")[0]
-    for folder, caption in ((tmp_path, "kept, D discards it"), (tmp_path, "the same as one that is kept"), (None, "")):
+    for folder, caption in (
+        (tmp_path, "saved, D discards it"),
+        (tmp_path, "the same episode was saved"),
+        (None, ""),
+    ):
         game = Game(env, "MoveToRegion", 0, folder)
         game.finish(demo)
         assert f"score 1.00, solved; {caption}" in game.caption()
@@ -296,7 +300,7 @@ def test_an_episode_is_played_with_real_keys(display: Display, tmp_path: Path) -
             time.sleep(3)  # three times as long as the episode is
             assert not any(tmp_path.iterdir())
             said = play_to_the_end()
-            wait_for(lambda: shows(f"{said}; kept, D discards it; {AFTER}"), "that it is kept")
+            wait_for(lambda: shows(f"{said}; saved, D discards it; {AFTER}"), "that it is kept")
             display.xdotool("key", "d")
             wait_for(lambda: shows(f"discarded; {AFTER}"), "that it is discarded")
             assert not any(tmp_path.iterdir())

@@ -53,8 +53,8 @@ def test_help_fits_any_terminal_and_can_be_read(columns: int, shell: Shell, monk
         assert code == 0
         assert max(map(len, out.splitlines())) <= columns
     _, out, _ = shell("evaluate", "--help")
-    (row,) = (line for line in out.splitlines() if "Go on with what is in the folder." in line)
-    assert row.index("Go on") <= (6 if columns == 40 else 32)
+    (row,) = (line for line in out.splitlines() if "Continue the evaluation in OUT." in line)
+    assert row.index("Continue") <= (6 if columns == 40 else 32)
 
 
 def test_terminals_that_cannot_show_every_sign(monkeypatch: pytest.MonkeyPatch) -> None:

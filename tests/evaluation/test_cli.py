@@ -43,7 +43,7 @@ def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp
     mine.parent.mkdir()
     mine.write_bytes(b"mine")
     error = shell.fails(1, "report", "o", "--videos", "--out", "mine")
-    assert "best-noop-MoveToRegion.mp4 is not of an earlier report: move it" in error
+    assert "best-noop-MoveToRegion.mp4 does not belong to an earlier report: move it" in error
     assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
     assert (tmp_path / "ours" / mine.name).stat().st_size > 1000

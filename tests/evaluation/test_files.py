@@ -155,8 +155,8 @@ def test_files_of_older_versions_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "change", "difference"),
     [
-        ("noop", {"episodes": 2}, "holds the scenes 0 to 2 of its split, and 0 to 1 are asked for"),
-        ("noop", {"first_seed": 1}, "holds the scenes 0 to 2 of its split, and 1 to 3 are asked for"),
+        ("noop", {"episodes": 2}, "holds the scenes 0 to 2 of its split, but 0 to 1 are requested"),
+        ("noop", {"first_seed": 1}, "holds the scenes 0 to 2 of its split, but 1 to 3 are requested"),
         ("noop", {"rules": "released"}, 'rules was "paper" and is "released"'),
         ("noop", {"preset": "LoRes4A"}, 'preset was "State" and is "LoRes4A"'),
         ("noop", {"variants": "Demo"}, "environments that are left out here, or have changed: MoveToRegion-Layout."),
@@ -180,7 +180,7 @@ def test_a_damaged_file_of_settings_is_no_evaluation_that_can_go_on(tmp_path: Pa
     magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     damaged = json.dumps(read_settings(tmp_path) | {name: value})
     (tmp_path / SETTINGS).write_text(damaged)
-    with pytest.raises(EvaluationError, match=rf"not of an evaluation.*\.{name}"):
+    with pytest.raises(EvaluationError, match=rf"does not belong to an evaluation.*\.{name}"):
         magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
     assert (tmp_path / SETTINGS).read_text() == damaged
 
@@ -213,7 +213,7 @@ def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     Path("failing.py").write_text("def act(observation):\n    raise KeyError('position')\n")
-    with pytest.raises(EvaluationError, match="failed, so none of them is kept"):
+    with pytest.raises(EvaluationError, match="failed, so no result is kept"):
         magical_mj.evaluate("failing:act", out="out", **SMALL)
     with open_scores(Path("out")), pytest.raises(EvaluationError, match="another evaluation"):
         magical_mj.evaluate("noop", out="out", **SMALL)
@@ -227,7 +227,7 @@ def test_settings_are_those_of_the_evaluation_that_plays(tmp_path: Path) -> None
         Evaluation("noop", EvaluationSettings(out=tmp_path, **{**SMALL, "episodes": count})) for count in (2, 1)
     )
     list(first.play())
-    with pytest.raises(SettingsError, match="holds the scenes 0 to 1 of its split, and 0 to 0 are asked for"):
+    with pytest.raises(SettingsError, match="holds the scenes 0 to 1 of its split, but 0 to 0 are requested"):
         list(second.play())
     assert len(read(tmp_path)) == 4
     assert read_settings(tmp_path)["episodes"] == 2
@@ -284,7 +284,7 @@ def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
     write(tmp_path, [done, failed, replace(failed, retry=1), replace(failed, retry=2, failure=None)])
     assert read(tmp_path) == [done, replace(failed, retry=2, failure=None)]
     for wrong, problem in (
-        (replace(done, retry=1), "line 1: it has not failed, and another line replaces it"),
+        (replace(done, retry=1), "line 1: the episode did not fail, but another line replaces it"),
         (failed, "line 4: the same episode as line 2"),
         (replace(failed, retry=2), "line 4: the same episode as line 3"),
     ):
@@ -295,7 +295,7 @@ def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
 
 def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
     (tmp_path / SETTINGS).write_text('{"mine": 1}')
-    with pytest.raises(EvaluationError, match=r"run\.json is not of an evaluation"):
+    with pytest.raises(EvaluationError, match=r"run\.json does not belong to an evaluation"):
         magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['{"mine": 1}']
 

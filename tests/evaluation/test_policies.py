@@ -195,9 +195,9 @@ def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: boo
     assert played(make())[0].failure is None
     with pytest.raises(EvaluationError, match=r"the environment takes .*Box.*to_discrete\(vector\)"):
         played(make(action="continuous"))
-    with pytest.raises(EvaluationError, match="the environment is FixColour All, and an episode MoveToRegion Demo"):
+    with pytest.raises(EvaluationError, match="the environment is FixColour All, but an episode has MoveToRegion Demo"):
         played(make("magical_mj/FixColour-TestAll-State-v0"))
-    with pytest.raises(EvaluationError, match="make one whose id begins with magical_mj/"):
+    with pytest.raises(EvaluationError, match="make one with an id that begins with magical_mj/"):
         played(make("CartPole-v1"))
     closed = make()
     closed.close()
@@ -265,7 +265,9 @@ def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
     for env in (gymnasium.make(name), several):
         outcomes = list(rollouts(env, Acting(lambda _: 1), (Episode("MoveToRegion", "Demo", seed) for seed in (0, 1))))
         assert [len(outcome.actions) for outcome in outcomes] == [40, 40]
-        with pytest.raises(EvaluationError, match="the environment is MoveToRegion Demo, and an episode MoveToCorner"):
+        with pytest.raises(
+            EvaluationError, match="the environment is MoveToRegion Demo, but an episode has MoveToCorner"
+        ):
             list(rollouts(env, Acting(lambda _: 1), [Episode("MoveToCorner", "Demo", 0)]))
         env.close()
 
@@ -355,11 +357,11 @@ def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrap", "problem"),
     [
-        ("Dark", "wrap is package.module:NAME"),
+        ("Dark", "wrap must be package.module:NAME"),
         ("mine:nothing", "mine:nothing cannot be used: ImportError"),
         ("mine:OLD", "mine:OLD cannot be used: TypeError"),
         ("mine:sum_is_even", "mine:sum_is_even cannot be used: AttributeError"),
-        ("mine:Other", "with its 18 actions"),
+        ("mine:Other", "with the same 18 actions"),
     ],
 )
 def test_what_is_no_wrapper_is_refused(wrap: str, problem: str) -> None:

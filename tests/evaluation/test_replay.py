@@ -77,7 +77,7 @@ def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
     [
         ({"worlds": "batched"}, {}, "it was played in batched worlds"),
         ({"wrap": "mine:Wrapper"}, {}, "it was played in the wrapper mine:Wrapper"),
-        ({}, {"protocol": 0}, "it follows protocol 0, and this version plays 1"),
+        ({}, {"protocol": 0}, "it follows protocol 0, but this version plays 1"),
         ({"shift": "camera:3"}, {"shift_protocol": 99}, "it follows shift protocol 99"),
         ({"task": "Gone"}, {}, "unknown task 'Gone'"),
         ({"rules": "mine"}, {}, "unknown set of rules 'mine'"),

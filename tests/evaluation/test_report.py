@@ -244,12 +244,12 @@ def test_other_peoples_files_are_not_replaced(tmp_path: Path) -> None:
         folder = tmp_path / name.partition(".")[0]
         folder.mkdir()
         (folder / name).write_text("mine")
-        with pytest.raises(EvaluationError, match=rf"{name} is not of an earlier report: move it"):
+        with pytest.raises(EvaluationError, match=rf"{name} does not belong to an earlier report: move it"):
             report([scores], folder)
         assert [path.read_text() for path in folder.iterdir()] == ["mine"]
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.md").write_text("# Evaluation of my own\n")
-    with pytest.raises(EvaluationError, match=r"report.md is not of an earlier report"):
+    with pytest.raises(EvaluationError, match=r"report.md does not belong to an earlier report"):
         report([scores], tmp_path / "out")
 
 

@@ -137,7 +137,7 @@ def test_wrong_shifts_are_explained(shifts: str, problem: str, shell: Shell, tmp
 
 
 def test_batched_worlds_refuse_them() -> None:
-    with pytest.raises(SettingsError, match="batched worlds have neither shifts nor wrappers"):
+    with pytest.raises(SettingsError, match="batched worlds support no shifts, wrappers"):
         evaluate("noop", simulator="warp", shifts="camera")
 
 
@@ -173,7 +173,7 @@ def test_splits_are_not_mixed(tmp_path: Path) -> None:
     for mix in (lambda: report([test, dev], tmp_path / "out"), lambda: compare(test, dev)):
         with pytest.raises(EvaluationError, match=r"different split: test in .*, dev in "):
             mix()
-    with pytest.raises(EvaluationError, match="played on the split dev, and entries are of test"):
+    with pytest.raises(EvaluationError, match="played on the split dev, but entries must be played on test"):
         submit([dev], tmp_path / "entry.json.xz")
     magical_mj.evaluate("noop", out=tmp_path / "grown", split="dev", **SMALL)
     with pytest.raises(SettingsError, match='split was "dev" and is "test"'):

@@ -52,12 +52,12 @@ def scored_failure(rows: list[Row]) -> None:
 
 
 TAMPERED = [
-    (tampered_score, "the score is 0.5, and its actions lead to 1"),
+    (tampered_score, "the score is 0.5, but its actions lead to 1"),
     (swapped_scene, "it was played in the scene "),
-    (other_actions, "the score is 1, and its actions lead to "),
-    (too_short, "it has 39 actions, and episodes have 40"),
+    (other_actions, "the score is 1, but its actions lead to "),
+    (too_short, "it has 39 actions, but episodes have 40"),
     (unknown_letter, "its actions are not all among the 18"),
-    (scored_failure, "the policy failed, and its score is 1 instead of 0"),
+    (scored_failure, "the policy failed, but its score is 1 instead of 0"),
 ]
 
 
