@@ -1,4 +1,4 @@
-"""Draws docs/architecture.png: the folders of the package as layers, lowest at the bottom.
+"""Draws docs/architecture.png: the folders of the package as layers, the lowest at the bottom.
 
 python -m tools.architecture_picture
 """
@@ -56,7 +56,7 @@ INK, LINE = "#1f2d3d", "#9fb3c8"
 
 
 def draw() -> Figure:
-    """A box for each folder with its content."""
+    """A figure with a box for each folder that describes its content."""
     figure = Figure(figsize=(10, 6.6), layout="constrained")
     axes = figure.subplots()
     axes.set(xlim=(0, 4.75), ylim=(0, len(ROWS)))

@@ -1,11 +1,11 @@
-"""What the scores of the state track can be compared with: memory, corrections, and demonstrations of the test.
+"""Reference scores for the state track: memory, corrections by the expert, and demonstrations of test variants.
 
-- `Replay` plays the actions of a demonstration, whatever happens: what memory alone does.
-- The oracle clones demonstrations that the expert makes in other scenes of a test variant (`split="dev"`): what the
-  network of behavioural cloning can do with the right data. It uses scenes that no method of the benchmark may see.
-- `dagger` may ask the expert while it learns: in the demo scene, which is all that it sees, the policy acts up to a
-  random step, and from there the expert shows how the episode should have ended (Kelly et al. 2019, HG-DAgger,
-  arXiv:1810.02890, with a random step instead of a person's). What it shows is added to the ten demonstrations.
+- `Replay` plays the actions of a demonstration and ignores observations. It shows what memory alone achieves.
+- The oracle clones demonstrations of the expert in other scenes of a test variant (`split="dev"`). It shows what the
+  network of behavioural cloning achieves with the right data. No method of the benchmark may see these scenes.
+- `dagger` may query the expert during learning. In the demo scene, the only one that it sees, the policy acts up to a
+  random step. Then the expert finishes the episode (Kelly et al. 2019, HG-DAgger, arXiv:1810.02890, with a random step
+  instead of a person's choice). The expert's part is added to the ten demonstrations.
 
     $ magical-mj evaluate --policy Replay=tools.bounds:Replay --preset State --episodes 20 --out scores/replay
     $ python tools/bounds.py oracle MoveToRegion Layout --out scores/oracle
@@ -35,16 +35,16 @@ from magical_mj.tasks.registry import SPLITS, task_spec
 
 DEMONSTRATIONS = 25
 ROUNDS, CORRECTIONS = 3, 20
-"""Of `dagger`: how often a policy is trained and corrected, and in how many episodes each time."""
+"""`dagger`: the number of rounds of training and correction, and the number of corrected episodes in each round."""
 
 
 class Replay:
-    """Plays one of 10 demonstrations, and then nothing. All begin in the demo scene: none is nearer than others."""
+    """Plays one of 10 demonstrations, then no-ops. It is chosen at random, since all begin in the demo scene."""
 
     preset = "State"
 
     def reset(self, episode: Episode) -> None:
-        """An episode begins, for which one is drawn."""
+        """Starts an episode and draws its demonstration."""
         shown = shipped(episode.task)
         chosen = episode.rng().choice(drawn(episode.task, episode.run, 10, len(shown)))
         self._actions = iter(shown[chosen].actions.tolist())
@@ -56,7 +56,7 @@ class Replay:
 
 
 def oracle(task: str, variant: str, out: Path) -> float:
-    """The mean score in a variant of a policy that was cloned from demonstrations of other scenes of it."""
+    """The mean score in a variant of a policy that was cloned from demonstrations in other scenes of that variant."""
     shown = [demonstrate(task, variant, SPLITS["dev"] + number) for number in range(DEMONSTRATIONS)]
     policy = cloned(task, shown)
     frame = evaluate({"Oracle": policy}, tasks=task, variants=variant, preset="State", jobs=1, out=out)
@@ -64,12 +64,12 @@ def oracle(task: str, variant: str, out: Path) -> float:
 
 
 def cloned(task: str, shown: list[Any]) -> TrainedPolicy:
-    """A policy that was trained on all of these demonstrations."""
+    """A policy that was trained by behavioural cloning on all of these demonstrations."""
     return clone(load_settings("bc", task, preset="State", device="cpu", demonstrations=len(shown)), {task: shown})
 
 
 def dagger(task: str, out: Path) -> float:
-    """The mean score in all variants of a policy that the expert has corrected in the demo scene."""
+    """The mean score in all variants of a policy that was trained with corrections in the demo scene."""
     shown = shipped(task)
     data: list[Any] = [shown[number] for number in drawn(task, 0, 10, len(shown))]
     for number in range(ROUNDS):
@@ -82,7 +82,7 @@ def dagger(task: str, out: Path) -> float:
 
 
 def corrected(task: str, policy: TrainedPolicy, seed: int) -> Transitions:
-    """An episode of the demo scene that the policy begins and the expert ends; what the policy did counts as no-ops."""
+    """An episode in the demo scene. The policy begins it, recorded as no-ops, and the expert finishes it."""
     with closing(Engine(task, "Demo", seed=seed)) as engine:
         begin(policy, episode := Episode(task, "Demo", seed))
         taken_over = episode.rng().integers(task_spec(task).horizon())
@@ -100,7 +100,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bound", choices=["oracle", "dagger"])
     parser.add_argument("task")
-    parser.add_argument("variant", nargs="?", default="Layout", help="of the oracle")
+    parser.add_argument("variant", nargs="?", default="Layout", help="the oracle's variant")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     if given.bound == "oracle":

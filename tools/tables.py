@@ -1,6 +1,6 @@
-"""Writes tables between their markers, from the registry and, on the page of results, from the entries in results/.
+"""Writes generated tables between their markers in the pages. `make docs` runs this.
 
-`make docs` runs this.
+The tables come from the registry, and for results from the entries in results/.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from magical_mj.variants import VARIANTS, Axis
 
 ROOT: Final = Path(__file__).parent.parent
 COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
-"""The paper's methods with its default settings, beside which ours stand."""
+"""The paper's methods with default settings, for comparison with ours."""
 AGENTS: Final = {"noop": "Doing nothing (`noop`)", "random": "Random actions (`random`)"}
-"""What no learner should fall below, by the names of their entries."""
+"""Entry -> label of the agents that every learner should outperform."""
 HEADLINES: Final = (
     "BC (ST, quick)",
     "Redraw (ST, quick)",
@@ -38,9 +38,9 @@ HEADLINES: Final = (
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the README, if they were evaluated everywhere."""
+"""The learners in the README, if they were evaluated in all environments."""
 ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)", "BC (ST, allo.)")
-"""The paper's BC, and the same with less; ours, with --quick, are called so too."""
+"""The paper's BC and its ablations. Ours, with --quick, have the same names."""
 
 AXES: Final[dict[Axis, str]] = {
     "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad, "
@@ -60,7 +60,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def tasks() -> str:
-    """Each task, its goal and its horizon."""
+    """The table of tasks, with goals, horizons and numbers of variants."""
     rows = []
     for task in TASKS:
         spec = task_spec(task)
@@ -70,7 +70,7 @@ def tasks() -> str:
 
 
 def variants() -> str:
-    """Each variant, what is drawn anew, and which tasks lack it."""
+    """The table of variants, with their axes and the tasks that lack them."""
     rows = []
     for variant, axes in VARIANTS.items():
         missing = [task for task in TASKS if (task, variant) not in ENVIRONMENTS]
@@ -82,7 +82,7 @@ def variants() -> str:
 
 
 def presets() -> str:
-    """Each preset of the Gymnasium ids and what it observes."""
+    """The table of presets in Gymnasium ids, with their observations."""
     rows = [
         (f"`-{name}`" if name else '(the empty name, `""`)', _sentence(entry.summary))
         for name, entry in PRESETS.items()
@@ -91,7 +91,7 @@ def presets() -> str:
 
 
 def _mean(standing: Standing, variants: Iterable[str]) -> float:
-    """Over the environments of these variants; NaN if there are none."""
+    """The mean score over the environments of these variants. NaN if there are none."""
     means = [float(values.mean()) for (_, variant), values in standing.means.items() if variant in variants]
     return sum(means) / len(means) if means else float("nan")
 
@@ -101,9 +101,10 @@ def _number(value: float) -> str:
 
 
 def overview(standings: Sequence[Standing], *, intervals: bool = False) -> str:
-    """Of each method the mean score over tasks in each variant, in blocks; (m/n): of m of the n tasks.
+    """The table of methods with their mean scores over tasks in each variant, in blocks.
 
-    With intervals, each has its 95 % interval over the runs (stratified bootstrap), if there are several.
+    (m/n) marks a mean over only m of the n tasks. With `intervals`, means of several runs have their 95 % interval over
+    the runs (stratified bootstrap).
     """
     rows: list[Sequence[str]] = []
     for block, heading in BLOCKS.items():
@@ -128,7 +129,7 @@ def _over_tasks(standing: Standing, variant: str, intervals: bool) -> str:
 
 
 def costs(learnt: Iterable[Standing]) -> str:
-    """Of each of our learners what a training cost, for one task and for all tasks that it learnt."""
+    """The table of our learners with the cost of a training, for one task and for all of its tasks."""
     rows = []
     for standing in learnt:
         if standing.kind == "published":
@@ -149,7 +150,7 @@ def costs(learnt: Iterable[Standing]) -> str:
 
 
 def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
-    """Of each of the paper's methods that we trained, its rank correlation with the paper's over the environments."""
+    """The table of rank correlations over environments between our trainings of the paper's methods and the paper."""
     rows = [
         (label(standing), *(_number(rank_correlation(standing.means, other.means)) for other in paper))
         for standing in learnt.values()
@@ -159,7 +160,7 @@ def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
 
 
 def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
-    """Of BC and BC with less: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
+    """The table of ablations of BC: mean scores over tasks, the paper's in brackets, and their rank correlations."""
     papers = {standing.name: standing for standing in paper}
     ours = {standing.name.replace(", quick", ""): standing for standing in learnt if ", quick" in standing.name}
     rows = []
@@ -179,14 +180,14 @@ def _but(missing: Sequence[str]) -> str:
 
 
 def readme() -> dict[str, str]:
-    """The tables of README.md by name."""
+    """Name -> table of README.md."""
     learnt, agents, paper = _results()
     shown = [method for method in (*learnt.values(), *paper) if method.name in HEADLINES and method.everywhere]
     return {"tasks": tasks(), "variants": variants(), "results": overview([*shown, *agents])}
 
 
 def results() -> dict[str, str]:
-    """The tables of docs/results.md by name."""
+    """Name -> table of docs/results.md."""
     learnt, agents, paper = _results()
     return {
         "overview": overview([*learnt.values(), *agents, *paper], intervals=True),
@@ -197,7 +198,7 @@ def results() -> dict[str, str]:
 
 
 def shifts() -> dict[str, str]:
-    """The tables of docs/shifts.md by name: what each axis draws, and how large it is at each strength."""
+    """Name -> table of docs/shifts.md: the effect of each axis, and its factors with their sizes at each strength."""
     kinds = {"signed": "±", "positive": "0 to ", "exact": "", "choice": "below "}
     rows = [
         (
@@ -217,19 +218,19 @@ def shifts() -> dict[str, str]:
     }
 
 
-def _place(standing: Standing) -> tuple[bool, bool, float]:
-    """By which methods are sorted."""
+def _rank(standing: Standing) -> tuple[bool, bool, float]:
+    """The sort key of methods: official ones first, then complete ones, then those with a high mean."""
     return standing.kind != "official", not standing.everywhere, -_mean(standing, VARIANTS)
 
 
 @cache
 def _results() -> tuple[dict[str, Standing], list[Standing], list[Standing]]:
-    """Our own learners by the names of their files, the complete ones and the best first; the agents; the paper's."""
+    """Our learners by the names of their files, sorted by `_rank`; the agents; the paper's methods."""
     own = own_standings(ROOT / "results")
     learnt = {name: standing for name, standing in own.items() if standing.name not in AGENTS}
     paper = [standing for standing in published() if standing.name in COMPARED]
     return (
-        dict(sorted(learnt.items(), key=lambda item: _place(item[1]))),
+        dict(sorted(learnt.items(), key=lambda item: _rank(item[1]))),
         [standing for standing in own.values() if standing.name in AGENTS],
         sorted(paper, key=lambda standing: COMPARED.index(standing.name)),
     )
@@ -241,11 +242,11 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/results.md": results,
     "docs/shifts.md": shifts,
 }
-"""The pages that have such tables."""
+"""Page -> its tables."""
 
 
 def filled(text: str, tables: Mapping[str, str]) -> str:
-    """A page's text with up-to-date tables."""
+    """The text of a page with the tables inserted between their markers."""
     for name, body in tables.items():
         start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
         text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
