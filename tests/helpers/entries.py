@@ -1,4 +1,4 @@
-"""What the tests of the leaderboard share: evaluations to tamper with, and an entry with all environments."""
+"""Helpers for tests of the leaderboard: tampered evaluations, and an entry with all environments."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ TAMPERED = [
 def recorded(
     run: int, task: str, variant: str, seed: int, score: float, actions: str, failure: Any = None
 ) -> EpisodeResult:
-    """An episode that nobody played."""
-    where = {"run": run, "task": task, "variant": variant, "seed": seed}
+    """An episode with made-up results."""
+    scene = {"run": run, "task": task, "variant": variant, "seed": seed}
     played = {"score": score, "steps": len(actions), "actions": actions, "failure": failure, "seconds": 0.0}
-    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **where, **played)
+    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **scene, **played)
 
 
 def whole(runs: int = 5) -> Entry:
-    """An entry with all 60 environments, whose episodes nobody played."""
+    """An entry with made-up episodes in all 60 environments."""
     episodes = [
         recorded(run, task, variant, seed, ((seed + run) % 5) / 4, LETTERS[run])
         for run in range(runs)
@@ -84,6 +84,6 @@ def whole(runs: int = 5) -> Entry:
 
 
 def check(path: Path, **settings: Any) -> tuple[Entry, Findings]:
-    """The entry in a file, and what a check of it finds."""
+    """The entry in a file, and the findings of its check."""
     entry = read_entry(path)
     return entry, check_entries({"": entry}, **settings)[""]
