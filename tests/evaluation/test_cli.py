@@ -47,9 +47,7 @@ def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp
     assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
     assert (tmp_path / "ours" / mine.name).stat().st_size > 1000
-    (tmp_path / "ours" / "report.md").write_text(
-        "# Evaluation\n\nThis report is not finished yet.\n"
-    )  # a killed report
+    (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # killed
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
 
 
