@@ -119,7 +119,7 @@ def rollout(
     first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
     settings = changed(settings, preset=listed[0].preset)
-    settings.shift_labels(pair[0], listed)  # an error if a policy does not notice the shifts
+    settings.shift_labels(pair[0], listed)  # raises an error if a policy does not notice the shifts
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0
@@ -153,7 +153,7 @@ option.add_options(rollout, EvaluationSettings, "split", "preset", "body", "rend
 
 
 def _print_preset(screen: Console, given: str | None, preset: str) -> None:
-    """Says which preset was chosen by what the policy says, if it is not the default."""
+    """Prints the preset that the policy has chosen, if it is not the default."""
     if given is None and preset != DEFAULT_PRESET:
         screen.print(f"preset {preset}, on which the policy was trained")
 

@@ -233,7 +233,7 @@ def play_side_by_side(
 
 
 def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
-    """The sentence of each environment that says what is to be done in the episode that it is in."""
+    """The instruction (a sentence) of the current episode in each environment."""
     worlds: Any = envs.unwrapped
     if not hasattr(worlds, "get_attr"):  # batched worlds, which have no shifts
         return [task_spec(episode.task).summary for episode in episodes]

@@ -70,8 +70,8 @@ class EvaluationSettings(Settings):
     preset: Annotated[
         str | None,
         Meta(
-            description="The observations: a preset's name, or an empty one; by default the one that the policies say "
-            "they were trained on, or LoRes4E."
+            description="The observations: a preset's name, or an empty one; by default the preset of the policies' "
+            "training, or LoRes4E."
         ),
     ] = None
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
@@ -142,7 +142,7 @@ class EvaluationSettings(Settings):
 
     @property
     def observed(self) -> str:
-        """The preset of the observations; until policies are known, the default."""
+        """The preset of the observations. The default, if none was given and the policies are not loaded yet."""
         return DEFAULT_PRESET if self.preset is None else self.preset
 
     @cached_property
