@@ -47,7 +47,7 @@ def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyT
 
     Args:
         episode: the stored episode.
-        recorded: the settings of its evaluation (``run.json``), as far as they are known.
+        recorded: the known settings of its evaluation (``run.json``).
 
     Raises:
         UntrustedNameError: if the episode names code that the user did not name as well.

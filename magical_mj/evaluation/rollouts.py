@@ -128,7 +128,7 @@ def _checked_facts(
 
     Raises:
         EvaluationError: unless it is the environment of the episodes.
-        SettingsError: if it changes the sentence that says what is to be done, and the policy does not read it.
+        SettingsError: if its shifts change the instruction, but the policy does not read it.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
