@@ -1,4 +1,4 @@
-"""Draws docs/architecture.png: the folders of the package as layers, lowest at the bottom.
+"""Draws docs/architecture.png: the folders of the package as layers, the lowest at the bottom.
 
 python -m tools.architecture_picture
 """
@@ -17,18 +17,18 @@ OUT = Path(__file__).parents[1] / "docs" / "architecture.png"
 CONTENT: Final = {
     "utils": "errors, files, imports, settings, parallel work",
     "scene": "Scene, geometry, constants, actions, state vector",
-    "variants": "from a demo scene to the scenes of a variant",
+    "variants": "make the scenes of a variant from the demo scene",
     "tasks": "the eight tasks: demo scene, rules, score, plan; the registry",
-    "shifts": "axes by which any environment may differ, with strengths 0 to 5",
+    "shifts": "changes of any environment, with strengths 0 to 5",
     "assets": "MJCF models of scenes, and their look",
     "rendering": "pictures by OpenGL or in software",
-    "engine": "one world of MuJoCo: steps, score, saved states, export",
-    "envs": "the doors: Gymnasium, dm_env",
+    "engine": "one MuJoCo simulation: steps, score, saved states, export",
+    "envs": "interfaces: Gymnasium, dm_env",
     "batched": "many worlds on one accelerator",
     "policies": "interface, agents, expert, loading of model files",
     "demos": "demonstrations: files, replay, export",
-    "evaluation": "playing by the protocol, and reports",
-    "leaderboard": "entries that are replayed",
+    "evaluation": "rollouts by the protocol, and reports",
+    "leaderboard": "entries, which are replayed",
     "learners": "BC, GAIL, WGAIL-GP, AL",
     "web": "playing in a browser",
     "integrations": "plug-ins for other tools",
@@ -50,13 +50,13 @@ KINDS: Final = {  # colour and name of groups of rows
     range(3): ("#e9f5ec", "plain data and pure functions"),
     range(3, 7): ("#eef4fa", "simulation"),
     range(7, 9): ("#fdf3e3", "agents and results"),
-    range(9, 10): ("#f4eef8", "what people start"),
+    range(9, 10): ("#f4eef8", "applications"),
 }
 INK, LINE = "#1f2d3d", "#9fb3c8"
 
 
 def draw() -> Figure:
-    """A box for each folder with its content."""
+    """A figure with a box for each folder that describes its content."""
     figure = Figure(figsize=(10, 6.6), layout="constrained")
     axes = figure.subplots()
     axes.set(xlim=(0, 4.75), ylim=(0, len(ROWS)))

@@ -1,24 +1,24 @@
-"""Every figure about batched worlds that needs an accelerator, part by part, each under ten minutes.
+"""Measures all figures about batched worlds that need an accelerator, in parts of less than ten minutes.
 
     python tools/batched_gpu.py --list                       # the names of all parts
-    python tools/batched_gpu.py --out out/batched            # all parts that are not done yet
+    python tools/batched_gpu.py --out out/batched            # all parts that are not finished
     python tools/batched_gpu.py --out out/batched --only speed-FixColour-Demo-State
     python tools/batched_gpu.py --out out/rehearsal --rehearse --device cpu
 
-A part that is done has a file in the folder, with what it printed, and is skipped: start the script again after an
-interruption. Each part is stopped after ten minutes: trainings and evaluations go on where they were when the script is
-started again; any other part has failed. If a part fails, the others are still done, and the exit code is 1.
+A finished part has a file with its output in the folder, and is skipped. So after an interruption, start the script
+again. Each part is stopped after ten minutes: trainings and evaluations continue when the script is started again; any
+other part has failed. If a part fails, the others still run, and the exit code is 1.
 
-What the machine needs: Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports,
-and the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, that is the one on PyPI) with
-NVIDIA's libraries, some gigabytes, and warp-lang, 143 MiB. Demonstrations and official episodes are drawn with OpenGL:
-EGL of the driver, or OSMesa (`MUJOCO_GL=osmesa`). For a machine that cannot reach a package index, collect the wheels
-on one of the same platform and Python version that can, and install them there:
+The machine needs Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports, and
+the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, the one on PyPI) with NVIDIA's
+libraries, some gigabytes, and warp-lang, 143 MiB. Demonstrations and official episodes are drawn with OpenGL: EGL of
+the driver, or OSMesa (`MUJOCO_GL=osmesa`). If the machine cannot reach a package index, collect the wheels on another
+machine with the same platform and Python version, and install them from the folder:
 
     pip wheel --wheel-dir wheels --constraint constraints.txt ".[gpu,eval]"
     pip install --no-index --find-links wheels "magical-mj[gpu,eval]"
 
-Warp compiles its kernels for the card at first use, a minute or two, and keeps them in `~/.cache/warp`.
+Warp compiles its kernels for the card at first use, which takes a minute or two, and caches them in `~/.cache/warp`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ LIMIT: Final = 570  # seconds for one part
 ROOT: Final = Path(__file__).parent.parent
 COMMAND: Final = [sys.executable, "-m", "magical_mj"]
 FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
-"""The environment in which `benchmarks` is found from any folder."""
+"""The environment variables of the commands. `tools.benchmarks` can be imported from any folder."""
 FIDELITY: Final = [sys.executable, str(ROOT / "tools" / "research" / "batched_fidelity.py")]
 
 
@@ -49,14 +49,14 @@ TRAININGS: Final[Mapping[str, tuple[str, ...]]] = {
     "gail-quick": ("ppo.total_steps=1000000", "ppo.environments=256"),
     "gail-paper": (),
 }
-"""The settings that are changed in each training."""
+"""Training -> the settings that differ from the default."""
 REHEARSED: Final[Mapping[str, tuple[str, ...]]] = {
     "gail-quick": ("ppo.total_steps=8", "ppo.environments=2", "ppo.steps=2", "ppo.minibatch=4", "demonstrations=1")
 }
 
 
 def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
-    """By name, the command of each part, which does as little as possible if it is only rehearsed."""
+    """Name -> the command of the part. If it is rehearsed, it does as little as possible."""
     on = ["--device", device]
     tasks = ("MoveToRegion",) if rehearse else magical_mj.TASKS
     environments = list(product(tasks, ("Demo",) if rehearse else ("Demo", "All")))
@@ -76,20 +76,20 @@ def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
             *on,
             *options,
         ]
-    where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
+    environment = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in (REHEARSED if rehearse else TRAININGS).items():
         run, scores = str(out / name), str(out / f"{name}-scores")
         changes = [word for setting in ("evaluations=0", *settings) for word in ("--set", setting)]
         quick = ["--quick"] if "quick" in name else []
-        options = [*where, "--simulator", "warp", *on, *quick, *changes, "--out", run]
+        options = [*environment, "--simulator", "warp", *on, *quick, *changes, "--out", run]
         commands[name] = [*COMMAND, "train", "gail", *options, "--resume"]
-        played = ["--policy", run, *where, "--variants", "Demo", "--episodes", episodes]
+        played = ["--policy", run, *environment, "--variants", "Demo", "--episodes", episodes]
         commands[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]
     return commands
 
 
 def run(command: list[str], done: Path) -> str:
-    """Runs the command of a part; in a word or two, how it ended. What it printed is in `done` if it succeeded."""
+    """Runs the command of a part and returns how it ended, in words. If it succeeds, its output is in `done`."""
     partial = done.with_suffix(".partial")
     with partial.open("w") as file:
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0, env=FROM_HERE)
@@ -97,10 +97,10 @@ def run(command: list[str], done: Path) -> str:
             code = process.wait(LIMIT)
         except subprocess.TimeoutExpired:
             if "--resume" in command:
-                return f"stopped, see {partial}; it goes on when this is started again"
-            return f"failed: not done after {LIMIT} s, see {partial}"
+                return f"stopped, see {partial}; start the script again to continue it"
+            return f"failed: not finished after {LIMIT} s, see {partial}"
         finally:
-            with suppress(ProcessLookupError):  # all have ended
+            with suppress(ProcessLookupError):  # all processes have ended already
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     if code:
@@ -110,7 +110,7 @@ def run(command: list[str], done: Path) -> str:
 
 
 def main() -> int:
-    """The command line; returns 1 if a part has failed."""
+    """Runs the command line. Returns 1 if a part has failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="default: out/batched, or out/rehearsal")
     parser.add_argument("--device", default="cuda")
@@ -124,14 +124,14 @@ def main() -> int:
         print("\n".join(every))
         return 0
     if chosen.only and chosen.only not in every:
-        parser.error(f"there is no part {chosen.only}; there are {', '.join(every)}")
+        parser.error(f"unknown part {chosen.only}; the parts are {', '.join(every)}")
     chosen.out.mkdir(parents=True, exist_ok=True)
     status = 0
     for name in [chosen.only] if chosen.only else every:
         done, start = chosen.out / f"{name}.txt", time.perf_counter()
         training = name.removesuffix("-score")
         if training != name and not (chosen.out / f"{training}.txt").exists():
-            print(f"{name}: waits for the end of {training}", flush=True)
+            print(f"{name}: skipped, because {training} is not finished", flush=True)
             continue
         ended = "done before" if done.exists() else run(every[name], done)
         print(f"{name}: {ended}, {time.perf_counter() - start:.0f} s", flush=True)

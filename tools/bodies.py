@@ -1,9 +1,10 @@
-"""Which tasks the scripted expert solves with which body: the table in docs/bodies.md.
+"""Measures the scripted expert's score in each task with each body, for the table in docs/bodies.md.
 
     python tools/bodies.py [--tasks MoveToRegion,...] [--bodies shortstick,...] [--seeds 20] [--variants Demo,All]
 
-Prints the mean score of each task and body over seeds of the dev split, which take turns with the variants; what a
-task does not offer is tried as well. A cell below 0.9 is not to be offered, and is left as soon as it must end there.
+Prints the mean score of each task and body over seeds of the dev split; successive seeds use successive variants.
+Bodies that a task does not offer are tried as well. A task should not offer a body with a mean below 0.9. An evaluation
+stops early when its mean can no longer reach that.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from magical_mj.utils.errors import MagicalError
 from magical_mj.variants import variants_of
 
 OFFERED = 0.9
-"""The least mean score."""
+"""The lowest mean score at which a task may offer a body."""
 
 
 def score(task: str, variant: str, seed: int, body: str) -> float:
@@ -34,7 +35,7 @@ def score(task: str, variant: str, seed: int, body: str) -> float:
 
 
 def mean_score(task: str, body: str, variants: list[str], seeds: int) -> str:
-    """The mean score, of how many episodes, and in how many more no scene with this body exists."""
+    """The mean score, the number of episodes, and the number of seeds for which no scene with this body exists."""
     scores, impossible = [], 0
     for seed, variant in zip(range(SPLITS["dev"], SPLITS["dev"] + seeds), itertools.cycle(variants), strict=False):
         try:
@@ -48,7 +49,7 @@ def mean_score(task: str, body: str, variants: list[str], seeds: int) -> str:
 
 
 def main() -> None:
-    """Prints the table, a line for each cell."""
+    """Prints a line for each cell of the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--tasks", default=",".join(tasks.KNOWN))
     parser.add_argument("--bodies", default=",".join(BODIES))
@@ -57,7 +58,7 @@ def main() -> None:
     options = parser.parse_args()
     for task in options.tasks.split(","):
         spec = task_spec(task)
-        object.__setattr__(spec, "bodies", tuple(BODIES))  # what is not offered is tried, too
+        object.__setattr__(spec, "bodies", tuple(BODIES))  # try bodies that the task does not offer
         chosen = [variant for variant in options.variants.split(",") if variant in variants_of(spec)]
         for body in options.bodies.split(","):
             print(f"{task:14} {body:12} {mean_score(task, body, chosen, options.seeds)}", flush=True)

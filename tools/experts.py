@@ -1,4 +1,4 @@
-"""Writes docs/experts.md, and the episodes that the site can show, from an evaluation of the expert.
+"""Writes docs/experts.md, and the episodes that the site shows, from an evaluation of the expert.
 
     magical-mj evaluate --policy expert --episodes 20 --out out/experts
     python tools/experts.py out/experts
@@ -36,7 +36,7 @@ PAGE: Final = Path(__file__).parent.parent / "docs" / "experts.md"
 
 
 def page(scores: Sequence[EpisodeResult]) -> str:
-    """Tables of mean scores and times, tasks down and variants across, and a list of what was missed."""
+    """Tables of mean scores and times (a row per task, a column per variant), and a list of imperfect episodes."""
     missed = sorted(f"{s.task} {s.variant} {s.seed}: {s.score:.2f}" for s in scores if s.score < 1.0)
     return "\n".join(
         [
@@ -61,7 +61,7 @@ def _table(scores: Sequence[EpisodeResult], cell: Callable[[list[EpisodeResult]]
 
 
 def episodes(scores: Sequence[EpisodeResult]) -> str:
-    """The actions of the first seeds of all environments but Demo, which has demonstrations, as JSON."""
+    """The actions of the first seeds of all environments as JSON, without Demo, which has demonstrations."""
     actions = {(score.task, score.variant, score.seed): score.actions for score in scores}
     table = {
         f"{task}-{variant}": [actions[task, variant, seed] for seed in range(SCENES)]
@@ -72,7 +72,7 @@ def episodes(scores: Sequence[EpisodeResult]) -> str:
 
 
 def check(scores: Sequence[EpisodeResult]) -> None:
-    """Ends with a message unless these are the expert's scores alone, and all scenes that the site shows are there."""
+    """Exits with a message unless only the expert played, and it played all scenes that the site shows."""
     others = {score.policy for score in scores} - {"expert"}
     there = {(score.task, score.variant, score.seed) for score in scores}
     missing = [pair for pair in ENVIRONMENTS if not all((*pair, seed) in there for seed in range(SCENES))]

@@ -1,9 +1,9 @@
-"""Draws exported models as MuJoCo's viewers first show them, with whichever MuJoCo runs this.
+"""Draws exported models in the initial view of MuJoCo's viewers, with the installed version of MuJoCo.
 
     magical-mj export FindDupe --out FOLDER ...
     python tools/exported_models.py FOLDER PICTURE.png
 
-Needs mujoco, numpy and pillow, and nothing of magical-mj.
+Needs mujoco, numpy and pillow, but not magical-mj.
 """
 
 import sys
@@ -12,12 +12,12 @@ from pathlib import Path
 import mujoco
 from PIL import Image
 
-SIDE, OVERSAMPLING = 360, 3  # pixels; drawn pixels per side of a pixel
+SIDE, OVERSAMPLING = 360, 3  # pixels; rendered pixels per pixel and axis
 STEPS = 100
 
 
 def picture(path: Path) -> Image.Image:
-    """A model after some steps without action, by the free camera."""
+    """A picture of a model by the free camera, after some steps without actions."""
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -30,7 +30,7 @@ def picture(path: Path) -> Image.Image:
 
 
 def main(folder: str, out: str) -> None:
-    """All models of the folder side by side."""
+    """Draws all models of the folder side by side."""
     pictures = [picture(path) for path in sorted(Path(folder).glob("*.xml"))]
     sheet = Image.new("RGB", (SIDE * len(pictures), SIDE))
     for index, model in enumerate(pictures):

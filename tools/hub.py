@@ -1,9 +1,9 @@
-"""Rehearses an upload to Hugging Face's hub: by its own command, to a stand-in on this machine that fills a folder.
+"""Rehearses an upload to the Hugging Face Hub: runs its command `hf upload` against a local test server.
 
     python tools/hub.py FOLDER [--type dataset] [--out out/hub]
 
-It needs huggingface_hub, no account and no network. The stand-in answers as the hub does about files that are small
-enough for git. Everything in the folder must arrive as it is.
+It needs huggingface_hub, but no account and no network. The test server writes the files to a folder. It answers like
+the hub for files that are small enough for git. All files must arrive unchanged.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from typing import Any, Final
 REPOSITORY: Final = "somebody/rehearsal"
 
 
-class StandIn(BaseHTTPRequestHandler):
-    """Answers what an upload asks, and writes the files of its commits to the folder `out`."""
+class LocalHub(BaseHTTPRequestHandler):
+    """Answers the requests of an upload, and writes the files of its commits to the folder `out`."""
 
     out: Path
 
     def do_GET(self) -> None:
-        """Nothing is there yet."""
+        """Answers as for an empty repository."""
         self._answer({})
 
     def do_POST(self) -> None:
-        """Makes the repository, says how to send each file, and takes the commit."""
+        """Answers the creation of the repository, requests for upload modes, and the commit."""
         sent = self.rfile.read(int(self.headers["Content-Length"])).decode()
         if self.path == "/api/repos/create":
             self._answer({"url": REPOSITORY})
@@ -47,7 +47,7 @@ class StandIn(BaseHTTPRequestHandler):
                     path.parent.mkdir(parents=True, exist_ok=True)
                     path.write_bytes(base64.b64decode(line["value"]["content"]))
             self._answer({"commitUrl": f"{REPOSITORY}/commit/0", "commitOid": "0" * 40})
-        else:  # whether the header of README.md is valid, for one
+        else:  # such as the validation of README.md's header
             self._answer({})
 
     def _answer(self, content: dict[str, Any]) -> None:
@@ -59,9 +59,9 @@ class StandIn(BaseHTTPRequestHandler):
 
 
 def rehearse(folder: Path, kind: str, out: Path) -> int:
-    """Uploads a folder to `out`, which must not be there, and returns how many files have arrived."""
+    """Uploads a folder to `out`, which must not exist. Returns the number of files that have arrived."""
     out.mkdir(parents=True)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Here", (StandIn,), {"out": out}))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Here", (LocalHub,), {"out": out}))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     address = f"http://127.0.0.1:{server.server_port}"
     here = {"HF_ENDPOINT": address, "HF_TOKEN": "none", "HF_HUB_OFFLINE": "0", "NO_PROXY": "127.0.0.1"}
@@ -71,16 +71,16 @@ def rehearse(folder: Path, kind: str, out: Path) -> int:
     names = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
     _, different, missing = filecmp.cmpfiles(folder, out, names, shallow=False)
     if different or missing:
-        sys.exit(f"{out} lacks {', '.join([*different, *missing])}")
+        sys.exit(f"missing or different in {out}: {', '.join([*different, *missing])}")
     return len(names)
 
 
 def main() -> None:
-    """See the module."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--type", choices=("dataset", "model"), default="dataset", help="of the repository")
-    parser.add_argument("--out", type=Path, default=Path("out/hub"), help="a new folder, for what arrives")
+    parser.add_argument("--type", choices=("dataset", "model"), default="dataset", help="the repository's type")
+    parser.add_argument("--out", type=Path, default=Path("out/hub"), help="a new folder for the uploaded files")
     arguments = parser.parse_args()
     number = rehearse(arguments.folder, arguments.type, arguments.out)
     print(f"{number} files would be uploaded; they are in {arguments.out}")

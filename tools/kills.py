@@ -1,16 +1,16 @@
-"""Stops and kills commands at random moments, and checks that nothing is lost, and that no process stays behind.
+"""Stops and kills commands at random times, and checks that no result is lost and no process remains.
 
     python tools/kills.py [--kills 20] [--kinds evaluate,train-bc] [--seed 0]
 
-- After each kill, what was finished before is still there, unchanged, and every file is whole.
-- The command goes on with what is there, and what it has made in the end is, to the bit, what it makes undisturbed.
-- A few seconds after each kill, no process that the command had started is left.
-- SIGTERM and SIGINT end it without a traceback; after SIGSTOP and SIGCONT it goes on as if nothing had been.
+- After each kill, all results that were finished before exist unchanged, and every file is complete.
+- The command can be continued. Its final results are bit for bit those of a run without interruptions.
+- A few seconds after each kill, no process that the command had started is running.
+- After SIGTERM and SIGINT, it ends without a traceback. After SIGSTOP and SIGCONT, it continues normally.
 
-Ends with a table of the signals that reached each command while it ran. Of 19 mostly short ones, on 26 November 2026:
-KILL 37, TERM 37, INT 35, STOP 34, two of each in 16 commands; of `view`, `demos import` and the XIRL export three of
-each. Found: Ctrl-C while the package is imported was a traceback; there are a few milliseconds left in which it is one,
-and before them Python's own start.
+At the end, it prints how many signals reached each command while it ran. For 19 mostly short commands, on 26 November
+2026: KILL 37, TERM 37, INT 35, STOP 34; two of each in 16 commands, three of each in `view`, `demos import` and the
+XIRL export. It found that Ctrl-C during the import of the package printed a traceback. This can still happen for a few
+milliseconds, and before them while Python itself starts.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ from magical_mj import Engine, demos, sample_scene
 from magical_mj.tasks.protocol import PROTOCOL
 
 SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
-"""A stopped command goes on a little later."""
+"""A command that was stopped is continued after a pause."""
 PAUSE: Final = 1.0
 """Seconds for which a command is stopped."""
 TRIES: Final = 3
-"""Times as many are sent as shall reach a command, at most."""
+"""The most signals that are sent, as a multiple of those that must reach the command."""
 PATIENCE: Final = 20.0
-"""Seconds within which all processes must be gone."""
+"""Seconds within which all processes must have ended."""
 PLAYING: Final = 8.0
-"""Seconds within which somebody who plays without end is killed."""
+"""Seconds within which a command without an end is killed."""
 MAIN: Final = (sys.executable, "-m", "magical_mj")
 PLAYER: Final = """
 import random, sys
 from magical_mj.cli import main
 from magical_mj.cli.play import Window
 Window.action = lambda self: random.randrange(1, 18)
-wish = Window.wish  # to which SDL brings SIGTERM
+wish = Window.wish  # SDL turns SIGTERM into a wish to quit
 Window.wish = lambda self: wish(self) or ("next" if random.random() < 0.02 else None)
 Window.show = lambda self, *_: None
 sys.exit(main(sys.argv[1:]))
-"""  # somebody who plays without end, at any speed
+"""  # a player who never stops, without waiting between steps
 SAMPLER: Final = """
 import pathlib, sys
 from magical_mj.utils import files
@@ -70,7 +70,7 @@ try:
         files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 except KeyboardInterrupt:
     pass
-"""  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`
+"""  # endless sampling of scenes for batched worlds in workers; without a guard for `__main__`
 EVALUATE: Final = (
     *("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour"),
     *("--variants", "Demo,Jitter", "--episodes", "60", "--resume", "--jobs", "2"),
@@ -89,7 +89,7 @@ SMALL: Final = ("hidden=8", "trial=1", "batch_size=8", "rollouts=2", "ways=100",
 RELATIONAL: Final = tuple(f"relational.{setting}" for setting in SMALL)
 
 Found = Mapping[str, bytes]
-"""What a command has finished so far, by name."""
+"""Name -> content of each result that a command has finished so far."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Kind:
     """A command that is killed.
 
     Attributes:
-        command: {} stands for the folder, or the file, that it writes.
-        finished: what is finished in the folder, which must be there after each kill as it was before. It raises an
-            error if something there is not whole.
-        result: what depends on nothing but the command; None of one that never ends by itself.
-        code: with which it ends.
+        command: the words of the command. {} is replaced by the folder or file that it writes.
+        finished: returns the finished results in the folder, which must be the same before and after each kill. It
+            raises an error if a file is incomplete.
+        result: returns the final results, which depend only on the command. None if the command never ends by itself.
+        code: the expected exit code.
     """
 
     command: tuple[str, ...]
@@ -110,12 +110,12 @@ class Kind:
     code: int = 0
 
     def into(self, out: Path) -> tuple[str, ...]:
-        """The whole command."""
+        """The words of the command that writes to `out`."""
         return tuple(word.replace("{}", str(out)) for word in self.command)
 
 
 def demonstrations(out: Path) -> Found:
-    """The files of demonstrations, each of which can be read."""
+    """The files of demonstrations. All must be readable."""
     paths = demos.files_in(out) if out.exists() else []
     for path in paths:
         demos.read(path)
@@ -123,7 +123,7 @@ def demonstrations(out: Path) -> Found:
 
 
 def lines(out: Path) -> Found:
-    """The whole lines of evaluations' files, by their numbers."""
+    """The complete lines of the score files of evaluations, by their numbers."""
     return {
         f"{path.relative_to(out)}:{number}": line.encode()
         for path in out.rglob("scores.jsonl")
@@ -132,31 +132,31 @@ def lines(out: Path) -> Found:
 
 
 def rows(out: Path) -> Found:
-    """The episodes of evaluations, without the time that they took."""
+    """The episodes of evaluations, without their durations."""
     episodes = [json.loads(line) | {"seconds": 0} for line in lines(out).values()]
     return {json.dumps(row, sort_keys=True): b"" for row in episodes}
 
 
 def pages(out: Path) -> Found:
-    """A report's texts; its pictures, which hold the time, must open."""
+    """The texts of a report. Its pictures, which contain the time, must be readable."""
     paths = [path for path in out.glob("*") if not path.name.startswith(".")]
     for path in paths:
         if path.suffix == ".png":
             with Image.open(path) as picture:
                 picture.load()
         elif path.suffix == ".pdf" and not path.read_bytes().rstrip().endswith(b"%%EOF"):
-            raise SystemExit(f"{path} is not whole")
+            raise SystemExit(f"{path} is incomplete")
     return {path.name: b"" if path.suffix in (".png", ".pdf") else path.read_bytes() for path in paths}
 
 
 def training(out: Path) -> Found:
-    """Checkpoint, policy and metrics can be read; the first two of the last update depend on the settings alone."""
+    """The digests of checkpoint and policy, which depend only on the settings. The metrics must be readable."""
     from magical_mj.learners import checkpoint
     from magical_mj.learners.policy import POLICY
     from magical_mj.learners.run_folder import CHECKPOINT, read_metrics
 
     digests = {}
-    read_metrics(out)  # in which Ctrl-C leaves a row more
+    read_metrics(out)  # not compared: Ctrl-C leaves an additional row
     for name in (CHECKPOINT, POLICY):
         if (out / name).exists():
             tree = checkpoint.read(out / name)
@@ -165,7 +165,7 @@ def training(out: Path) -> Found:
 
 
 def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
-    """The digest of each tensor and value in nested dicts and lists, the seconds that a training took apart."""
+    """The digest of each tensor and value in nested dicts and lists, without the duration of a training."""
     if isinstance(tree, dict):
         return [digest for key, item in tree.items() if key != "seconds" for digest in tensors(item, f"{name}/{key}")]
     if isinstance(tree, list):
@@ -175,7 +175,7 @@ def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
 
 
 def contents(out: Path) -> Found:
-    """All files, by their digests; of HDF5's, which hold the time, the names."""
+    """The digests of all files. HDF5 files contain the time, so only their names count."""
     digests = {}
     for path in out.rglob("*"):
         name = str(path.relative_to(out))
@@ -186,7 +186,7 @@ def contents(out: Path) -> Found:
 
 
 def nothing(_out: Path) -> Found:
-    """What a command leaves that only reads."""
+    """The results of a command that only reads."""
     return {}
 
 
@@ -196,7 +196,7 @@ def scenes(out: Path) -> Found:
 
 
 def updates(out: Path) -> Found:
-    """The updates of a training that are in its checkpoint; everything can be read."""
+    """The updates of a training that its checkpoint contains. All files must be readable."""
     from magical_mj.learners import checkpoint
     from magical_mj.learners.run_folder import CHECKPOINT
 
@@ -206,7 +206,7 @@ def updates(out: Path) -> Found:
 
 
 def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
-    """A training of a second or two, beside the time that the command takes to start."""
+    """A training of a second or two, after the start of the command. `look` are options for observations."""
     words = [word for setting in (*TINY, *settings) for word in ("--set", setting)]
     command = (*MAIN, "train", method, "--tasks", "MoveToRegion", "--device", "cpu", "--resume", *look, *words)
     command += ("--out", "{}")
@@ -214,7 +214,7 @@ def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
 
 
 def prepare(inputs: Path) -> None:
-    """Makes what the commands read: an evaluation, its entry, recordings, a training, and a file of an experiment."""
+    """Makes the inputs of the commands: an evaluation, its entry, recordings, a training, and an experiment file."""
     kind = Kind((*MAIN, *EVALUATE, "--out", "{}"), lines, rows)
     undisturbed(kind, inputs / "scores")
     undisturbed(Kind((*MAIN, "submit", str(inputs / "scores"), "--out", "{}"), contents, None), inputs / ENTRY)
@@ -234,7 +234,7 @@ def prepare(inputs: Path) -> None:
 
 
 def kinds(inputs: Path) -> dict[str, Kind]:
-    """All commands, by name, of the inputs in this folder."""
+    """Name -> command, with the inputs in this folder."""
     scores, entry = str(inputs / "scores"), str(inputs / ENTRY)
     generate = ("demos", "generate", "--tasks", "FixColour,MoveToRegion", "--count", "20", "--jobs", "2")
     chosen = ("--tasks", "FixColour,MoveToRegion", "--variants", "Demo")
@@ -248,7 +248,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
     leaderboard = ("leaderboard", entry, "--jobs", "2", "--replay", "8", "--seed", "0", "--out", "{}")
 
     def whole(*command: str) -> Kind:
-        """A command that leaves all its files or none, and the same ones each time."""
+        """A command that writes all its files or none, and always the same files."""
         return Kind((*MAIN, *command), contents, contents)
 
     def reads(*command: str, code: int = 0) -> Kind:
@@ -262,7 +262,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "export": whole("export", "FindDupe", "All", "--out", "{}", "--force"),
         "report": Kind((*MAIN, "report", scores, "--out", "{}"), pages, pages),
         "compare": reads("compare", scores, scores),
-        "verify": reads("verify", scores, "--jobs", "2", code=1),  # not all episodes are there
+        "verify": reads("verify", scores, "--jobs", "2", code=1),  # the evaluation is incomplete
         "submit": whole("submit", scores, "--out", f"{{}}/{ENTRY}"),
         "leaderboard": whole(*leaderboard),
         "list": reads("list"),
@@ -296,10 +296,13 @@ def kinds(inputs: Path) -> dict[str, Kind]:
 
 
 def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) -> Counter[str]:
-    """Kills a command again and again, and lets it end; an error tells what is not as it must be.
+    """Kills a command many times, then lets it end, and checks its results.
 
     Returns:
-        How often each signal reached it.
+        The number of times that each signal reached it.
+
+    Raises:
+        SystemExit: if a result was lost or changed.
     """
     expected, seconds = None, PLAYING
     if kind.result is not None:
@@ -312,11 +315,11 @@ def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) ->
         if landed.total() == kills:
             break
         before = kind.finished(out)
-        sent = SIGNALS[landed.total() % len(SIGNALS)]  # again, if the command had ended before
+        sent = SIGNALS[landed.total() % len(SIGNALS)]  # the same signal again if the command had ended before it
         start = time.monotonic()
         how, reached, ended = killed(kind, out, rng.uniform(0, seconds), sent, rng)
         now = kind.finished(out)
-        lost = [thing for thing in before if now.get(thing) != before[thing]]
+        lost = [result for result in before if now.get(result) != before[result]]
         if lost:
             raise SystemExit(f"{name}, {how}: lost or changed: {', '.join(lost)}")
         print(f"{name} {number}: {how}; {len(now) - len(before)} more, {len(now)} in all", flush=True)
@@ -325,37 +328,37 @@ def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) ->
         if ended and kind.result is not None:
             seconds = seconds if reached else min(seconds, time.monotonic() - start)
             compare(name, kind.result(out), expected)
-        if ended or (kind.finished is contents and "--force" not in kind.command):  # these refuse what is there
+        if ended or (kind.finished is contents and "--force" not in kind.command):  # they refuse existing files
             shutil.rmtree(out, ignore_errors=True)
     if kind.result is not None:
         undisturbed(kind, out)
         compare(name, kind.result(out), expected)
     elif kind.finished is not nothing and not most:
-        raise SystemExit(f"{name} has finished nothing between {kills} kills; allow more (--kills)")
+        raise SystemExit(f"{name} has finished no result between {kills} kills; raise --kills")
     return landed
 
 
 def compare(name: str, found: Found, expected: Found | None) -> None:
-    """Ends the program if what was made is not what is made undisturbed."""
+    """Ends the program if the results differ from those of a run without interruptions."""
     if expected is None or found.keys() != expected.keys():
-        raise SystemExit(f"{name}: there is {sorted(found)}, and there must be {sorted(expected or ())}")
-    differing = [thing for thing in found if found[thing] != expected[thing]]
+        raise SystemExit(f"{name}: found {sorted(found)} instead of {sorted(expected or ())}")
+    differing = [result for result in found if found[result] != expected[result]]
     if differing:
-        raise SystemExit(f"{name}: not what it is undisturbed: {', '.join(differing)}")
+        raise SystemExit(f"{name}: different from a run without interruptions: {', '.join(differing)}")
 
 
 def undisturbed(kind: Kind, out: Path) -> None:
-    """Lets a command end."""
+    """Runs a command to its end."""
     result = subprocess.run(kind.into(out), capture_output=True, text=True, check=False, env=variables())
     if result.returncode != kind.code:
         raise SystemExit(f"{' '.join(kind.into(out))}: {result.stderr}")
 
 
 def killed(kind: Kind, out: Path, moment: float, sent: signal.Signals, rng: random.Random) -> tuple[str, bool, bool]:
-    """Starts a command, and sends it a signal some seconds later.
+    """Starts a command, and sends it a signal after `moment` seconds.
 
     Returns:
-        What happened, whether the signal reached it, and whether it ended as if there had been none.
+        A description, whether the signal reached it, and whether it ended normally nevertheless.
     """
     with tempfile.TemporaryFile("w+") as errors:
         process = subprocess.Popen(
@@ -364,7 +367,7 @@ def killed(kind: Kind, out: Path, moment: float, sent: signal.Signals, rng: rand
         time.sleep(moment)
         reached = process.poll() is None
         if reached:
-            process.send_signal(sent)  # to the process alone; its workers must notice by themselves
+            process.send_signal(sent)  # only to the process: its workers must notice by themselves
         if reached and sent is signal.SIGSTOP:
             if whole_group := rng.random() < 0.5:  # as Ctrl-Z does
                 os.killpg(process.pid, sent)
@@ -381,16 +384,16 @@ def killed(kind: Kind, out: Path, moment: float, sent: signal.Signals, rng: rand
             time.sleep(0.05)
         errors.seek(0)
         if "Traceback" in (text := errors.read()):
-            raise SystemExit(f"{kind.command} was told of {sent.name} after {moment:.1f} s, and said {text}")
+            raise SystemExit(f"{kind.command} printed a traceback for {sent.name} after {moment:.1f} s: {text}")
     ended = kind.result is not None and (not reached or sent is signal.SIGSTOP)
     if (ended and code != kind.code) or (not reached and kind.result is None):
         raise SystemExit(f"{' '.join(kind.into(out))} ended with {code}: {text}")
-    gone = f"all gone {time.monotonic() - start:.1f} s later"
+    gone = f"all processes ended {time.monotonic() - start:.1f} s later"
     return f"{sent.name} after {moment:.1f} s, {gone}" if reached else "had ended before", reached, ended
 
 
 def session(leader: int) -> list[int]:
-    """The processes of a session."""
+    """The running processes of a session."""
     processes = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -403,23 +406,23 @@ def session(leader: int) -> list[int]:
 
 
 def variables() -> dict[str, str]:
-    """The environment of each command: no window is seen, and sums are the same each time."""
+    """The environment variables of each command: no visible windows, and deterministic sums."""
     return os.environ | {"SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"}
 
 
 def main() -> None:
-    """See the module."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=20, help="of each command")
-    parser.add_argument("--kinds", default="all", help="which commands, separated by commas")
+    parser.add_argument("--kills", type=int, default=20, help="kills of each command")
+    parser.add_argument("--kinds", default="all", help="the names of the commands, separated by commas")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in what they start in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells set it to ignore in background processes
     with tempfile.TemporaryDirectory() as name:
         inputs, every = Path(name) / "inputs", kinds(Path(name) / "inputs")
         chosen = list(every) if arguments.kinds == "all" else arguments.kinds.split(",")
         if unknown := set(chosen) - set(every):
-            parser.error(f"there are the kinds {', '.join(every)}, and not {', '.join(unknown)}")
+            parser.error(f"unknown kinds {', '.join(unknown)}; the kinds are {', '.join(every)}")
         inputs.mkdir()
         prepare(inputs)
         landed, failed = dict[str, Counter[str]](), dict[str, SystemExit]()
@@ -437,7 +440,7 @@ def main() -> None:
     for kind, counts in landed.items():
         print(f"| {kind} | " + " | ".join(str(counts[sent.name]) for sent in SIGNALS) + " |")
     total = sum(counts.total() for counts in landed.values())
-    print(f"{total} signals reached {len(landed)} commands; nothing lost, no process left, the same in the end")
+    print(f"{total} signals reached {len(landed)} commands; no result lost, no process left, equal final results")
     if failed:
         raise SystemExit(f"failed: {', '.join(failed)}")
 

@@ -1,4 +1,4 @@
-"""Draws how some trainings went, from the metrics.csv of their folders, as in docs/results.png.
+"""Draws the learning curves of trainings from the metrics.csv in their folders, as in docs/results.png.
 
 python tools/learners_picture.py "BC=runs/bc-MoveToRegion-0" "GAIL=runs/gail-MoveToRegion-0" --out curves.png
 """
@@ -17,7 +17,7 @@ COLOURS = ("#1f6fb4", "#d62728", "#2a9d5c", "#e08a1e")
 
 
 def draw(runs: dict[str, Path]) -> Figure:
-    """A panel for each run: the mean score in the demo variant, and the loss, over minutes."""
+    """A panel for each run: the mean score in the demo variant and the loss over time in minutes."""
     figure = Figure(figsize=(3.4 * len(runs), 2.8), layout="constrained")
     for axes, (label, folder) in zip(figure.subplots(1, len(runs), squeeze=False)[0], runs.items(), strict=True):
         rows = read_metrics(folder)
@@ -26,11 +26,11 @@ def draw(runs: dict[str, Path]) -> Figure:
             points = [(float(row["seconds"]) / 60, float(row[name])) for row in rows if row.get(name)]
             axes.plot(*zip(*points, strict=True), marker="o", markersize=4, color=colour, label=name)
         axes.set(title=label, xlabel="minutes", ylim=(-0.03, 1.03), ylabel="mean score on Demo")
-        if "score" in rows[-1]:  # of the episodes played for training
+        if "score" in rows[-1]:  # the score of training episodes
             points = [(float(row["seconds"]) / 60, float(row["score"])) for row in rows]
             axes.plot(*zip(*points, strict=True), color=PALE, linewidth=0.8)
         losses = next((name for name in ("loss", "reconstruction") if name in rows[-1]), None)
-        if losses is None:  # goals are inferred, without one
+        if losses is None:  # some methods, such as goals, have no loss
             continue
         other = axes.twinx()
         times = [float(row["seconds"]) / 60 for row in rows if row[losses]]
@@ -40,7 +40,7 @@ def draw(runs: dict[str, Path]) -> Figure:
 
 
 def main() -> None:
-    """Reads the command line."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", metavar="LABEL=FOLDER")
     parser.add_argument("--out", type=Path, required=True)

@@ -1,4 +1,4 @@
-"""Draws the losses that `lerobot-train` printed: python tools/lerobot_curves.py docs/lerobot.png NAME=LOG ..."""
+"""Draws the losses in logs of `lerobot-train`: python tools/lerobot_curves.py docs/lerobot.png NAME=LOG ..."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ EVERY = re.compile(r"'log_freq': (\d+)")
 
 
 def losses(log: str) -> tuple[list[int], list[float]]:
-    """Steps and losses. lerobot rounds the steps that it prints, but prints one line every `log_freq` steps."""
+    """Steps and losses. LeRobot prints rounded steps, so they are computed: it prints a line every `log_freq` steps."""
     every = EVERY.search(log)
     if every is None:
-        raise SystemExit("this is no log of lerobot-train: it does not print its settings")
+        raise SystemExit("not a log of lerobot-train: it does not contain the settings")
     values = [float(loss) for loss in LOSS.findall(log)]
     return [int(every[1]) * number for number in range(1, len(values) + 1)], values
 
 
 def main(picture: str, *logs: str) -> None:
-    """One curve for each log."""
+    """Draws one curve for each log."""
     figure = Figure((8.0, 3.0), layout="constrained", dpi=100)
     axes: Any = figure.subplots()
     for name, path in (text.split("=", 1) for text in logs):

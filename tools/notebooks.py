@@ -1,4 +1,4 @@
-"""Runs the notebooks of examples/notebooks and keeps what they show. `make notebooks`.
+"""Runs the notebooks of examples/notebooks and saves their outputs. `make notebooks`.
 
 python tools/notebooks.py [NAME ...]
 """
@@ -17,32 +17,32 @@ from nbclient import NotebookClient  # pyright: ignore[reportMissingImports]
 
 ROOT: Final = Path(__file__).parent.parent
 FOLDER: Final = ROOT / "examples" / "notebooks"
-LONGEST: Final = 240  # seconds for all
+LONGEST: Final = 240  # seconds for a cell
 MOST_BYTES: Final = 200_000
 
 
 def run(path: Path) -> float:
-    """Runs one notebook in an empty folder and writes it with its outputs; returns the seconds."""
+    """Runs one notebook in an empty folder and writes it with its outputs. Returns the duration in seconds."""
     start = time.monotonic()
     notebook = nbformat.read(path, as_version=4)
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as folder:
         NotebookClient(
-            notebook, timeout=LONGEST, record_timing=False, resources={"metadata": {"path": place}}
+            notebook, timeout=LONGEST, record_timing=False, resources={"metadata": {"path": folder}}
         ).execute()
     for cell in notebook.cells:
         cell.metadata = {}
         for output in cell.get("outputs", []):
-            output.get("data", {}).pop("image/jpeg", None)  # there is a PNG
-    notebook.metadata.pop("language_info", None)  # the version of Python
+            output.get("data", {}).pop("image/jpeg", None)  # the same picture is there as PNG
+    notebook.metadata.pop("language_info", None)  # it contains the version of Python
     text = f"{nbformat.writes(notebook, indent=1)}\n"
     if len(text) > MOST_BYTES:
-        sys.exit(f"{path.name} has {len(text):,} bytes with its outputs, and may have {MOST_BYTES:,}")
+        sys.exit(f"{path.name} has {len(text):,} bytes with its outputs; the limit is {MOST_BYTES:,}")
     path.write_text(text)
     return time.monotonic() - start
 
 
 def main() -> None:
-    """Run those that are named, by default all, in the order of their numbers."""
+    """Runs the named notebooks, by default all, in the order of their numbers."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     names = sys.argv[1:] or sorted(path.name for path in FOLDER.glob("*.ipynb"))

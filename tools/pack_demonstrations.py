@@ -1,6 +1,6 @@
-"""Packs a folder of demonstrations into those that come with the package, one file a task. `make demonstrations`.
+"""Packs a folder of demonstrations for the package, with one file per task. `make demonstrations`.
 
-With ``--sweeps`` instead of a folder it makes those of SweepToTop: each body's in a file of its own, variant Layout.
+With ``--sweeps`` instead of a folder, it makes those of SweepToTop in the variant Layout, with one file per body.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FIRST, COUNT = 5_000_000, 50
 
 
 def main(folder: Path) -> None:
-    """Pack by task, in the order of the files."""
+    """Packs the demonstrations of each task into a file, in the order of the folder's files."""
     groups: dict[str, list[Demonstration]] = {}
     for path in files_in(folder):
         groups.setdefault(path.name.partition("-")[0], []).append(read(path))
@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
 
 
 def sweeps() -> None:
-    """50 of each body, in scenes that are neither of the test nor of the dev split."""
+    """Makes 50 demonstrations with each body, in scenes that are neither in the test nor in the dev split."""
     for body in task_spec("SweepToTop").bodies:
         demos = [demonstrate("SweepToTop", "Layout", FIRST + number, body=body) for number in range(COUNT)]
         path = FOLDER / f"SweepToTop{'' if body == GRIPPER else f'-{body}'}{SUFFIX}"

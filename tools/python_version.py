@@ -1,6 +1,6 @@
-"""Has an installation under a Python that is too old fail at once, and say why.
+"""A build hook: an installation under a Python that is too old fails at once, with an explanation.
 
-Old versions of pip look at `requires-python` only after they have tried all versions of all dependencies.
+Old versions of pip check `requires-python` only after they have tried all versions of all dependencies.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ OLDEST = (3, 11)
 
 
 class PythonVersion(MetadataHookInterface):
-    """Checks the running Python when the package's metadata is asked for, which is the first thing pip does."""
+    """Checks the running Python when pip requests the package's metadata, which is its first step."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Changes nothing in the metadata."""
         del metadata
         if sys.version_info < OLDEST:
             present, needed = (".".join(map(str, version)) for version in (sys.version_info[:2], OLDEST))
-            raise RuntimeError(f"magical_mj needs Python {needed} or newer, and this is Python {present}")
+            raise RuntimeError(f"magical_mj needs Python {needed} or newer, but this is Python {present}")

@@ -1,8 +1,8 @@
-"""Checks that a version can be released: number, changes and date are the same everywhere. `make release-check`.
+"""Checks that a version can be released: its number, changes and date agree in all files. `make release-check`.
 
     python tools/release.py [TAG]
 
-Without a tag, the version of the package counts.
+Without a tag, it checks the version of the package.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parent.parent
 MOST_BYTES: Final = {"*.whl": 5_500_000, "*.tar.gz": 6_000_000}
-"""Of either, the demonstrations are 4.6 MB: 3.2 of the benchmark's tasks, 1.5 of x-magical's."""
+"""The limit of each file. Each has 4.6 MB of demonstrations: 3.2 of the benchmark's tasks, 1.5 of x-magical's."""
 
 
 def problems(tag: str | None) -> list[str]:
-    """What keeps the version from being released, in sentences."""
+    """The problems that prevent a release, in sentences."""
     (version,) = re.findall(r'^__version__ = "(.*)"', (ROOT / "magical_mj" / "_version.py").read_text(), re.MULTILINE)
     heading = re.search(
         rf"^## \[{re.escape(version)}\] - (\S+)\n(.*?)(?=^## |\Z)", changelog(), re.MULTILINE | re.DOTALL
@@ -26,25 +26,25 @@ def problems(tag: str | None) -> list[str]:
     cited = dict(re.findall(r"^(version|date-released): (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE))
     problems = []
     if tag is not None and tag != f"v{version}":
-        problems.append(f"the tag is {tag}, and magical_mj/_version.py has {version}: it must be v{version}")
+        problems.append(f"the tag is {tag}, but magical_mj/_version.py has {version}: it must be v{version}")
     if heading is None:
         problems.append(f'CHANGELOG.md has no line "## [{version}] - DATE"')
     elif not heading[2].strip():
-        problems.append(f"CHANGELOG.md says nothing about {version}")
+        problems.append(f"CHANGELOG.md lists no changes for {version}")
     elif cited.get("date-released") != heading[1]:
-        problems.append(f"CITATION.cff has the date {cited.get('date-released')}, and CHANGELOG.md {heading[1]}")
+        problems.append(f"CITATION.cff has the date {cited.get('date-released')}, but CHANGELOG.md {heading[1]}")
     if cited.get("version") != version:
-        problems.append(f"CITATION.cff has the version {cited.get('version')}, and the package {version}")
+        problems.append(f"CITATION.cff has the version {cited.get('version')}, but the package {version}")
     if tag is not None and re.search(
         r"^## \[Unreleased\]\n+[^#\s]|^## \[Unreleased\]\n+###", changelog(), re.MULTILINE
     ):
-        problems.append(f"CHANGELOG.md has unreleased changes: give them the number {version}")
+        problems.append(f"CHANGELOG.md has unreleased changes: move them to {version}")
     for pattern, most in MOST_BYTES.items():
         for path in (ROOT / "dist").glob(pattern):
             size = path.stat().st_size
             print(f"{path.name}: {size / 1e6:.1f} MB")
             if size > most:
-                problems.append(f"{path.name} has {size:,} bytes, and may have {most:,}")
+                problems.append(f"{path.name} has {size:,} bytes; the limit is {most:,}")
     return problems
 
 

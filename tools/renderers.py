@@ -1,13 +1,13 @@
-"""The software renderer beside OpenGL: how their pictures differ, and how long both take.
+"""Compares the software renderer with OpenGL: the differences of their pictures, and their speed.
 
     python tools/renderers.py [--seeds N] [--states N] [--steps N]
     python tools/renderers.py --hash N
 
-In every environment, each action of a few random episodes is drawn by both, ego and allo at 96 pixels. Then some
-environments are stepped with either. Times are processor time; they mean little on a busy machine.
+In every environment, both draw the states after each action of a few random episodes, ego and allo at 96 pixels. Then
+some environments are stepped with each renderer. Times are processor time, and unreliable on a busy machine.
 
-With --hash, only the SHA-256 of N of the software renderer's pictures is printed: it is the same in every process, and
-under every version of Python.
+With --hash, it only prints the SHA-256 of N pictures of the software renderer. This hash must be the same in every
+process and under every version of Python.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ REPEATS = 7
 
 
 def states(task: str, variant: str, seed: int, count: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
-    """A model, and its data after each of so many random actions."""
+    """Yields a model and its data `count` times: at the start, and after each random action."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(world_mjcf(magical_mj.sample_scene(task, variant, seed)))
     data = mujoco.MjData(model)
@@ -55,7 +55,7 @@ def states(task: str, variant: str, seed: int, count: int) -> Iterator[tuple[muj
 
 
 def microseconds(draw: Callable[[], object], count: int = 50) -> float:
-    """Processor time of one call: the least of several means."""
+    """Processor time of one call in microseconds: the smallest of several means."""
     times = []
     for _ in range(REPEATS):
         start = time.thread_time_ns()
@@ -66,7 +66,7 @@ def microseconds(draw: Callable[[], object], count: int = 50) -> float:
 
 
 def compare(task: str, variant: str, seeds: int, count: int) -> np.ndarray:
-    """Prints a row for one environment. Returns how many pixels differ by each level, 0 to 255."""
+    """Prints a row for one environment. Returns the number of pixels for each difference, shape (256,)."""
     levels = np.zeros(256, np.int64)
     slow = fast = 0.0
     for seed in range(seeds):
@@ -88,12 +88,12 @@ def compare(task: str, variant: str, seeds: int, count: int) -> np.ndarray:
 
 
 def share(levels: np.ndarray) -> float:
-    """The share of pixels that differ, in per cent."""
+    """The percentage of pixels that differ."""
     return 100 * levels[1:].sum() / max(levels.sum(), 1)
 
 
 def software_pictures() -> Iterator[bytes]:
-    """Pictures of 96 pixels, ego and allo, after each of 50 random actions in all environments, seed after seed."""
+    """Pictures of 96 pixels, ego and allo, of 50 states of a random episode in each environment, seed after seed."""
     for seed in range(100):
         for task, variant in magical_mj.ENVIRONMENTS:
             software = None
@@ -120,7 +120,7 @@ def steps_per_second(task: str, renderer: str, steps: int) -> float:
 
 
 def main() -> None:
-    """Prints a row for each environment, the sums, and the steps per second."""
+    """Prints a row for each environment, the totals, and the steps per second."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in (("seeds", 2), ("states", 20), ("steps", 600)):
         parser.add_argument(f"--{name}", type=int, default=default)

@@ -1,7 +1,7 @@
-"""Prints where the package can be installed: for each system and Python, whether wheels exist of all that it needs.
+"""Prints on which systems and Python versions the package can be installed, with wheels for all dependencies.
 
-Nothing is downloaded but metadata: `uv pip compile` resolves for systems other than this one. (pip's own option
---python-version reads the markers in requirements by the Python that runs it.)
+It downloads only metadata: `uv pip compile` resolves dependencies for other systems. (pip's own option --python-version
+is not used, because it evaluates the markers in requirements for the Python that runs it.)
 
     python tools/resolve.py [--extras "" all il]
 """
@@ -22,12 +22,12 @@ SYSTEMS: Final = {
     "macOS 14 arm64": "aarch64-apple-darwin",
     "Windows": "x86_64-pc-windows-msvc",
 }
-"""The systems by uv's names."""
+"""System -> its name in uv."""
 SHOWN: Final = ("mujoco", "numpy", "dm-control", "torch")
 
 
 def resolved(python: str, system: str, extra: str) -> str:
-    """The versions of the most important packages, or what is missing."""
+    """The versions of the most important packages, or the resolver's error."""
     command = ["uv", "pip", "compile", "--quiet", "--only-binary", ":all:", "--no-header", "--no-annotate"]
     command += ["--python-version", python, "--python-platform", SYSTEMS[system], "pyproject.toml"]
     command += ["--extra", extra] if extra else []
@@ -41,9 +41,9 @@ def resolved(python: str, system: str, extra: str) -> str:
 
 
 def main() -> None:
-    """Print a row for each system and Python, with a column for each extra."""
+    """Prints a row for each system and Python, with a column for each extra."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--extras", nargs="*", default=["", "all"], help="extras; an empty one is the package alone")
+    parser.add_argument("--extras", nargs="*", default=["", "all"], help='extras; "" is the package without any')
     extras = parser.parse_args().extras
     print("| System | Python |", " | ".join(f"[{extra}]" if extra else "alone" for extra in extras), "|")
     print("| --- | --- |", " | ".join("---" for _ in extras), "|")

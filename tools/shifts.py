@@ -1,10 +1,10 @@
-"""Shifts measured and shown: the built-in agents in them, their speed, how far pictures change, and docs/shifts.png.
+"""Measures shifts: the scores of the built-in agents, the speed, the changes of pictures; and draws docs/shifts.png.
 
-Only axes that change the physics are played: the others change neither what these agents see nor what they do, so that
-their scores are those without a shift. Episodes are kept as they end, so that an interrupted run goes on.
+Agents play only the axes that change the physics. The built-in agents see no pictures, so the other axes do not change
+their scores. Each finished episode is saved, so that an interrupted run can be continued.
 
     python tools/shifts.py play --episodes 50 --strengths 0,5 --processes 2    (nice -n 19: hours)
-    python tools/shifts.py table        of what was played
+    python tools/shifts.py table        scores of the played episodes
     python tools/shifts.py speed        processor time of steps with and without each axis at strength 5
     python tools/shifts.py distance     mean CIELAB distance of pictures from those without a shift
     python tools/shifts.py picture      docs/shifts.png
@@ -34,7 +34,7 @@ from magical_mj.shifts import SHIFTS, shift_label
 
 PHYSICAL = ("pose", "clutter", "latency", "slip", "friction")
 SEEN = {"pose": 1, "camera": 3, "light": 4, "texture": 3, "palette": 3, "clutter": 7, "sensor": 0}
-"""The axes that show in a picture, and the seed that the picture shows."""
+"""The axes that are visible in pictures -> the seed in docs/shifts.png."""
 ROOT = Path(__file__).parents[1]
 EPISODES = ROOT / "out" / "shifts.jsonl"
 Key = tuple[str, str, str, int]
@@ -42,7 +42,7 @@ Key = tuple[str, str, str, int]
 
 
 def episode(key: Key) -> tuple[Key, float]:
-    """Plays one episode of a Demo environment; its score."""
+    """Plays one episode of a Demo environment. Returns its key and score."""
     agent, task, label, seed = key
     policy = AGENTS[agent]()
     with closing(magical_mj.Engine(task, seed=seed, shifts=label.replace("+", ","))) as env:
@@ -53,7 +53,7 @@ def episode(key: Key) -> tuple[Key, float]:
 
 
 def keys(agents: list[str], tasks: list[str], axes: list[str], strengths: list[int], episodes: int) -> Iterator[Key]:
-    """The episodes in the order in which they are played: all axes of a seed before the next seed."""
+    """The episodes in the order of play: all axes of a seed come before the next seed."""
     settings = [{axis: strength} for axis, strength in itertools.product(axes, strengths) if strength]
     labels = [*([""] if 0 in strengths else []), *map(shift_label, settings)]
     for seed, agent, label, task in itertools.product(range(episodes), agents, labels, tasks):
@@ -63,13 +63,13 @@ def keys(agents: list[str], tasks: list[str], axes: list[str], strengths: list[i
 
 
 def scores() -> dict[Key, float]:
-    """The episodes that were played so far."""
+    """The scores of the episodes that were played so far."""
     lines = EPISODES.read_text().splitlines() if EPISODES.exists() else []
     return {tuple(key): score for key, score in map(json.loads, lines)}
 
 
 def table() -> str:
-    """Mean scores: a row for each agent and axis, a column for each strength."""
+    """A table of mean scores with a row for each agent and axis, and a column for each strength."""
     groups: dict[tuple[str, str, int], list[float]] = defaultdict(list)
     for (agent, _, label, _), score in scores().items():
         axis, _, strength = label.partition(":")
@@ -86,7 +86,10 @@ def table() -> str:
 
 
 def speed(renderer: str = "software", repeats: int = 5, episodes: int = 10) -> str:
-    """Steps with the paper's four ego frames: milliseconds of processor time, resets included, best of several."""
+    """A table of processor times in milliseconds per step with the paper's observations, including resets.
+
+    Each is the best of several repeats.
+    """
     actions = np.random.default_rng(0).integers(0, 18, 100)
 
     def run(env: Any) -> float:
@@ -123,7 +126,7 @@ def drawn(axis: str, strength: int, seed: int, size: int, view: str = "ego") -> 
 
 
 def distance(seeds: int = 30) -> str:
-    """The mean CIELAB distance of all pixels, over seeds."""
+    """A table of the mean CIELAB distance over all pixels and seeds."""
     lines = ["| Axis | 1 | 2 | 3 | 4 | 5 |", "|---|---|---|---|---|---|"]
     for axis in SEEN:
         means = []
@@ -135,7 +138,7 @@ def distance(seeds: int = 30) -> str:
 
 
 def picture(path: Path = ROOT / "docs" / "shifts.png", size: int = 144) -> None:
-    """Axes across, strengths down, of one seed each, in which the axis shows well."""
+    """Draws a column for each axis and a row for each strength. Each axis has a seed in which it is clearly visible."""
     gap, left, top = 6, 22, 22
     sheet = Image.new("RGB", (left + len(SEEN) * (size + gap), top + 6 * (size + gap)), "white")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
@@ -151,7 +154,7 @@ def picture(path: Path = ROOT / "docs" / "shifts.png", size: int = 144) -> None:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("play", "table", "speed", "distance", "picture"))
     parser.add_argument("--agents", default="expert,random,noop")

@@ -1,6 +1,6 @@
-"""Prints how long starting takes, in seconds of processor time: imports, help, and a first observation.
+"""Prints start-up times in seconds of processor time: imports, help, and the first observation.
 
-Each is a process of its own; the shortest of several runs counts. What Python itself takes is not taken off.
+Each is measured in a new process. The shortest of several runs counts. The times include Python's own start.
 
     python tools/start_times.py [RUNS]
 """
@@ -28,7 +28,7 @@ STARTS: Final = {
 
 
 def seconds(arguments: list[str]) -> float:
-    """The processor time of a process and of what it starts."""
+    """The processor time of a process and its children."""
     before = os.times()
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
     after = os.times()

@@ -1,4 +1,4 @@
-"""The application: its subcommands, each loaded when it is needed, their help, and how errors are shown."""
+"""The command-line application: subcommands that are imported on demand, their help, and error messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.utils.imports import command_line
 
 COMMANDS: Final = {
     "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
-    "view": ("environments:view", "Draw the initial scene of an environment, or those of all."),
+    "view": ("environments:view", "Draw the initial scene of one environment or of all."),
     "rollout": ("evaluate:rollout", "Play some episodes with a policy, print the scores, and make a video."),
     "evaluate": ("evaluate:evaluate", "Evaluate policies on the evaluation scenes."),
     "report": ("results:make_report", "Write a report of one or several evaluations: tables, figures and videos."),
@@ -30,35 +30,35 @@ COMMANDS: Final = {
     "submit": ("results:make_entry", "Pack the evaluations of one method into an entry for the leaderboard."),
     "leaderboard": ("results:make_leaderboard", "Check all entries in a folder, and write the leaderboard."),
     "demos": ("demos:app", "Make, import, check, show and export demonstrations."),
-    "play": ("play:play", "Drive the robot yourself, in a window or in a browser, and record what you do."),
-    "inspect": ("play:inspect", "Look into a scene or any MuJoCo model, in a browser, while it runs."),
+    "play": ("play:play", "Drive the robot yourself, in a window or in a browser, and record demonstrations."),
+    "inspect": ("play:inspect", "Inspect a running scene or any MuJoCo model in a browser."),
     "export": ("environments:export", "Write a scene as a self-contained MJCF model."),
-    "doctor": ("doctor:doctor", "Show installed versions, and what can draw here."),
+    "doctor": ("doctor:doctor", "Show installed versions, and which renderers work."),
     "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
     "train": ("train:train", "Train a policy."),
     "export-policy": ("train:export", "Write a trained policy as an ONNX file."),
     "experiment": ("train:experiment", "Train and evaluate methods x tasks x seeds."),
 }
-"""Command -> its function, or a `typer.Typer` with subcommands, in a module of this package; and what it does.
+"""Command -> (its function or `typer.Typer` as "module:object" in this package, its summary).
 
-The modules are imported when they are needed, which takes a while.
+The modules are imported on demand, because that is slow.
 """
 CLOSED_PIPE: Final = 141
-"""The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""
+"""The exit code if the output is closed before the help is complete. Shells report the same for commands in pipes."""
 INTERRUPTED: Final = 130
-LESS: Final = "ask for fewer or smaller things at once, such as --episodes, --count, --jobs or --size"
+LESS: Final = "use a smaller --episodes, --count, --jobs or --size"
 WIDEST: Final = 100  # columns of help
-NARROW: Final = 70  # columns below which the help of an option stands in the lines below it
+NARROW: Final = 70  # columns; in narrower terminals, the help of an option is below its name
 
 
 class Help(typer.Context.formatter_class):
-    """Help as plain text, which is readable from 40 columns on."""
+    """Help as plain text, readable in terminals of 40 columns or more."""
 
     def __init__(self, indent_increment: int = 2, width: int | None = None, max_width: int | None = None) -> None:
         super().__init__(indent_increment, width or min(shutil.get_terminal_size().columns, WIDEST), max_width)
 
     def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
-        """Writes options and their help in two columns, or one below the other."""
+        """Writes options and their help in two columns, or in narrow terminals one below the other."""
         super().write_dl(rows, col_max if self.width >= NARROW else 2, col_spacing)
 
 
@@ -69,21 +69,21 @@ class Context(typer.Context):
 
 
 class Group(TyperGroup):
-    """`magical-mj` itself."""
+    """The group of all subcommands of `magical-mj`."""
 
     context_class = Context
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Any = dict.fromkeys(COMMANDS)  # their names, for suggestions
+        self.commands: Any = dict.fromkeys(COMMANDS)  # names without commands yet, for suggestions
         self.rich_markup_mode = None
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
-        """Their names, in the order of the help."""
+        """The names of the commands, in the order of the help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
-        """The command with this name; None if there is none."""
+        """The command with this name. None if it does not exist."""
         if cmd_name in COMMANDS and self.commands[cmd_name] is None:
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
             command = getattr(import_module(f"magical_mj.cli.{module}"), attribute)
@@ -94,7 +94,7 @@ class Group(TyperGroup):
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Writes the commands with what they do."""
+        """Writes the commands with their summaries."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
@@ -104,7 +104,7 @@ def plain(command: Any) -> Any:
     command.context_class, command.rich_markup_mode = Context, None
     command.context_settings.setdefault("help_option_names", ["-h", "--help"])
     for inner in getattr(command, "commands", {}).values():
-        inner.short_help = " ".join((inner.help or "").split("\n\n")[0].split())  # else it is cut off
+        inner.short_help = " ".join((inner.help or "").split("\n\n")[0].split())  # click would cut it off
         plain(inner)
     return command
 
@@ -131,22 +131,25 @@ def start(
 
 
 def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, name: str = "magical-mj") -> int:
-    """Runs an application, called `name`; an expected error becomes one line on stderr and an exit code.
+    """Runs an application and returns its exit code. An expected error is printed as one line on stderr.
 
-    The arguments are the words of the command line; None: those of this process.
+    Args:
+        arguments: the words of the command line. None: those of this process.
+        commands: the application.
+        name: its name in help and errors.
     """
     warnings.filterwarnings("ignore", module="glfw")  # our own error explains a missing display better
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # characters that a terminal cannot show become question marks
     try:
-        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # while the package was imported: see its first lines
+        if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # set by `magical_mj.cli.main` during imports
             signal.signal(signal.SIGINT, signal.default_int_handler)
         with command_line(sys.argv[1:] if arguments is None else arguments):
             return commands(args=arguments, prog_name=name, standalone_mode=False) or 0
     except (typer.Abort, KeyboardInterrupt):
         return INTERRUPTED
-    except SystemExit as ending:  # what typer makes of a closed pipe while it prints itself
+    except SystemExit as ending:  # typer raises it if the pipe is closed while it prints
         if not isinstance(ending.__context__, BrokenPipeError):
             raise
         return CLOSED_PIPE
@@ -163,14 +166,14 @@ def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, nam
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether an error came of Ctrl-C, as that of a compiled module which was just being loaded."""
+    """Whether Ctrl-C caused an error. A compiled module that is being loaded may turn it into its own error."""
     return isinstance(error, KeyboardInterrupt) or (
         error is not None and _interrupted(error.__cause__ or error.__context__)
     )
 
 
 def _explained(error: Exception, name: str) -> tuple[str | None, int]:
-    """One line for an expected error, and the exit code; None for a defect of this package."""
+    """A line for an expected error, and the exit code. The line is None for a defect of this package."""
     match error:
         case typer.TyperException():
             context = getattr(error, "ctx", None)
@@ -182,8 +185,8 @@ def _explained(error: Exception, name: str) -> tuple[str | None, int]:
         case OSError():
             return f"{error.filename}: {error.strerror}" if error.filename else str(error), 1
         case MemoryError():
-            return f"the memory is not enough: {LESS}", 1
-    mujoco = sys.modules.get("mujoco")  # imported late: it may fail where there is no OpenGL
+            return f"not enough memory: {LESS}", 1
+    mujoco = sys.modules.get("mujoco")  # not imported here: that may fail without OpenGL
     if mujoco is not None and isinstance(error, mujoco.FatalError):
-        return f"MuJoCo has stopped ({error}); if the memory is not enough: {LESS}", 1
+        return f"MuJoCo has stopped ({error}); if memory ran out: {LESS}", 1
     return None, 1

@@ -1,4 +1,4 @@
-"""Output of the command line, progress bars among it, and checks of what subcommands are given."""
+"""Output of the command line, such as progress bars, and checks of the arguments of subcommands."""
 
 from __future__ import annotations
 
@@ -33,16 +33,20 @@ from magical_mj.utils.escape import terminal
 
 Result = TypeVar("Result")
 
-PLAIN_WIDTH: Final = 120  # columns where the output is a file or a pipe
+PLAIN_WIDTH: Final = 120  # columns of output to files and pipes
 LABEL: Final = TextColumn("{task.description}", markup=False)  # the first column of progress bars
-FIRST: Final = 10.0  # seconds until the first line where no bar can be shown
+FIRST: Final = 10.0  # seconds until the first progress line, if bars cannot be shown
 MINUTE: Final = 60.0  # seconds between two such lines
 
 
 def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:
-    """Raise `BadParameter` if one of these options was given, by the names of their parameters, and has no effect.
+    """Raise `BadParameter` if one of these options was given but has no effect.
 
-    They have one only if `fits`, which `condition` says in words, such as "in a window".
+    Args:
+        context: the context of the command.
+        fits: whether the options have an effect.
+        condition: when they have one, in words, such as "in a window".
+        options: the names of their parameters.
     """
     for name in options:
         source = context.get_parameter_source(name)
@@ -52,13 +56,13 @@ def check_fits(context: typer.Context, fits: bool, condition: str, *options: str
 
 
 class Output(Console):
-    """A console that goes quiet when the reader of its output is gone: the work behind it goes on to its end.
+    """A console that stops printing when the reader of its output has gone. The command continues to its end.
 
-    Control characters in what it prints, such as names from other people's files, are shown and not obeyed.
+    Control characters in its output, such as in names from other people's files, are escaped.
     """
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """As rich's, through which everything passes that is printed. Narrow terminals fold tables, and cut nothing."""
+        """Escapes all output, since all of it passes through this method. In narrow terminals, tables are folded."""
         if isinstance(renderable, Table):
             for column in renderable.columns:
                 column.overflow = "fold"
@@ -66,13 +70,13 @@ class Output(Console):
             yield segment if segment.control else segment._replace(text=terminal(segment.text))
 
     def on_broken_pipe(self) -> None:
-        """Send all further output nowhere; rich would end the process."""
+        """Discards all further output. Rich itself would end the process."""
         silence(self.file)
 
 
 @contextmanager
 def how_to_continue(screen: Console, how: str) -> Iterator[None]:
-    """A context in which Ctrl-C says how to continue."""
+    """A context that prints `how` to continue after Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt:
@@ -81,14 +85,14 @@ def how_to_continue(screen: Console, how: str) -> Iterator[None]:
 
 
 def silence(stream: IO[str]) -> None:
-    """Sends what is written to a stream, whose reader is gone, nowhere."""
+    """Discards all further output to a stream that nobody reads any more."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def console() -> Console:
-    """Standard output: in colour on a terminal; elsewhere plain and wide enough for the tables.
+    """Standard output: in colour on a terminal, otherwise plain and wide enough for the tables.
 
-    Text is printed as it is: rich's markup is off, since names, paths and error messages may hold square brackets.
+    Rich's markup is off, since names, paths and error messages may contain square brackets.
     """
     out = Output(highlight=False, markup=False)
     if not out.is_terminal:
@@ -97,7 +101,7 @@ def console() -> Console:
 
 
 def complain(message: str) -> None:
-    """One line on standard error."""
+    """Prints a message as one line on standard error."""
     try:
         typer.echo(f"magical-mj: {terminal(' '.join(message.split()))}", err=True)
     except BrokenPipeError:
@@ -105,20 +109,20 @@ def complain(message: str) -> None:
 
 
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
-    """The default name of a file about one scene."""
+    """The default name of the file for one scene."""
     return f"{task_spec(task).name}-{variant_name(variant)}-{seed}{suffix}"
 
 
 def check_suffix(path: Path | None, suffix: str) -> None:
-    """Raise `BadParameter` if a path is given that does not end in `suffix`."""
+    """Raise `BadParameter` if a path is given but does not end in `suffix`."""
     if path is not None and path.suffix.lower() != suffix:
         raise typer.BadParameter(f"{path} must end in {suffix}.")
 
 
 def output_path(out: Path | None, name: str) -> Path:
-    """The file that an option "--out" means: a file itself, or `name` in a folder, by default in the current one.
+    """The output file for an option "--out", which is a file or a folder. Default: the current folder.
 
-    Raises `BadParameter` if it has another suffix than `name`, and is not a folder.
+    In a folder, the file is `name`. Raises `BadParameter` if a file's suffix differs from that of `name`.
     """
     if out is None or out.is_dir() or not out.suffix:
         return (out or Path()) / name
@@ -127,7 +131,11 @@ def output_path(out: Path | None, name: str) -> Path:
 
 
 def check_writable(path: Path, force: bool) -> Path:
-    """Returns `path` if a file can be written there, and none is replaced without `force`; before the work is done."""
+    """Returns `path` if a file can be written there. Commands call it before they start to work.
+
+    Raises:
+        OSError: if the path cannot be written to, or exists but `force` is false.
+    """
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder; give the name of a file")
     if path.exists() and not force:
@@ -137,7 +145,7 @@ def check_writable(path: Path, force: bool) -> Path:
 
 
 def make_writable_folder(folder: Path) -> Path:
-    """Returns `folder`, which is made if missing, if files can be written in it."""
+    """Makes a folder if it is missing, and returns it. Raises an OSError if files cannot be written in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -147,10 +155,10 @@ def make_writable_folder(folder: Path) -> Path:
 
 
 class Left(TimeRemainingColumn):
-    """The time that is left, in words that are understood beside other times."""
+    """The remaining time, marked "left" to distinguish it from the elapsed time."""
 
     def render(self, task: Work) -> Text:
-        """The time as text; empty if the amount of work is unknown, or as good as endless."""
+        """The time as text. Empty if it is unknown or too large."""
         with suppress(OverflowError):
             if left := super().render(task):
                 return left.append(" left")
@@ -158,9 +166,9 @@ class Left(TimeRemainingColumn):
 
 
 class Bars(Progress):
-    """Progress bars, which `update` moves; where none can be shown, a line after some seconds, then one a minute.
+    """Progress bars. If bars cannot be shown, it prints a line after some seconds, then one per minute.
 
-    The columns stand between the bar and the time that is left; the settings are those of rich's `Progress`.
+    The columns are between the bar and the remaining time. The settings are those of rich's `Progress`.
     """
 
     def __init__(self, screen: Console, *columns: ProgressColumn, **settings: Any) -> None:
@@ -172,16 +180,16 @@ class Bars(Progress):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bars away where an error follows: they would stand above its one line."""
+        """Removes the bars before an expected error, so that only its line remains."""
         self.live.transient |= isinstance(error, MagicalError)
         super().__exit__(kind, error, trace)
 
     def make_tasks_table(self, tasks: Iterable[Work]) -> Table:
-        """The bars, without those of no work or of work that is not known yet: a refusal may follow."""
+        """The bars, without those of no work. A command that is refused shows none."""
         return super().make_tasks_table([task for task in tasks if task.total != 0])
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
-        """As rich's, which moves the bar; prints a line if it is time for one."""
+        """Updates the bar, and prints a line if bars cannot be shown and a line is due."""
         super().update(task_id, **changes)
         if not self.console.is_interactive and self.get_time() >= self._next_line:
             self._next_line = self.get_time() + MINUTE
@@ -190,7 +198,7 @@ class Bars(Progress):
 
 
 def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
-    """The results as they arrive, with a progress bar that counts them, and vanishes at the end."""
+    """The results as they arrive, with a progress bar that counts them and disappears at the end."""
     with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
         bar = progress.add_task(label, total=total)
         for result in results:

@@ -50,23 +50,23 @@ Count = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
 ]
 Policy = Annotated[str, typer.Option(help="random, noop, module:object, the folder of a training, or a model file.")]
-Steps = Annotated[int, typer.Option(min=1, max=LARGEST_SETTING, help="At least so many in each environment.")]
+Steps = Annotated[int, typer.Option(min=1, max=LARGEST_SETTING, help="The least number of steps in each environment.")]
 Preset = Annotated[
     str | None,
     typer.Option(
-        help="What the policy observes; what is exported may be something else.",
-        show_default="what it was trained on, or LoRes4E",
+        help="The policy's observations. An export may use another preset.",
+        show_default="the one of its training, or LoRes4E",
     ),
 ]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
-Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
-Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
+Least = Annotated[float, typer.Option(min=0, max=1, help="The lowest score of a demonstration.")]
+Filmed = Annotated[int, typer.Option("--count", min=1, help="The largest number of demonstrations in the video.")]
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
     typer.Option(
-        metavar="FORMAT",  # the names together are wider than narrow terminals
+        metavar="FORMAT",  # the list of names is wider than narrow terminals
         help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
     ),
 ]
@@ -78,7 +78,7 @@ ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show
 Shifts = Annotated[str, typer.Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
 DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
 AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
-Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the fingers' angles, too.")]
+Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
 
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
@@ -101,7 +101,7 @@ def generate(
     shifts: Shifts = "",
     jobs: option.Jobs = None,
 ) -> None:
-    """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
+    """Record demonstrations of the expert. Called again, it continues; nothing is overwritten."""
     from magical_mj.demos.demonstration import check_physical  # imported late: it loads the simulator
 
     pairs = environments(tasks, variants)
@@ -131,7 +131,7 @@ def rollouts(
 ) -> None:
     """Record episodes of a policy, as data without labels. Called again, it continues; nothing is overwritten.
 
-    They are files as of demonstrations, which `export` takes; their scenes are never those of the tests.
+    They have the format of demonstrations, so `export` accepts them. Their scenes are never test scenes.
     """
     from magical_mj.evaluation.settings import EvaluationSettings
     from magical_mj.evaluation.worker import Player
@@ -140,7 +140,7 @@ def rollouts(
     pairs = environments(tasks, variants)
     source, *others = playable(policy, pairs, preset)
     if others:
-        raise typer.BadParameter("give one policy; another one gets a folder of its own.")
+        raise typer.BadParameter("give one policy; use another folder for another policy.")
     keys = [
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
@@ -152,7 +152,11 @@ def rollouts(
 
 
 def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
-    """The episode of a player's only policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
+    """The episode of a player's only policy in the scene of a seed.
+
+    Raises:
+        DemonstrationError: if the policy failed.
+    """
     from magical_mj.evaluation.worker import Unit
     from magical_mj.policies.interface import actions_of
 
@@ -160,47 +164,55 @@ def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstratio
     (result,) = player.play(Unit(source.name, source.run, task, variant, (seed,)))
     if result.failure is not None:
         raise DemonstrationError(f"{source.name} failed in {task}-{variant}, seed {seed}: {result.failure}")
-    who = "random" if source.origin == "random" else "policy"
-    return magical_mj.demos.recorded(task, variant, seed, actions_of(result.actions), who)
+    demonstrator = "random" if source.origin == "random" else "policy"
+    return magical_mj.demos.recorded(task, variant, seed, actions_of(result.actions), demonstrator)
 
 
 def make_missing(
     paths: Mapping[Key, Path], make: Callable[..., Demonstration], out: Path, jobs: int | None, doing: str
 ) -> list[str]:
-    """Writes those demonstrations of `paths` that are not there yet, the longest first, as `make` makes them.
+    """Writes the demonstrations of `paths` that are missing, the longest first.
 
-    Returns why some cannot be made. `doing` is what the bar says.
+    Args:
+        paths: task, variant and number -> the file.
+        make: returns the demonstration of a task, a variant and a number.
+        out: the folder.
+        jobs: the number of worker processes.
+        doing: the label of the progress bar.
+
+    Returns:
+        The errors of the demonstrations that could not be made.
     """
     if len(set(paths.values())) < len(paths):
-        raise SettingsError("two of these tasks have the same name, and so would their files: use two folders")
+        raise SettingsError("two of these tasks have the same name, so their files would as well: use two folders")
     make_writable_folder(out)
     screen = console()
     there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
     if there:
-        screen.print(f"{len(there)} of {len(paths)} are there already")
+        screen.print(f"{len(there)} of {len(paths)} exist already")
     order = {pair: number for number, pair in enumerate(dict.fromkeys(key[:2] for key in paths))}
     todo = [(key, paths[key]) for key in sorted(paths, key=lambda key: -order[key[:2]]) if key not in there]
     try:
         messages = list(with_bar(screen, doing, map_unordered(partial(write_one, make), todo, jobs), len(todo)))
     except KeyboardInterrupt:
         finished = sum(path.exists() for path in paths.values())
-        complain(f"interrupted: {finished} of {len(paths)} demonstrations are in {out}; the same command goes on")
+        complain(f"interrupted: {finished} of {len(paths)} demonstrations are in {out}; the same command continues")
         raise
     return sorted(filter(None, messages))
 
 
 def check_made(failures: Sequence[str]) -> None:
-    """Raises a `DemonstrationError` if there are any."""
+    """Raises a `DemonstrationError` if there are any failures."""
     if failures:
         raise DemonstrationError(f"{counted(len(failures), 'demonstration')} could not be made: {'; '.join(failures)}")
 
 
 def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str:
-    """The work of one process: makes one demonstration; returns an error message, or an empty text."""
+    """Makes and writes one demonstration in a worker process. Returns an error message, or "" if none."""
     key, path = work
     try:
         magical_mj.demos.write(make(*key), path)
-    except FileExistsError:  # another process, which generates into the same folder, was faster
+    except FileExistsError:  # another command, which generates into the same folder, was faster
         return ""
     except DemonstrationError as error:
         return str(error)
@@ -209,9 +221,9 @@ def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str
 
 @app.command(name="import")
 def import_recordings(recordings: Recordings, out: Folder) -> None:
-    """Import episodes that were saved in the browser: they are replayed and scored here."""
+    """Import episodes that were saved in the browser. They are replayed and scored in MuJoCo."""
     episodes: list[tuple[Path, Imported]] = []
-    for file in recordings:  # all are replayed before anything is written
+    for file in recordings:  # all are replayed before any is written
         text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
         try:
             episodes.append((file, magical_mj.demos.from_recording(text)))
@@ -222,15 +234,15 @@ def import_recordings(recordings: Recordings, out: Folder) -> None:
     for file, (demo, deviation, suspect) in episodes:
         path, is_new = magical_mj.demos.keep(demo, out)
         if not is_new:
-            screen.print(f"{file} is there already: {path}", soft_wrap=True)
+            screen.print(f"{file} was imported already: {path}", soft_wrap=True)
             continue
-        warning = f", but ends {deviation:.3f} from what the player saw" if suspect else ""
+        warning = f", but its end differs by {deviation:.3f} from what the player saw" if suspect else ""
         screen.print(f"{path}: score {demo.score:.2f}{warning}", soft_wrap=True)
 
 
 @app.command()
 def info(paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all") -> None:
-    """Summarise demonstrations: scores, lengths, and how much they differ from each other."""
+    """Summarise demonstrations: scores, lengths, and their diversity."""
     describe(read_chosen(paths, tasks, variants))
 
 
@@ -238,23 +250,23 @@ def describe(demos: Sequence[Demonstration]) -> None:
     """Prints a table with a row for each environment."""
     table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("environment", no_wrap=True)
-    for column in ("by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart"):
+    for column in ("by", "demos", "score", "steps", "actions", "orders", "strategies", "path distance"):
         table.add_column(column, overflow="fold")
     groups: dict[tuple[str, str], list[Demonstration]] = defaultdict(list)
     for demo in demos:
         groups[demo.name, demo.demonstrator].append(demo)
     for names, group in groups.items():
-        orders, strategies, ways = magical_mj.demos.diversity(group)
+        orders, strategies, distance = magical_mj.demos.diversity(group)
         score = fmean(demo.score for demo in group)
         steps = fmean(len(demo.actions) for demo in group)
         actions = fmean(np.count_nonzero(demo.acts) for demo in group)
-        numbers = (len(group), f"{score:.3f}", f"{steps:.0f}", f"{actions:.0f}", orders, strategies, f"{ways:.2f}")
+        numbers = (len(group), f"{score:.3f}", f"{steps:.0f}", f"{actions:.0f}", orders, strategies, f"{distance:.2f}")
         table.add_row(*names, *map(str, numbers))
     screen = console()
     screen.print(table)
     screen.print(
-        "actions: steps with another action than the no-op. orders: different orders in which blocks are moved; "
-        "strategies: the same with the side from which each is gripped. ways apart: mean distance between the "
+        "actions: steps with an action that is not the no-op. orders: different orders in which blocks are moved. "
+        "strategies: different orders and gripped sides of the blocks. path distance: mean distance between the "
         "robot's paths, in world units."
     )
 
@@ -263,10 +275,10 @@ def describe(demos: Sequence[Demonstration]) -> None:
 def verify_all(
     paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", jobs: option.Jobs = None
 ) -> None:
-    """Check digests, replay all actions, and say how many pass through the same states, with the same pictures.
+    """Check digests, replay all actions, and count those that reproduce their score, states and pictures.
 
-    The exit code is 1 if a file is damaged, does not begin in its scene, or does not replay to its score. States can
-    differ where machines or versions do.
+    The exit code is 1 if a file is damaged, does not begin in its scene, or does not reproduce its score. States can
+    differ between machines and versions.
     """
     screen = console()
     chosen = sources_of(paths, tasks, variants)
@@ -285,7 +297,7 @@ def verify_all(
         )
     if left := len(outcomes) - len(replayed):
         screen.print(f"{left} not replayed")
-    problems = {outcome.problem for outcome in outcomes if outcome.problem}  # that a task must be named is said once
+    problems = {outcome.problem for outcome in outcomes if outcome.problem}  # one line for each unnamed task
     for problem in sorted(problems):
         complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(outcomes):
@@ -295,7 +307,7 @@ def verify_all(
 class Checked(NamedTuple):
     """The outcome for one demonstration.
 
-    It was not `replayed` if that needs a task's code that the command does not name.
+    If it needs the code of a task that the command does not name, it was not `replayed`.
     """
 
     verdict: Verdict | None
@@ -304,7 +316,7 @@ class Checked(NamedTuple):
 
 
 def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> Checked | None:
-    """The work of one process: checks one demonstration, and says what is wrong; None if it was not asked for."""
+    """Checks one demonstration in a worker process. None if it is not in the `wanted` environments."""
     name = str(source) if isinstance(source, Path) else f"{source.name} {source.scene_seed}"
     try:
         if isinstance(demo := read_asked(source, wanted), str):
@@ -370,23 +382,23 @@ def export(
 
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
-    check_fits(context, to != "lerobot", "with other data sets: these are written into new folders only", "force")
+    check_fits(context, to != "lerobot", "with other formats: LeRobot data sets need a new folder", "force")
     demos = read_chosen(paths, tasks, variants)
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"
     groups: dict[str, list[Demonstration]] = defaultdict(list)
     for demo in demos:
         groups[demo.name].append(demo)
-    if to in ("npz", "xirl"):  # which hold demonstrations of several environments
+    if to in ("npz", "xirl"):  # these can hold several environments
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
     elif out is not None and len(groups) > 1:
         raise typer.BadParameter(
-            f"one data set holds one environment, but these are of {', '.join(groups)}: drop --out."
+            f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
         )
     targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
     sources = sources_of(paths, tasks, variants)
     folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
-    for target in targets.values():  # before the first one is made
+    for target in targets.values():  # all, before the first one is made
         _check_target(to, target, folders, force)
     for name, target in targets.items():
         options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
@@ -397,7 +409,7 @@ def export(
 
 
 def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
-    """Raises an error unless a data set can be made there, whose demonstrations lie in the folders `sources`."""
+    """Raises an error unless a data set can be made at `target`. `sources` are the folders of its demonstrations."""
     from magical_mj.demos.export import SUFFIXES
     from magical_mj.demos.export.minari import dataset_path
 
@@ -405,17 +417,19 @@ def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None
         path = Path(target)
         check_suffix(path, SUFFIXES[to])
         if to == "npz" and path.resolve().parent in sources:
-            raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
+            raise typer.BadParameter(
+                f"{path} would be in the folder of the demonstrations; give --out in another folder."
+            )
         check_writable(path, force)
         return
     path = dataset_path(target) if to == "minari" else Path(target)
     if path.exists() and not force:
         other = "another id, or replace it with --force" if to == "minari" else "a new folder"
-        raise FileExistsError(f"there is a data set {path} already; give {other}")
+        raise FileExistsError(f"the data set {path} exists already; give {other}")
 
 
 def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Sequence[Path | Demonstration]:
-    """The files, each once, even if it is given in several ways; by default the demonstrations that come with tasks."""
+    """The demonstration files without repetitions, even if a file has several paths. Default: the shipped ones."""
     pairs = environments(tasks, variants)
     if not paths:
         specs = {task: task_spec(task) for task, _ in pairs}
@@ -433,31 +447,31 @@ def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Seque
             chosen[path.resolve()] = path
         else:
             raise DemonstrationError(
-                f"there is no {path}; for those of a task that come with the package: --tasks TASK"
+                f"{path} does not exist; for the demonstrations that come with a task: --tasks TASK"
             )
     return list(chosen.values())
 
 
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
-    """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
+    """The demonstrations of these tasks and variants in files and folders, or by default the shipped ones."""
     wanted = asked_for(tasks, variants)
     demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants)]
     chosen = [demo for demo in demos_and_names if not isinstance(demo, str)]
     if not chosen:
         others = sorted({name for name in demos_and_names if isinstance(name, str)})
-        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(others)}")
+        raise DemonstrationError(f"no demonstrations of these tasks and variants; the files hold {', '.join(others)}")
     return chosen
 
 
 def asked_for(tasks: str, variants: str) -> list[Pair] | None:
-    """The environments that were asked for; None if none was in particular."""
+    """The requested environments. None if tasks and variants are both "all", so that nothing is filtered."""
     return None if (tasks, variants) == ("all", "all") else environments(tasks, variants)
 
 
 def read_asked(source: Path | Demonstration, wanted: Collection[Pair] | None) -> Demonstration | str:
-    """The demonstration, read if it is a file; the name of its environment or task if others were asked for.
+    """The demonstration, read if it is a file. If it is not wanted, the name of its environment or task instead.
 
-    Only the code of the wanted tasks may run; if nothing in particular is wanted, a file that needs any is an error.
+    Only the code of the wanted tasks may run. With None, a file that needs a task's code is an error.
     """
     demo = source
     if isinstance(demo, Path):

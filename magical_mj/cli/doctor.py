@@ -1,4 +1,4 @@
-"""`magical-mj doctor`: installed versions, and what can draw on this machine."""
+"""`magical-mj doctor`: installed versions, and the renderers that work on this machine."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from magical_mj.utils.extras import remedy
 
 CORE: Final = ("magical-mj", "mujoco", "gymnasium", "numpy", "shapely", "pillow")
 OWN: Final = ("all", "dev", "site")
-"""Extras that consist of others, or are for work on the package itself."""
+"""Extras that combine others, or are for development of the package."""
 REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
 """A requirement of an extra in the package's metadata."""
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 SOFTWARE: Final = "software"
-TIMEOUT: Final = 60  # seconds for one way of drawing
+TIMEOUT: Final = 60  # seconds for one renderer
 SIZE: Final = 96  # pixels, as in the LoRes presets
 FRAMES: Final = 20
 
 
 def doctor() -> None:
-    """Show installed versions, try the software renderer and all OpenGL backends, and say which draws flat views."""
+    """Show installed versions, test the software renderer and all OpenGL backends, and name the one in use."""
     out = console()
     used, wanted = drawn_by() or "glfw", wanted_backend()
     _print_versions(out)
@@ -45,16 +45,16 @@ def doctor() -> None:
     _print_results(out, results)
     times = {name: facts["typical"] for name, facts in results.items() if "error" not in facts}
     if not times:
-        out.print(f"\nNothing can be drawn here; physics and states work without. {REMEDY}", style="bold red")
+        out.print(f"\nNo renderer works here. Physics and states work without one. {REMEDY}", style="bold red")
         raise typer.Exit(1)
     fastest, setting = min(times, key=times.__getitem__), os.environ.get(VARIABLE) or "not set"
     out.print(f"\nFlat views are drawn by {used} ({VARIABLE} is {setting}); the fastest here: {fastest}.")
     backends = [name for name in times if name != SOFTWARE]
     if not backends:
-        out.print(f"OpenGL, which draws the view `scene` and models that users have changed, does not work. {REMEDY}")
+        out.print(f"OpenGL does not work. The view `scene` and models that users have changed need it. {REMEDY}")
     if wanted and wanted not in backends:
         other = f"unset it, or set MUJOCO_GL={backends[0]}" if backends else "unset it"
-        out.print(f"MUJOCO_GL={wanted} is set, and nothing can be drawn with it; {other}", style="bold red")
+        out.print(f"MUJOCO_GL={wanted} is set, but that backend does not work; {other}", style="bold red")
     if used not in times or wanted not in ("", *backends):
         raise typer.Exit(1)
 
@@ -72,7 +72,7 @@ def _print_versions(out: Console) -> None:
 
 
 def optional() -> dict[str, str]:
-    """Package -> the smallest extra that it is in, as the package's metadata lists them."""
+    """Package -> the smallest extra that includes it, from the metadata of magical-mj."""
     extras: dict[str, list[str]] = {}
     for requirement in (requires("magical-mj") or []) if _version("magical-mj") else []:
         if match := REQUIREMENT.match(requirement):
@@ -92,11 +92,11 @@ def _version(name: str) -> str | None:
 
 
 def _probe(name: str) -> dict[str, Any]:
-    """The result of the probe with an OpenGL backend or the software renderer: what it is and times, or the error."""
+    """Runs `probe` in a process with an OpenGL backend or the software renderer. Returns its JSON, or the error."""
     command = [sys.executable, "-m", "magical_mj.cli.doctor"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     variables |= {VARIABLE: SOFTWARE} if name == SOFTWARE else {VARIABLE: "opengl", "MUJOCO_GL": name}
-    alive, ours = os.pipe()  # which ends with this process, however that is
+    alive, ours = os.pipe()  # closes when this process ends, even if it is killed
     try:
         result = subprocess.run(
             command, env=variables, stdin=alive, capture_output=True, text=True, timeout=TIMEOUT, check=False
@@ -129,19 +129,19 @@ def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
             "The software renderer's first frame includes its compilation, unless an earlier run has compiled it."
         )
     for name, facts in results.items():
-        if "error" in facts:  # which may be long
+        if "error" in facts:  # an error may be too long for the table
             out.print(f"{name}: {facts['error']}", soft_wrap=True)
 
 
 def probe() -> None:
     """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
     times = []
-    with closing(magical_mj.Engine("FindDupe", seed=0)) as env:  # which says why OpenGL does not start
+    with closing(magical_mj.Engine("FindDupe", seed=0)) as env:  # its error explains why OpenGL does not start
         for _ in range(FRAMES):
             start = time.perf_counter()
             env.render("ego", SIZE)
             times.append(1000 * (time.perf_counter() - start))
-    from magical_mj.rendering.canvases import opengl_name  # imported after that
+    from magical_mj.rendering.canvases import opengl_name  # imported late: it may fail without OpenGL
 
     renderer = "on the processor, without OpenGL" if drawn_by() == SOFTWARE else opengl_name()
     facts = {"renderer": renderer, "first": times[0], "typical": sorted(times)[FRAMES // 2]}
@@ -149,7 +149,7 @@ def probe() -> None:
 
 
 def _end_with_caller() -> None:
-    """Ends this process, in which a driver may hang, when the one that wants to know is gone."""
+    """Ends this process when its caller has ended. A driver may hang in the main thread."""
     os.read(0, 1)  # a file object would be locked when Python ends
     os._exit(1)
 

@@ -25,18 +25,18 @@ from magical_mj.utils.errors import MagicalError
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
 TEXT_SIZE: Final = 15  # pixels
-ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
+ABSENT: Final = (242, 242, 242)  # the colour of cells without an environment
 
 Listed = Annotated[
     str | None,
     typer.Argument(
         metavar="[TASKS]",
         help="Tasks, separated by commas, also as package.module:SPEC.",
-        show_default="all that there are",
+        show_default="all installed",
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-Grid = Annotated[bool, typer.Option("--grid", help="All environments on one sheet, instead of TASK and VARIANT.")]
+Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
     Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
 ]
@@ -50,20 +50,20 @@ Model = Annotated[
 
 
 def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
-    """List the environments, with their horizons and the axes that vary; those of other packages come last."""
+    """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
     pairs = environments(tasks or tuple(KNOWN))
     for name in () if tasks else task_plugins():
         try:
             pairs += environments([name])
-        except MagicalError as error:  # the others are there nevertheless
+        except MagicalError as error:  # the tasks of the other packages may still work
             complain(str(error))
     if ids:
         for task, variant in pairs:
             for id_ in suite_ids(variant) if task in SUITES["xmagical"] else [env_id(task, variant)]:
                 out.print(id_)
         return
-    table = Table("task", "variant", "steps", "what varies", box=None, pad_edge=False, header_style="bold")
+    table = Table("task", "variant", "steps", "varied axes", box=None, pad_edge=False, header_style="bold")
     for task, variant in pairs:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
@@ -84,7 +84,7 @@ def view(
     renderer: option.Renderer = None,
     force: option.Force = False,
 ) -> None:
-    """Draw the initial scene of an environment from above and from the robot's view, or those of all environments."""
+    """Draw the initial scene of an environment from above and from the robot's view, or all initial scenes."""
     views = views_of(camera)
     if grid:
         if task is not None:
@@ -113,7 +113,7 @@ def export(
     body: option.Body = GRIPPER,
     force: option.Force = False,
 ) -> None:
-    """Write a scene as a self-contained MJCF model. It has the shifts of scene and dynamics, not those of pictures."""
+    """Write a scene as a self-contained MJCF model. It includes shifts of scene and dynamics, but not of pictures."""
     path = output_path(out, file_name(task, variant, seed, ".xml"))
     with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body)) as env:
         check_writable(path, force)
@@ -121,7 +121,7 @@ def export(
 
 
 def contact_sheet(seed: int, size: int, renderer: str | None = None) -> Image.Image:
-    """The initial scenes of all environments from above, `size` pixels wide each: tasks down, variants across."""
+    """The initial scenes of all environments from above, each `size` pixels wide. Rows are tasks, columns variants."""
     pitch = size + GAP
     sheet = Image.new("RGB", (MARGIN + len(VARIANTS) * pitch, MARGIN + len(TASKS) * pitch), PAPER)
     for row, task in enumerate(TASKS):

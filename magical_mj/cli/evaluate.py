@@ -1,4 +1,4 @@
-"""`magical-mj evaluate`, `rollout` and `demo`: play policies; store all scores, or make videos; a tour of both."""
+"""`magical-mj evaluate`, `rollout` and `demo`: play policies and store scores, make videos, or do both."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from magical_mj.utils.settings import LARGEST_SETTING
 TOURED: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
 SAME: Final = ("policies", "environments", "episodes", "preset", "rules", "time_limit", "worlds")
-"""The settings by which an earlier run of the same tour is recognised; those that a new version changes are not."""
+"""The settings that identify an earlier run of the same tour. Settings that depend on the version do not count."""
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
@@ -59,7 +59,7 @@ Policies = Annotated[
     str,
     typer.Option(
         "--policy",
-        help=f"{_POLICIES} NAME=... names a method; those of the same name are its runs.",
+        help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.",
         show_default=False,
     ),
 ]
@@ -72,15 +72,15 @@ Number = Annotated[
     ),
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
-As = Annotated[str, typer.Option("--as", help="The task that policies are told instead of their own.")]
+As = Annotated[str, typer.Option("--as", help="The task name that policies receive instead of the real one.")]
 Tour = Annotated[Path, typer.Option("--out", help="The folder for all results; those of the same tour are replaced.")]
-Each = Annotated[int, typer.Option("--episodes", min=1, help="Of each agent in each environment.")]
+Each = Annotated[int, typer.Option("--episodes", min=1, help="Episodes of each agent in each environment.")]
 
 
 def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
     if out.suffix in (".json", ".jsonl", ".csv"):
-        raise typer.BadParameter(f"{out} is the name of a file; --out is a folder, for {SCORES} and run.json.")
+        raise typer.BadParameter(f"{out} is the name of a file; --out must be a folder, for {SCORES} and run.json.")
     evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options))
     screen = console()
     _print_preset(screen, options["preset"], evaluation.settings.observed)
@@ -109,17 +109,17 @@ def rollout(
     force: option.Force = False,
     **options: Any,
 ) -> None:
-    """Play some episodes with a policy, print the scores, and make a video. For whole benchmarks, use `evaluate`."""
+    """Play some episodes with a policy, print the scores, and make a video. For the whole benchmark, use `evaluate`."""
     check_fits(context, video is not None, "with --video", "size", "camera", "force")
     check_suffix(video, ".mp4")
     views = views_of(camera)
-    pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
+    pair = task_name(task), variant_name(variant)  # single names, neither lists nor "all"
     shift = shift_label(parse_shifts(shifts, pair[0]))
     settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
     first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
     settings = changed(settings, preset=listed[0].preset)
-    settings.shift_labels(pair[0], listed)  # an error if a policy does not notice the shifts
+    settings.shift_labels(pair[0], listed)  # raises an error if a policy does not notice the shifts
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0
@@ -153,7 +153,7 @@ option.add_options(rollout, EvaluationSettings, "split", "preset", "body", "rend
 
 
 def _print_preset(screen: Console, given: str | None, preset: str) -> None:
-    """Says which preset was chosen by what the policy says, if it is not the default."""
+    """Prints the preset that the policy has chosen, if it is not the default."""
     if given is None and preset != DEFAULT_PRESET:
         screen.print(f"preset {preset}, on which the policy was trained")
 
@@ -164,7 +164,7 @@ def _line(score: EpisodeResult) -> str:
 
 
 def play_all(screen: Console, evaluation: Evaluation) -> None:
-    """Plays the remaining episodes, with a bar that counts steps, since episodes differ in length; prints means."""
+    """Plays the remaining episodes and prints their means. The bar counts steps, since episodes differ in length."""
     done = len(evaluation.scores)
     total = done + sum(len(unit.seeds) for unit in evaluation.units)
     shown = TextColumn("{task.fields[shown]}", markup=False)
@@ -179,7 +179,7 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 
 
 def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
-    """Prints the mean scores over tasks by variant, then those with shifts by strength, and failures."""
+    """Prints the mean scores over tasks: by variant, and by strength of each shift. Then prints the failures."""
     rows = frame(scores).assign(method=[score.method for score in sorted(scores, key=attrgetter("key"))])
     axis, strength = (rows["shift"].str.rpartition(":")[part] for part in (0, 2))
     rows["heading"] = axis.mask(axis.str.contains("+", regex=False), "several shifts").mask(axis == "", "mean score")
@@ -206,7 +206,7 @@ def demo(
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out, renderer="software")
     check_extra("the tour's figures and videos", "eval", "video")
-    busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder by --out")
+    busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder with --out")
     with files.locked(make_writable_folder(out), busy=busy):
         _tour(console(), out, settings)
 
@@ -216,13 +216,12 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
     if any(path.lstat().st_size and not files.is_unfinished(path) for path in out.iterdir()):
         if not _is_ours(out, settings):
             raise EvaluationError(
-                f"{out} holds files that this command has not made, or not with these options; "
-                "give another folder by --out"
+                f"{out} holds files that this command did not make with these options; give another folder with --out"
             )
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
         with open_scores(out) as scores:
             scores.truncate(0)
-    evaluation = Evaluation(TOURED, settings)  # writes the settings, by which the folder is recognised
+    evaluation = Evaluation(TOURED, settings)  # writes the settings, which identify the folder
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, 128, settings.renderer).save(unfinished)
     play_all(screen, evaluation)
@@ -236,7 +235,7 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
 
 
 def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
-    """Whether the folder holds this evaluation: another one may have taken days."""
+    """Whether the folder holds this evaluation. Another one, which may have taken days, must not be replaced."""
     try:
         known = read_settings(folder)
     except EvaluationError:

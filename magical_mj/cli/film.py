@@ -1,4 +1,4 @@
-"""Videos of episodes: views side by side, and below them the present action and the score so far."""
+"""Videos of episodes: views side by side, and below them the current action and the score so far."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class Film:
         pause: the number of times that the first and the last frame of an episode are repeated.
 
     Attributes:
-        width, height: of a frame in pixels; the height is even, as the video format requires.
-        frames: how many were sent.
+        width, height: the size of a frame in pixels. The height is even, as the video format requires.
+        frames: the number of frames that were sent.
     """
 
     def __init__(self, send: Callable[[Picture], object], size: int, views: Sequence[str], pause: int) -> None:
@@ -64,7 +64,7 @@ class Film:
         self._title, self.frames = "", 0
 
     def begin(self, title: str, views: Picture, score: float) -> None:
-        """The start of an episode: its first frame is shown for a moment with a title. `views`: (size, width, 3)."""
+        """Starts an episode: its first frame is shown for a moment with a title. `views`: shape (size, width, 3)."""
         self._title = title
         self._last = self._frame(views, "", score)
         frame = self._last.copy()
@@ -82,7 +82,7 @@ class Film:
         self._repeat(self._last, 1)
 
     def end(self) -> None:
-        """The end of an episode: its last frame is shown for a moment."""
+        """Ends an episode: its last frame is shown for a moment."""
         self._repeat(self._last, self._pause)
 
     def _frame(self, views: Picture, doing: str, score: float) -> Image.Image:
@@ -105,13 +105,13 @@ class Film:
 def film(
     path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE, *, overwrite: bool
 ) -> Iterator[Film]:
-    """A video of episodes at `speed` times real time, with views of `size` pixels side by side, from left to right.
+    """A context that makes a video of episodes at `speed` times real time, with views of `size` pixels side by side.
 
-    It is removed if the block raises.
+    If the block raises an error, the video is removed.
 
     Raises:
         MissingExtraError: if imageio-ffmpeg is not installed.
-        OSError: if the file cannot be written, or exists and `overwrite` is false.
+        OSError: if the file cannot be written, or exists but `overwrite` is false.
     """
     check_extra("videos", "video")
     import imageio_ffmpeg
@@ -138,17 +138,17 @@ def film(
         with suppress(RuntimeError):  # it has no frames at all
             if imageio_ffmpeg.count_frames_and_secs(file)[0] == movie.frames:
                 return
-        raise failed  # ffmpeg does not report this
+        raise failed  # frames are missing, but ffmpeg reported no error
 
 
 def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
     """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
 
     Raises:
-        EvaluationError: if the episode cannot be replayed, or starts or ends otherwise than recorded.
+        EvaluationError: if the episode cannot be replayed, or its initial scene or score differs from the record.
     """
-    where = " ".join(filter(None, (score.task, score.variant, score.shift)))
-    title = f"{where}, seed {score.seed}: {score.policy}"
+    environment = " ".join(filter(None, (score.task, score.variant, score.shift)))
+    title = f"{environment}, seed {score.seed}: {score.policy}"
     if problem := obstacle(score):
         raise EvaluationError(f"{title} cannot be filmed: {problem}")
     rules = check_rules(score.rules)
@@ -177,12 +177,12 @@ def views_of(cameras: str) -> list[str]:
 
 
 def side_by_side(env: Engine, size: int, views: Sequence[str] = SIDE_BY_SIDE) -> Picture:
-    """Views of the present state side by side. Shape (size, views * size, 3)."""
+    """Views of the current state side by side. Shape (size, views * size, 3)."""
     return np.concatenate([env.render(view, size) for view in views], axis=1)
 
 
 def in_words(action: int | NDArray[Any]) -> str:
-    """An action in words, such as "forward, left, grip"; "nothing" for the no-op. Of speeds, their numbers."""
+    """An action in words, such as "forward, left, grip"; "nothing" for the no-op. Continuous actions are numbers."""
     if isinstance(action, np.ndarray) and action.ndim:
         names = ("speed", "turn", "grip")
         return ", ".join(f"{name} {value:.2f}" for name, value in zip(names, action, strict=False))
@@ -196,14 +196,14 @@ def file_names(episodes: Iterable[tuple[str, EpisodeResult]]) -> list[str]:
     names: list[str] = []
     for which, score in episodes:
         name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
-        names.append(f"{len(names)}-{name}" if name in names else name)  # of a method called a-b after one called a/b
+        names.append(f"{len(names)}-{name}" if name in names else name)  # methods a/b and a-b have the same name here
     return names
 
 
 def film_episodes(
     episodes: Sequence[tuple[str, EpisodeResult]], out: Path, renderer: str | None = None
 ) -> dict[str, str]:
-    """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
+    """Makes a video of each episode. Episodes are pairs such as ("best", episode). Returns description -> file name."""
     links: dict[str, str] = {}
     for name, (which, score) in zip(file_names(episodes), episodes, strict=True):
         with film(out / name, REPORT_SIZE, REPORT_SPEED, overwrite=True) as movie:

@@ -1,4 +1,4 @@
-"""Options and arguments that subcommands share, and options made of settings."""
+"""Options and arguments that subcommands share, and options generated from settings."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from magical_mj.utils.settings import Names, described
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """For shell completion: the names that begin with the typed text."""
+    """A function for shell completion: the names that begin with the typed text."""
     return lambda incomplete: [name for name in names if name.startswith(incomplete)]
 
 
 def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """As `one_of`, for lists separated by commas: the last name is completed."""
+    """A function for shell completion of lists separated by commas: it completes the last name."""
 
     def complete(incomplete: str) -> list[str]:
         done, comma, last = incomplete.rpartition(",")
@@ -30,7 +30,7 @@ def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
     return complete
 
 
-TASK_HELP = f"One of {', '.join(KNOWN)}, a task that a package announces, or package.module:SPEC."
+TASK_HELP = f"One of {', '.join(KNOWN)}, a task of an installed package, or package.module:SPEC."
 VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
 
 COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
@@ -42,25 +42,31 @@ Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.", 
 Variants = Annotated[
     str, typer.Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
+Seed = Annotated[int, typer.Option(min=0, help="The seed of the scene.")]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
 Cameras = Annotated[
-    str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego; scene: solid, for people.")
+    str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego, and scene (3-D).")
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
 Renderer = Annotated[
-    RendererName | None, typer.Option(help="What draws flat views.", show_default="opengl where it works")
+    RendererName | None, typer.Option(help="The renderer of flat views.", show_default="opengl where it works")
 ]
-Shifts = Annotated[str, typer.Option(help="What is shifted, and how much, such as camera:3,latency:1; docs/shifts.md.")]
-Body = Annotated[str, typer.Option(help="The robot's body, one that the task offers; docs/bodies.md.")]
-Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the files name, and run it.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
-Host = Annotated[str, typer.Option(help="Address to listen at.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")]
+Shifts = Annotated[str, typer.Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
+Body = Annotated[str, typer.Option(help="The robot's body. The task must support it. See docs/bodies.md.")]
+Trust = Annotated[bool, typer.Option("--trust", help="Run the code of tasks that the files name.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
+Host = Annotated[str, typer.Option(help="The address to listen on.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="The port to listen on; 0: any free one.")]
 
 
 def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
-    """Adds options to a command that takes `**options`: one for each of these settings, or for all it does not name."""
+    """Adds options for settings to a command that takes `**options`.
+
+    Args:
+        command: the command.
+        settings: the settings class.
+        names: the names of the settings. By default all; those that the command has as parameters are left out.
+    """
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     parameters = {parameter.name: parameter for parameter in named}
     for name, setting in described(settings).items():

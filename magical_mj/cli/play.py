@@ -1,4 +1,4 @@
-"""`magical-mj play` and `inspect`: drive the robot, in a window or a browser; look into any model while it runs."""
+"""`magical-mj play` and `inspect`: drive the robot in a window or a browser, and inspect any running model."""
 
 from __future__ import annotations
 
@@ -37,26 +37,24 @@ Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 Collect = Annotated[
     Path | None,
-    typer.Option(help="Keep what people send in this folder.", show_default=False),
+    typer.Option(help="Save submitted episodes in this folder.", show_default=False),
 ]
 Wanted = Annotated[
     int | None,
-    typer.Option(min=1, help="How many to collect of each environment.", show_default="as many as come"),
+    typer.Option(min=1, help="Episodes to collect in each environment.", show_default="no limit"),
 ]
 StudyFile = Annotated[
     Path | None,
-    typer.Option("--study", help="A file (.toml) that says what is collected, and how.", show_default=False),
+    typer.Option("--study", help="The study's settings, a file (.toml).", show_default=False),
 ]
 Origin = Annotated[
     str | None,
     typer.Option(
-        help="Where people see the page, such as https://study.example.org, behind a proxy.",
+        help="The page's public address behind a proxy, such as https://study.example.org.",
         show_default=False,
     ),
 ]
-Model = Annotated[
-    str, typer.Argument(metavar="TASK|FILE", help="A task as elsewhere, or an MJCF file (.xml).", show_default=False)
-]
+Model = Annotated[str, typer.Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).", show_default=False)]
 
 Wish = Literal["reset", "next", "discard", "quit"]
 
@@ -67,7 +65,7 @@ FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses 
 TEXT_SIZE: Final = 22  # pixels
 ORIGIN: Final = re.compile(r"https?://([\w.-]+|\[[\da-f:.]+\])(:\d+)?/*", re.IGNORECASE)
 LARGEST_SEED: Final = 2**53 - 1
-"""The largest integer that JavaScript counts exactly."""
+"""The largest integer that JavaScript represents exactly."""
 
 
 def play(
@@ -93,11 +91,11 @@ def play(
 
     With --record, finished episodes are saved as demonstrations; D discards one at its end.
 
-    With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
+    With --web, you play in a browser, on this machine or through ssh -L on another one. The options below it need it.
     """
     check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer")
     check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "study", "host", "port", "origin")
-    check_fits(context, study is None, "without --study, which says it", "tasks", "variants", "wanted")
+    check_fits(context, study is None, "without --study, since the study sets it", "tasks", "variants", "wanted")
     check_fits(context, task is not None, "with TASK", "seed")
     if web:
         first = None if task is None else (task_spec(task).name, variant_name(variant), seed)
@@ -115,10 +113,10 @@ def play(
 
 
 class Game:
-    """Episodes one after another, each from the start of its scene, whose clock starts with the first key, to its end.
+    """Episodes that a person plays one after another. The clock of an episode starts with the first key.
 
-    Finished episodes are reported and, if there is a folder, saved there at once, so that nothing is lost if the window
-    is closed; unwanted ones can be deleted afterwards.
+    A finished episode is reported and, if there is a folder, saved there at once, so that it is not lost if the window
+    is closed. The player can delete it afterwards.
     """
 
     def __init__(self, env: Engine, task: str, seed: int, folder: Path | None) -> None:
@@ -135,7 +133,7 @@ class Game:
         self._path: Path | None = None
 
     def act(self, action: int) -> None:
-        """Takes an action; does nothing before the first key, nor after the end."""
+        """Takes an action. It has no effect before the first key and after the end."""
         if self._result is not None or (self._steps == 0 and action == NOOP):
             return
         self._steps += 1
@@ -151,7 +149,7 @@ class Game:
         path, is_new = magical_mj.demos.keep(demo, self._folder)
         self._screen.print(path, soft_wrap=True)
         self._path = path if is_new else None
-        self._result += "; kept, D discards it" if is_new else "; the same as one that is kept"
+        self._result += "; saved, D discards it" if is_new else "; the same episode was saved before"
 
     def discard(self) -> None:
         """Deletes the episode, if it has ended and was saved."""
@@ -161,7 +159,7 @@ class Game:
             self._path, self._result = None, "discarded"
 
     def caption(self) -> str:
-        """How far the episode is, and which keys do what."""
+        """The state of the episode, and the meaning of the keys."""
         if self._result is not None:
             return f"{self._result}; {AFTER}"
         seconds = ((self.env.horizon or 0) - self._steps) / CONTROL_RATE
@@ -170,7 +168,7 @@ class Game:
 
 
 def play_in(window: Window, game: Game, size: int) -> None:
-    """Plays episodes until the player quits, in scene after scene or in the same one again."""
+    """Plays episodes in the same or the next scene until the player quits."""
     wish = None
     while wish != "quit":
         window.show(side_by_side(game.env, size), [game.goal, game.caption()])
@@ -186,7 +184,7 @@ def play_in(window: Window, game: Game, size: int) -> None:
 class Window:
     """A window as wide as two pictures of `size` pixels, with two lines of text below them.
 
-    A speed of 1 is real time; 0 is as fast as possible. `advice` says what to do without a display, for the error.
+    A speed of 1 is real time; 0 is as fast as possible. `advice` is added to the error about a missing display.
 
     Raises:
         MagicalError: if pygame-ce is not installed, or there is no display.
@@ -218,7 +216,7 @@ class Window:
         self._tapped: set[int] = set()
 
     def show(self, pictures: np.ndarray, lines: Sequence[str]) -> None:
-        """Shows two pictures side by side, shape (size, 2 * size, 3), and two lines; waits for the next step."""
+        """Shows two pictures, shape (size, 2 * size, 3), and two lines. Then waits until the next step is due."""
         pygame, surface = self._pygame, self._surface
         surface.fill(PAPER)
         surface.blit(pygame.surfarray.make_surface(pictures.swapaxes(0, 1)), (0, 0))
@@ -228,7 +226,7 @@ class Window:
         self._clock.tick(self._rate)
 
     def wish(self) -> Wish | None:
-        """The command since the last call, the gravest of several; also updates the state of the keys."""
+        """The command since the last call, or of several the first in the order of `keys`. Also reads all keys."""
         pygame = self._pygame
         keys: dict[int, Wish] = {
             pygame.K_ESCAPE: "quit",
@@ -252,7 +250,7 @@ class Window:
         return next((wish for wish in keys.values() if wish in wishes), None)
 
     def action(self) -> int:
-        """The action of the keys that are held, or were pressed since the last step: arrows, and space to grip."""
+        """The action of the keys that are held or were pressed since the last step: arrows, and space to grip."""
         pygame = self._pygame
         down = self._held | self._tapped
         turn = (pygame.K_LEFT in down) - (pygame.K_RIGHT in down)
@@ -279,24 +277,24 @@ def serve_page(
     port: int,
     origin: str | None,
 ) -> None:
-    """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
+    """Serve until Ctrl-C. `first` is the task, the variant and the seed that the printed link opens."""
     if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS):
-        raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
+        raise SettingsError("the page can score only the benchmark's own tasks: play others in a window")
     if first is not None:
         check_seed_in_browser(first[2])
         if first[:2] not in environments:
             raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
         if collect is not None:
             raise SettingsError(
-                "with --collect the server chooses what is played: give --tasks and --variants, not TASK"
+                "with --collect, the server chooses the environments: give --tasks and --variants, not TASK"
             )
     if (wanted is not None or study is not None) and collect is None:
         raise SettingsError(f"{'--wanted' if study is None else '--study'} needs --collect")
     if origin is not None and not ORIGIN.fullmatch(origin):
         raise SettingsError(
-            f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
+            f"--origin must be an address such as https://study.example.org, without a path, not {origin!r}"
         )
-    origin = origin and origin.rstrip("/").lower()  # as browsers send it, and they compare letter by letter
+    origin = origin and origin.rstrip("/").lower()  # browsers send and compare it in this form
     check_extra("games in a browser", "web")
     from magical_mj.web.collection import Collection, Study, read_study
     from magical_mj.web.server import PlayServer
@@ -321,7 +319,7 @@ def inspect(
     host: option.Host = "127.0.0.1",
     port: option.Port = 8008,
 ) -> None:
-    """Open a page that shows a model in 3-D and runs it: bodies, joints, contacts, sensors, actuators.
+    """Serve a page that simulates a model in 3-D and shows its bodies, joints, contacts, sensors and actuators.
 
     It prints the page's address. The first time, npm fetches MuJoCo's WebAssembly build and two libraries (5 MB).
     """
@@ -334,41 +332,41 @@ def inspect(
     if is_file:
         path = Path(model)
         if not path.is_file():
-            raise SettingsError(f"there is no file {path}")
-        files, place = model_files(path), "#file"
+            raise SettingsError(f"the file {path} does not exist")
+        files, fragment = model_files(path), "#file"
     else:
         name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
         if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:
-            files, place = {}, f"#{name}"
+            files, fragment = {}, f"#{name}"
         else:
             with closing(magical_mj.Engine(model, variant, seed=seed)) as engine:
-                files, place = {f"{name}.xml": mjcf_text(engine).encode()}, "#file"
-    serve_until_interrupted(InspectServer(ENVIRONMENTS, host, port, model=files), f"inspect.html{place}")
+                files, fragment = {f"{name}.xml": mjcf_text(engine).encode()}, "#file"
+    serve_until_interrupted(InspectServer(ENVIRONMENTS, host, port, model=files), f"inspect.html{fragment}")
 
 
 def check_seed_in_browser(seed: int) -> int:
-    """The seed, if JavaScript can count that far; else raises a `SettingsError`."""
+    """Returns the seed. Raises a `SettingsError` if JavaScript cannot represent it."""
     if seed > LARGEST_SEED:
         raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(seed)}")
     return seed
 
 
-def serve_until_interrupted(server: PlayServer, place: str) -> None:
-    """Serve until somebody presses Ctrl-C; `place` is what follows the server's address in the link."""
+def serve_until_interrupted(server: PlayServer, path: str) -> None:
+    """Serve until Ctrl-C. The printed link is the server's address followed by `path`."""
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(server, place))
+        asyncio.run(_serve(server, path))
 
 
-async def _serve(server: PlayServer, place: str) -> None:
+async def _serve(server: PlayServer, path: str) -> None:
     try:
         started = await server.start()
-    except (OSError, UnicodeError) as error:  # the latter for names that no host can have
+    except (OSError, UnicodeError) as error:  # a UnicodeError if the host name is invalid
         raise OSError(
-            f"cannot listen there ({error}); give another --host or --port; --port 0 is a free one"
+            f"cannot listen at this address ({error}); give another --host or --port; --port 0 is a free one"
         ) from error
     async with started as listening:
-        console().print(f"{server.address}{place}", soft_wrap=True)
+        console().print(f"{server.address}{path}", soft_wrap=True)
         if server.collection is not None:
-            console().print(f"For whoever runs the study: {server.operators_address}", soft_wrap=True)
-        console().print("Ctrl-C ends it.")
+            console().print(f"For the operator of the study: {server.operators_address}", soft_wrap=True)
+        console().print("Ctrl-C stops the server.")
         await listening.serve_forever()

@@ -1,4 +1,4 @@
-"""`magical-mj report`, `compare`, `verify`, `submit` and `leaderboard`: what can be done with stored results."""
+"""`magical-mj report`, `compare`, `verify`, `submit` and `leaderboard`: the commands that use stored results."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from magical_mj.utils.errors import EvaluationError, SettingsError, counted
 from magical_mj.utils.extras import check_extra
 
 SHOWN: Final = 20
-"""The largest number of problems that are printed; the others are counted."""
+"""The largest number of problems that are printed. The others are counted."""
 
 Folders = Annotated[
     list[Path], typer.Argument(help="The folders of evaluations, or entries of the leaderboard.", show_default=False)
 ]
 Report = Annotated[
     Path | None,
-    typer.Option("--out", help="The folder for the report.", show_default="DIR/report, of a single DIR"),
+    typer.Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR"),
 ]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[
@@ -45,7 +45,7 @@ Mixed = Annotated[
 Rescored = Annotated[
     Rules | None,
     typer.Option(
-        help="Score all episodes by these rules; those that were scored by others are replayed.", show_default=False
+        help="Score all episodes by these rules; those scored by other rules are replayed.", show_default=False
     ),
 ]
 Videos = Annotated[
@@ -55,7 +55,7 @@ Side = Annotated[
     str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
 ]
 MethodFolders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
-EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, which ends in .json.xz.", show_default=False)]
+EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, ending in .json.xz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
 Name = Annotated[
     str | None,
@@ -63,11 +63,9 @@ Name = Annotated[
 ]
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
 Pages = Annotated[Path, typer.Option("--out", help="The folder for the pages.")]
-Replay = Annotated[int, typer.Option(min=1, help="The largest number of episodes of an entry that are replayed.")]
-All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
-Sample = Annotated[
-    int | None, typer.Option("--seed", min=0, help="Chooses the part.", show_default="another each time")
-]
+Replay = Annotated[int, typer.Option(min=1, help="The most episodes of an entry to replay.")]
+All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random sample.")]
+Sample = Annotated[int | None, typer.Option("--seed", min=0, help="The seed of the sample.", show_default="random")]
 
 
 def make_report(
@@ -82,7 +80,7 @@ def make_report(
     """Write a report of one or several evaluations: tables (Markdown, CSV), figures and videos."""
     del trust  # see magical_mj.utils.imports.command_line
     if out is None and (len(folders) > 1 or is_entry(folders[0])):
-        raise typer.BadParameter("only the report of one evaluation has its place in it: give --out, a folder.")
+        raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")
     screen = console()
     data = results(folders, published, mixed_presets, rules)  # raises errors before anything is written
@@ -101,7 +99,7 @@ def make_report(
 
 
 def _to_film(folders: list[Path], rules: Rules | None) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:
-    """The episodes for videos; and why there are none of others, a sentence for each method, folder and reason."""
+    """The episodes for videos, and the reasons why others cannot be filmed, one for each method, folder and cause."""
     refused: dict[str, None] = {}
 
     def replayable() -> Iterator[EpisodeResult]:
@@ -150,7 +148,7 @@ def verify_folders(folders: Folders, jobs: option.Jobs = None) -> None:
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
     if _printed_problems(names, findings):
         raise typer.Exit(1)
-    screen.print("everything is there, and is what it says")
+    screen.print("complete, and all scores are confirmed")
 
 
 def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy: Name = None) -> None:
@@ -165,7 +163,7 @@ def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy
     episodes, runs = counted(len(entry.episodes), "episode"), counted(len(entry.runs), "run")
     screen.print(f"{entry.method}: {episodes} of {runs}, {size:.2f} MB")
     if unsaid:
-        screen.print(f"the card does not say: {', '.join(unsaid)} (--card)", soft_wrap=True)
+        screen.print(f"the card lacks: {', '.join(unsaid)} (--card)", soft_wrap=True)
     missing = gaps(entry)
     if missing:
         screen.print(f"a partial entry: {', '.join(missing)}", soft_wrap=True)
@@ -191,7 +189,7 @@ def make_leaderboard(
     if not everything:
         screen.print(
             f"replaying {SHARE:.0%} of each entry, {counted(replay, 'episode')} at most; "
-            f"--seed {seed} chooses the same again"
+            f"--seed {seed} repeats this sample"
         )
     entries: dict[str, Entry] = {}
     for path in paths:
@@ -214,17 +212,17 @@ def make_leaderboard(
         screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
         owner = next((other for other in good if good[other].method == entry.method), None)
         if owner is not None and good[owner].rules == entry.rules:
-            complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
+            complain(f"{name} is not shown: {owner} has a method of the same name, {entry.method}")
         elif not _printed_problems(name, findings[name]):
             good[name] = entry
     for page in write_pages(standings(list(good.values())), out):
         screen.print(page, soft_wrap=True)
     if bad := len(paths) - len(good):
-        raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
+        raise EvaluationError(f"entries that failed the checks and are not on the page: {bad}")
 
 
 def _printed_problems(name: str, findings: Findings) -> bool:
-    """Prints the problems, and returns whether there are any."""
+    """Prints the problems. Returns whether there are any."""
     for problems, what in (
         (findings.unfit, "does not fit"),
         (findings.differing, "differs"),

@@ -1,4 +1,4 @@
-"""`magical-mj train`, `experiment`, `export-policy`, and what they show: progress bars, and a line per evaluation."""
+"""`magical-mj train`, `experiment` and `export-policy`, with progress bars and a line per evaluation."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from magical_mj.learners import Progress
 
 DAY: Final = 86400.0
-"""Seconds over which speeds are averaged, or over the last thousand updates: a run of an experiment may take hours."""
+"""Speeds are averaged over this many seconds, since a run may take hours. Rich keeps a thousand updates at most."""
 PAUSE: Final = 10.0
-"""Seconds between two looks at what other processes have done."""
+"""Seconds between two looks at the progress of other processes."""
 
 Method = Annotated[
     str,
@@ -55,11 +55,11 @@ Own = Annotated[
     Path | None,
     typer.Option(
         "--demonstrations",
-        help="The folder with demonstrations of your own, of which all in the demo scene are used.",
+        help="A folder with your own demonstrations; all in the demo scene are used.",
         show_default="10 of those that come with each task",
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue the training in the folder.")]
 File = Annotated[
     Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
 ]
@@ -68,7 +68,7 @@ Run = Annotated[Path, typer.Argument(help="The folder of a training.", show_defa
 OnnxFile = Annotated[
     Path | None, typer.Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
 ]
-OneTask = Annotated[str, typer.Option("--task", help="Which task, of a policy for several.", show_default=False)]
+OneTask = Annotated[str, typer.Option("--task", help="The task, if the policy has several.", show_default=False)]
 Jobs = Annotated[
     int | None,
     typer.Option(
@@ -95,7 +95,7 @@ def experiment(file: File, out: Folder, jobs: Jobs = None, trust: option.Trust =
                 progress.remove_task(views.pop(name).bar)
 
         def poll() -> None:
-            """How far evaluations are, and trainings in other processes; one in this process tells by itself."""
+            """Shows the progress of evaluations and of trainings in other processes, if none trains in this one."""
             if not views:
                 news = filter(None, (run.standing(began) for run in planned))
                 progress.update(bar, latest=", ".join(news))
@@ -104,7 +104,7 @@ def experiment(file: File, out: Folder, jobs: Jobs = None, trust: option.Trust =
         with repeating(poll):
             for number, line in enumerate(lines, 1):
                 screen.print(line, soft_wrap=True)
-                done = min(number, len(planned))  # after the runs come lines about all of them
+                done = min(number, len(planned))  # lines about the whole experiment follow those of the runs
                 progress.update(bar, completed=done, latest="")
 
 
@@ -133,12 +133,12 @@ def train(
     check_name("method", method, METHODS)
     options["ppo.simulator"] = simulator
     options["recordings"] = "" if demonstrations is None else str(demonstrations)
-    options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have their own
+    options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have another default
     others = {}
     for text in change or []:
         name, equals, others[name] = text.partition("=")
         if not equals:
-            raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
+            raise SettingsError(f"--set must be NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
     check_changes(others, [method], options["preset"], elsewhere=("method", "tasks", "quick", *options))
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
     settings = learners.load_settings(method, tasks, quick=quick, **options, **others)
@@ -157,7 +157,7 @@ def train(
 
 
 def _describe_demonstrations(screen: Console, settings: TrainingSettings) -> None:
-    """Prints from how many demonstrations of each task is learnt, and their scores."""
+    """Prints the number of demonstrations of each task, and their scores."""
     from magical_mj.learners.data import chosen, to_choose_from
 
     for task in settings.tasks:
@@ -174,9 +174,9 @@ option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device
 
 
 def export(run: Run, out: OnnxFile = None, task: OneTask = "", force: option.Force = False) -> None:
-    """Write the policy of a training as an ONNX file, which `evaluate --policy` and any ONNX runtime can play.
+    """Write the policy of a training as an ONNX file for `evaluate --policy` and any ONNX runtime.
 
-    It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.
+    It takes the most likely action, but `magical-mj evaluate --policy RUN` samples actions.
     """
     check_extra("learners", "eval", "il")
     from magical_mj.learners.policy import export_policy
@@ -186,14 +186,14 @@ def export(run: Run, out: OnnxFile = None, task: OneTask = "", force: option.For
 
 
 def bars(screen: Console) -> Bars:
-    """Progress bars of trainings; or of an experiment, which counts runs."""
+    """Progress bars of trainings, which count updates, or of an experiment, which counts runs."""
     updates = UpdateColumn(Column(no_wrap=True, overflow="ellipsis"))
     return Bars(screen, updates, TimeElapsedColumn(Column(no_wrap=True)), speed_estimate_period=DAY)
 
 
 @contextmanager
 def repeating(poll: Callable[[], None]) -> Iterator[None]:
-    """A context in which a thread calls a function every few seconds; what it cannot read is left out."""
+    """A context in which a thread calls a function every few seconds. Its expected errors are ignored."""
     ended = threading.Event()
 
     def repeat() -> None:
@@ -211,24 +211,24 @@ def repeating(poll: Callable[[], None]) -> Iterator[None]:
 
 
 class UpdateColumn(ProgressColumn):
-    """Finished updates of the total, updates per second, and the latest metrics; or finished runs."""
+    """The number of finished updates or runs, updates per second, and the latest metrics."""
 
     def render(self, task: Task) -> Text:
-        """The text of the column."""
+        """The text of the column for a bar."""
         done = f"{task.completed}/{task.total or '?'} {task.fields['unit']}"
         speed = f", {task.speed:.2f}/s" if task.speed and task.fields["unit"] == "updates" else ""
         return Text(f"{done}{speed} {task.fields['latest']}".rstrip())
 
 
 class TrainingView:
-    """Shows a training: a progress bar with the latest metrics, and a line per evaluation."""
+    """Shows the progress of a training: a bar with the latest metrics, and a line per evaluation."""
 
     def __init__(self, progress: Bars, name: str) -> None:
         self._progress, self._name = progress, name
         self.bar = progress.add_task(name, total=None, unit="updates", latest="")
 
     def __call__(self, trained: Progress) -> None:
-        """Called after each update."""
+        """Shows the state of the training after an update."""
         shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.metrics.items())
         latest = {"latest": shown} if shown else {}  # metrics come with some updates only
         self._progress.update(self.bar, completed=trained.update, total=trained.updates, **latest)

@@ -1,6 +1,6 @@
-"""Evaluating agents: scores on the benchmark's scenes, their statistics, reports and comparisons.
+"""Evaluation of agents: scores on the benchmark's scenes, their statistics, reports and comparisons.
 
-`evaluate` plays episodes; the modules `report` and `compare` make tables and figures from the files that it writes.
+`evaluate` plays episodes and writes their scores to files. The folder `reports` makes tables and figures from them.
 """
 
 from __future__ import annotations

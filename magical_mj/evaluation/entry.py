@@ -1,6 +1,6 @@
-"""Entries: the evaluations of one method in one file, with a card that describes it and a hash of everything.
+"""Leaderboard entries: the evaluations of one method in one file, with a descriptive card and a hash of everything.
 
-`submit` makes them from the folders of evaluations, and `read_entry` reads them again, whoever made them.
+`submit` makes entries from the folders of evaluations. `read_entry` reads them, and trusts nothing in the file.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, 
 FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
 CARD: Final = "card.toml"
-"""In a folder that is an entry: its files hold some runs each, so that another run adds a file and rewrites none."""
+"""The card in a folder that is an entry. Each other file holds some runs, so a new run adds a file and changes none."""
 SHARED: Final = ("observations", "rules", "protocol")
-"""What all files of an entry must agree in."""
+"""The fields in which all files of an entry must agree."""
 MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 PLAIN: Final = {
-    "split": ("test", "on the split {}, and entries are of test"),
-    "body": (GRIPPER, "with the body {}, and entries are of the gripper"),
+    "split": ("test", "on the split {}, but entries must be played on test"),
+    "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
 }
-"""What all episodes of an entry are like, and what is said of others."""
+"""Field -> the value that all episodes of an entry must have, and the error for other values."""
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
 SHIFT_SEEDS: Final = 50
@@ -58,12 +58,12 @@ SHIFT_SEEDS: Final = 50
 MOST_BYTES: Final = 20_000_000
 """The largest size of an entry's file in bytes. Ours have 2 MB at most."""
 MOST_UNPACKED: Final = 60_000_000
-"""The largest size of an unpacked entry in bytes: a small file may expand to a huge one. Ours have 6 MB."""
+"""The largest size of a decompressed entry in bytes, since a small file may expand to a huge one. Ours have 6 MB."""
 MOST_VALUES: Final = 2_000_000
-"""The largest number of values in an entry: small ones take ten times as much memory as their text. Ours have 180,000:
-six for each of 30,000 episodes."""
+"""The largest number of values in an entry: parsed, small values take ten times as much memory as their text. Ours have
+180,000: six for each of 30,000 episodes."""
 MOST_MEMORY: Final = 100_000_000
-"""How much memory in bytes unpacking may take: a file says how much it wants. Ours need 66 MB."""
+"""The most memory in bytes that decompression may take. The file specifies how much it needs. Ours need 66 MB."""
 
 Natural = Annotated[int, Meta(ge=0)]
 Positive = Annotated[int, Meta(ge=1)]
@@ -80,13 +80,14 @@ Privilege = Literal[
     "knowledge of tasks",
     "simulator at test",
 ]
-"""What a method may use beside demonstrations as its policy sees them: the states behind them; in training, the
-simulator, its pictures of any state, and the task's score; other scenes than the demo scene; what its author knew of
-the tasks; and a copy of the simulation while it is tested."""
+"""Information that a method uses in addition to the observations and actions of demonstrations.
+
+In this order: the demonstrations' states; in training, the simulator, pictures of any state, and the task's score;
+scenes other than the demo scene; the author's knowledge of the tasks; and a copy of the simulation during tests."""
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
-    """What was learnt from: the number of the shipped set, how many of each task, anything else."""
+    """The training data: the number of the shipped set, the number of demonstrations per task, and any other data."""
 
     set: Positive | None = None
     per_task: Natural | None = None
@@ -94,7 +95,7 @@ class Demonstrations(Struct, forbid_unknown_fields=True):
 
 
 class Training(Struct, forbid_unknown_fields=True):
-    """What one run cost: hours on the device, and environment steps."""
+    """The cost of one training run: hours on the device, and environment steps."""
 
     hours: Annotated[float, Meta(ge=0, le=1e9)] | Natural | None = None
     device: Annotated[str, Meta(max_length=200)] | None = None
@@ -102,7 +103,7 @@ class Training(Struct, forbid_unknown_fields=True):
 
 
 class Card(Struct, forbid_unknown_fields=True):
-    """The description of a method; what was not said is None."""
+    """The description of a method. Fields that its author left out are None."""
 
     method: Annotated[str, Meta(pattern=r"^[^<>|`\[\]\x00-\x1f\u2020\u2605\u2b50]{1,80}$(?!\n)")]
     description: Annotated[str, Meta(max_length=2000)] | None = None
@@ -113,11 +114,11 @@ class Card(Struct, forbid_unknown_fields=True):
     hardware: Line | None = None
     privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
     commands: Annotated[list[Annotated[str, Meta(max_length=500)]], Meta(max_length=20)] | None = None
-    """The commands that repeat it, from a checkout of this repository or of the method's."""
+    """The commands that reproduce it, from a checkout of this repository or of the method's."""
 
 
 class Versions(Struct, forbid_unknown_fields=True):
-    """The versions of this package and of MuJoCo, and the OpenGL backends, with which the episodes were played."""
+    """The versions of this package and of MuJoCo, and the OpenGL backends, that played the episodes."""
 
     version: Annotated[list[Name], Meta(min_length=1)]
     mujoco: Annotated[list[Name], Meta(min_length=1)]
@@ -127,9 +128,8 @@ class Versions(Struct, forbid_unknown_fields=True):
 class Columns(Struct, forbid_unknown_fields=True):
     """The episodes: field -> environment -> a value for each, in the same order in all fields.
 
-    Environments are called such as "FindDupe-All", or "FindDupe-Demo camera:3" in the track of shifts.
-
-    Values of one kind compress best side by side.
+    An environment has a name such as "FindDupe-All", or in the shift track "FindDupe-Demo camera:3". The format is by
+    column because values of one kind compress best next to each other.
     """
 
     run: dict[str, list[Natural]]
@@ -141,7 +141,10 @@ class Columns(Struct, forbid_unknown_fields=True):
 
 
 class EntryFields(Struct, frozen=True):
-    """What an entry and its file say alike. `observations` is None if it used none, `protocol` if none was recorded."""
+    """The fields that `Entry` and `Content` share.
+
+    `observations` is None if the policy used none, `protocol` if none was recorded.
+    """
 
     card: Card
     observations: Annotated[str, Meta(pattern=r"^[0-9A-Za-z]{0,80}$(?!\n)")] | None
@@ -151,7 +154,10 @@ class EntryFields(Struct, frozen=True):
 
 
 class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
-    """What the file holds, as JSON with sorted keys, compressed by xz. `sha256` is of all else in the same form."""
+    """The content of the file: JSON with sorted keys, compressed by xz.
+
+    `sha256` is the hash of the same JSON without that field.
+    """
 
     format: Literal[2]
     runs: Annotated[list[Natural], Meta(min_length=1)]
@@ -160,7 +166,7 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
 
 
 class Entry(EntryFields, frozen=True):
-    """The results of one method. Episodes from a file have no duration, and no versions of their own."""
+    """The results of one method. Episodes read from a file have no duration, and no individual versions."""
 
     episodes: list[EpisodeResult]
 
@@ -176,18 +182,21 @@ class Entry(EntryFields, frozen=True):
 
     @property
     def counted(self) -> list[EpisodeResult]:
-        """The episodes of the 60 environments that count: those in the scenes that the protocol requires."""
+        """The episodes of the 60 environments that count: those with the seeds that the protocol requires."""
         return [episode for episode in self.episodes if not episode.shift and episode.seed < SEEDS]
 
     @property
     def shifted(self) -> list[EpisodeResult]:
-        """The episodes of the track of shifts that count."""
+        """The episodes of the shift track that count."""
         return [episode for episode in self.episodes if episode.shift and episode.seed < SHIFT_SEEDS]
 
 
 @cache
 def track(task: str) -> tuple[str, ...]:
-    """The track of shifts of a task: its demo variant under each of our shifts that it can have, in each strength."""
+    """The labels of a task's shift track: each built-in shift that the task supports, at each strength.
+
+    They apply to its demo variant.
+    """
     return tuple(map(shift_label, expand_shifts("all", task)))
 
 
@@ -198,19 +207,19 @@ def submit(
     card: Path | str | None = None,
     policy: str | None = None,
 ) -> Entry:
-    """Makes an entry from the evaluations in some folders, and writes it.
+    """Makes an entry from one or several evaluations, and writes it.
 
     Args:
-        folders: evaluations of one method, such as one for each run. Of shifted episodes, those of the `track` count.
-        out: the file, whose name must end in .json.xz; an existing file is not replaced.
-        card: a TOML file with fields of `Card`, all optional; the method has its name in the evaluations otherwise.
+        folders: evaluations of one method, such as one for each run. Shifted episodes outside the `track` are left out.
+        out: the file. Its name must end in .json.xz. An existing file is not replaced.
+        card: a TOML file with fields of `Card`, all optional. By default, the method is named as in the evaluations.
         policy: the name of the method in the folders, if they hold several.
 
     Raises:
         SettingsError: if the card has unknown fields or values of the wrong kind, or the choice of a method is
             ambiguous.
         UnknownNameError: if `policy` is not in the folders.
-        EvaluationError: if a folder is not an evaluation, or they cannot be combined.
+        EvaluationError: if a folder is not an evaluation, or the folders cannot be combined.
         OSError: if the file exists or cannot be written.
     """
     out, folders = files.to_path(out), folders_of(folders)
@@ -223,12 +232,12 @@ def submit(
     sources = [source for source in read_all if has_place(source[0].task, source[0].variant, source[0].shift)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if not names:
-        raise EvaluationError("all episodes are shifted, by other shifts than those of the track; an entry holds none")
+        raise EvaluationError("all episodes have shifts outside the shift track: an entry cannot hold them")
     if policy is not None:
         check_name("policy", policy, names)
     elif len(names) > 1:
         raise SettingsError(
-            f"the folders hold {', '.join(names)}: say which one is meant (--policy NAME); if they are runs of one "
+            f"the folders hold {', '.join(names)}: choose one with --policy NAME; if they are runs of one "
             "method, evaluate them again under its name, as in evaluate --policy BC=runs/a,BC=runs/b"
         )
     name = policy or names[0]
@@ -246,14 +255,17 @@ def submit(
 
 
 def has_place(task: str, variant: str, shift: str) -> bool:
-    """Whether an episode is unshifted, or of the track of shifts; others may stand beside them in an evaluation."""
+    """Whether an entry can hold an episode: without a shift, or with one of the shift track.
+
+    Evaluations may hold other episodes, which `submit` leaves out.
+    """
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
 def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
-    """Raises an `EvaluationError` if two runs of a method played with equal policies: a run is a training of its own.
+    """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
 
-    `method` is the only policy that is checked; None: all.
+    Only the policy `method` is checked; with None, all are.
     """
     known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
     check_runs(
@@ -265,13 +277,19 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
 
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
-    """The entry of one method's episodes, each given with its folder; they must be of one kind."""
+    """The entry of one method's episodes, each given with its folder.
+
+    Raises:
+        EvaluationError: if they differ in observations, rules or protocol, or cannot be part of an entry.
+    """
     for episode, folder in sources:
         for name, (usual, problem) in PLAIN.items():
             if (value := getattr(episode, name)) != usual:
                 raise EvaluationError(f"{folder} was played {problem.format(value)}")
         if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
-            raise EvaluationError(f"{folder} cannot be an entry, which others replay: {episode.title}: {problem}")
+            raise EvaluationError(
+                f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}"
+            )
     episodes = [episode for episode, _ in sources]
     return Entry(
         card,
@@ -284,17 +302,17 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
 
 
 def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
-    """The value that all have, each given with the file or folder that holds it."""
+    """The value of a setting, which must be the same in all files or folders. `values` are pairs (value, source)."""
     (first, folder), *others = values
     for value, other in others:
         if value != first:
             pair = f"{first or 'none'} in {folder}, {value or 'none'} in {other}"
-            raise EvaluationError(f"different {setting}: {pair}; an entry is of one kind")
+            raise EvaluationError(f"different {setting}: {pair}; they must be the same in all of an entry")
     return first
 
 
 def entry_files(folder: Path | str) -> list[Path]:
-    """The entries in a folder, sorted by name: files, and folders with a card; or the one that is given instead."""
+    """The entries in a folder, sorted by name: files, and folders with a card. An entry's own path gives itself."""
     folder = files.to_path(folder)
     if folder.is_file() or (folder / CARD).is_file():
         return [folder]
@@ -322,14 +340,14 @@ def _text(content: dict[str, Any]) -> bytes:
 
 
 def is_entry(path: Path) -> bool:
-    """Whether a path is that of an entry, by its form, and not that of an evaluation."""
+    """Whether a path is an entry: a file, or a folder with a card. An evaluation is a folder without one."""
     return path.is_file() or (path / CARD).is_file()
 
 
 def read_entry(path: Path | str) -> Entry:
-    """The entry in a file or a folder, which may be anybody's.
+    """The entry in a file or a folder. The source need not be trusted.
 
-    A folder holds a `CARD`, which counts instead of those in its files, and one or several files of the same kind.
+    A folder holds a `CARD` and one or several files with equal `SHARED` fields. Its card replaces those in the files.
 
     Raises:
         EvaluationError: if it is not an entry, is too large, damaged or was altered, or has another format or protocol.
@@ -340,11 +358,11 @@ def read_entry(path: Path | str) -> Entry:
     card = _card_in(path)
     parts = {part: unpacked(_content(part, MOST_BYTES), part) for part in sorted(path.glob(f"*{SUFFIX}"))}
     if not parts:
-        raise EvaluationError(f"{path} has a card, and no episodes (*{SUFFIX})")
-    places: dict[str, Path] = {}
+        raise EvaluationError(f"{path} has a card, but no episodes (*{SUFFIX})")
+    holders: dict[str, Path] = {}
     for part, row in ((part, row) for part, entry in parts.items() for row in entry.episodes):
-        if places.setdefault(row.title, part) != part:
-            raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {row.title}")
+        if holders.setdefault(row.title, part) != part:
+            raise EvaluationError(f"{part} and another file of {path} hold the same episode: {row.title}")
     observations, rules, protocol = (
         _common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
     )
@@ -366,33 +384,33 @@ def _card_in(folder: Path) -> Card:
     try:
         card = msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise EvaluationError(f"{path} is no card: {str(error)[:200]}") from error
+        raise EvaluationError(f"{path} is not a card: {str(error)[:200]}") from error
     _check_name(card.method, path)
     return card
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
-    """The entry in a file's bytes, which errors call by this name; see `read_entry`."""
+    """The entry in a file's bytes. Errors use `name`, and are those of `read_entry`."""
     text = _decompressed(data, name)
     try:
         content = msgspec.json.decode(text, type=Content)
     except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:
-        raise EvaluationError(f"{name} is no entry: {str(error)[:200]}") from error
+        raise EvaluationError(f"{name} is not an entry: {str(error)[:200]}") from error
     without_hash = re.sub(rb',"sha256":"[^"]*"(?=,"versions":\{[^{]*$)', b"", text)
     if content.sha256 != hashlib.sha256(without_hash).hexdigest():
-        raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
+        raise EvaluationError(f"{name} was altered after it was made: its hash does not match its content")
     if content.protocol not in (None, PROTOCOL):
-        raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
+        raise EvaluationError(f"{name} follows protocol {content.protocol}, but this version plays {PROTOCOL}")
     _check_name(content.card.method, name)
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
-        raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
+        raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
     return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
 
 
 def _check_name(method: str, name: object) -> None:
     if not method.isprintable() or method != method.strip():
-        problem = "holds signs that cannot be seen, or begins or ends with a space"
+        problem = "has invisible characters, or begins or ends with a space"
         raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
 
 
@@ -403,16 +421,20 @@ def _decompressed(data: bytes, name: object) -> bytes:
     except lzma.LZMAError as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
     if len(text) > MOST_UNPACKED:
-        raise EvaluationError(f"{name} expands to more than {MOST_UNPACKED / 1e6:.0f} MB, which no entry may")
+        raise EvaluationError(f"{name} expands to more than {MOST_UNPACKED / 1e6:.0f} MB, the limit for entries")
     if not file.eof or file.unused_data:
-        raise EvaluationError(f"{name} is cut short" if not file.eof else f"{name} goes on after its end")
+        raise EvaluationError(f"{name} is cut short" if not file.eof else f"{name} has data after its end")
     if text.count(b",") > MOST_VALUES:
-        raise EvaluationError(f"{name} holds more than {MOST_VALUES:,} values, which no entry may")
+        raise EvaluationError(f"{name} holds more than {MOST_VALUES:,} values, the limit for entries")
     return text
 
 
 def _episodes(content: Content, name: object) -> list[EpisodeResult]:
-    """The episodes in columns, which must be of the benchmark's environments, equally long, and without repetitions."""
+    """The episodes in the columns of an entry.
+
+    Raises:
+        EvaluationError: if an environment is unknown, columns differ in length, or an episode occurs twice.
+    """
     columns = msgspec.structs.asdict(content.episodes)
     shared: dict[str, Any] = {"policy": content.card.method, "rules": content.rules, "preset": content.observations}
     shared |= {"seconds": 0.0, "version": "", "mujoco": "", "gl": ""}
@@ -422,11 +444,11 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
         task, _, variant = pair.partition("-")
         shared["shift"] = shift
         if (task, variant) not in ENVIRONMENTS or not has_place(task, variant, shift):
-            raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is no environment")
+            raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is not an environment")
         lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}
         if len(set(lengths.values())) > 1 or not lengths["run"]:
             counts = ", ".join(f"{field} {count}" for field, count in lengths.items())
-            raise EvaluationError(f"{name} has not all fields of all episodes in {environment}: {counts}")
+            raise EvaluationError(f"{name} lacks fields of some episodes in {environment}: {counts}")
         numbers: set[tuple[int, int]] = set()
         for values in zip(*(column[environment] for column in columns.values()), strict=True):
             fields = dict(zip(columns, values, strict=True))

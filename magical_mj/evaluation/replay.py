@@ -1,6 +1,6 @@
-"""Playing stored episodes again, in worker processes: to check them, and to score them by other rules.
+"""Replays of stored episodes in worker processes: they check the scores, or compute them by other rules.
 
-`obstacle` says which episodes cannot be played again. Everything that replays or shows stored episodes asks it.
+`obstacle` decides which episodes can be replayed. Everything that replays or shows stored episodes calls it.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ CHUNK: Final = 50
 """The number of episodes that a worker replays before it reports."""
 
 Recorded = tuple[Any, EpisodeResult]
-"""An episode, and what its owner knows it by, such as the name of its entry."""
+"""An identifier that the caller chooses, such as the name of an entry, and an episode."""
 Replayed = tuple[Any, EpisodeResult, str | None]
-"""A `Recorded` one, by other rules if these were wanted, and how it differs from its record; None if it does not."""
+"""The identifier, the episode (by other rules if requested), and how the replay differs from its record, or None."""
 
 
 def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
-    """Why an episode cannot be played again here from its seed and its actions; None if it can.
+    """Why this version cannot replay an episode from its seed and its actions. None if it can.
 
-    It depends on the simulator, the wrapper, the task, the rules, the body, the shift, and the protocol. It does not
-    depend on the renderer: actions are replayed without pictures, and films draw new ones.
+    The answer depends on the simulator, the wrapper, the task, the rules, the body, the shift, and the protocol. It
+    does not depend on the renderer: replays draw no pictures, and films draw new ones.
 
     Args:
         episode: the stored episode.
-        recorded: the settings of its evaluation (``run.json``), as far as they are known.
+        recorded: the known settings of its evaluation (``run.json``).
 
     Raises:
-        UntrustedNameError: if the episode names code that the user has not named.
+        UntrustedNameError: if the episode names code that the user did not name as well.
     """
     if episode.worlds != "single":
         return f"it was played in batched worlds: {UNOFFICIAL}"
@@ -60,7 +60,7 @@ def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyT
     for name, number in names.items():
         if recorded.get(name) not in (None, number):
             words = name.replace("_", " ")
-            return f"it follows {words} {recorded[name]}, and this version plays {number}"
+            return f"it follows {words} {recorded[name]}, but this version plays {number}"
     for name in (episode.task, episode.body, *map(named_in, episode.shift.split("+"))):
         check_named(name, "an episode")
     try:
@@ -77,11 +77,15 @@ def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyT
 
 
 def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:
-    """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
+    """Replays episodes in worker processes, and compares their scenes and scores with the records.
 
-    With `rules`, they are scored again, after the steps that an episode has by these rules; None: as they are. Yields
-    each episode, as they come; of one that has an `obstacle`, this is its difference. `jobs` is the number of
-    processes; None: one per core.
+    Args:
+        recorded: the episodes.
+        rules: score them again by these rules, after as many steps as an episode has by them. None: by their own rules.
+        jobs: the number of processes. None: one per core.
+
+    Returns:
+        The episodes in order of completion. If an episode has an `obstacle`, it is reported as its difference.
     """
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     refused: list[Replayed] = []
@@ -91,7 +95,7 @@ def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: in
         else:
             alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
     chunks: list[list[Recorded]] = []
-    for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
+    for episodes in alike.values():  # sorted by seed: a scene of several entries is sampled and compiled once
         episodes.sort(key=lambda recorded: (recorded[1].seed, str(recorded[0])))
         chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
     chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
@@ -101,29 +105,33 @@ def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: in
 
 
 def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
-    """The work of one process: replays some episodes of one environment."""
-    from magical_mj.engine import Engine  # which loads the simulator
+    """Replays episodes of one environment in this process."""
+    from magical_mj.engine import Engine  # imported late: it loads the simulator
 
     first, results = chunk[0][1], []
     own = check_rules(first.rules)
     settings: dict[str, Any] = {"rules": own, "shifts": first.shift, "body": first.body}
     with closing(Engine(first.task, first.variant, seed=first.seed, **settings)) as engine:
         for source, episode in chunk:
-            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
+            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None keeps the scene
             rescored, difference = _played(episode, engine, rules)
             results.append((source, rescored, f"{episode.title}: {difference}" if difference else None))
     return results
 
 
 def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
-    """An episode by these rules, whose scene the engine is in; and what is wrong with it: None if it is confirmed."""
+    """Replays an episode in the engine, which is in its scene.
+
+    Returns:
+        The episode scored by `rules`, and what is wrong with it, or None if the replay confirms it.
+    """
     if problem := other_scene(episode, engine):
         return episode, problem
     problem = inconsistency(episode, engine.horizon)
     spec = task_spec(episode.task)
     steps = spec.horizon(rules or engine.rules, episode.body)
     if problem is None and engine.horizon is not None and steps > engine.horizon:
-        problem = f"it has {engine.horizon} actions, and {steps} by the rules {rules!r}: play it again by these"
+        problem = f"it has {engine.horizon} actions, but needs {steps} by the rules {rules!r}: play it again by these"
     if problem is not None:
         return episode, problem
     rescored = changed(episode, rules=rules or episode.rules)
@@ -138,24 +146,27 @@ def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tupl
     except PhysicsError as error:
         return episode, f"it cannot be replayed: {error}"
     if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
-        return episode, f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
+        return episode, f"the score is {episode.score:g}, but its actions lead to {engine.score():g}"
     return rescored, None
 
 
 def other_scene(episode: EpisodeResult, engine: Engine) -> str | None:
-    """How the scene of an episode, if it was recorded, differs from that in which an engine starts; None if not."""
+    """How the recorded scene of an episode differs from the engine's initial scene. None if equal or not recorded."""
     digest = engine.initial_scene.digest()
     if episode.scene in (None, digest):
         return None
-    return f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
+    return f"it was played in the scene {episode.scene}, but the seed's scene is {digest}"
 
 
 def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
-    """What is wrong with an episode, whose task has that many steps, without playing it; None if nothing is."""
+    """What is wrong with an episode, found without playing it: its failure, actions or length. None if nothing is.
+
+    `horizon` is the number of steps of the task's episodes.
+    """
     if episode.failure is not None:
-        return None if episode.score == 0 else f"the policy failed, and its score is {episode.score:g} instead of 0"
+        return None if episode.score == 0 else f"the policy failed, but its score is {episode.score:g} instead of 0"
     if set(episode.actions) - set(LETTERS):
         return "its actions are not all among the 18"
     if len(episode.actions) != horizon:
-        return f"it has {len(episode.actions)} actions, and episodes have {horizon}"
+        return f"it has {len(episode.actions)} actions, but episodes have {horizon}"
     return None

@@ -1,4 +1,4 @@
-"""Playing episodes with policies, one after another or side by side in a vector environment.
+"""Rollouts of policies: one episode after another, or several at a time in a vector environment.
 
 All episodes of an environment have the same length. So a vector environment is reset with one scene for each of its
 environments and stepped until all have ended together. Its autoreset mode does not matter, since it is always reset
@@ -59,18 +59,18 @@ Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
 Env: TypeAlias = "Engine | gymnasium.Env[Any, Any]"
 
 USUAL_WRAPPERS: Final = (OrderEnforcing, PassiveEnvChecker, TimeLimit, ScoreAtTheEnd)
-NO_SCORE: Final = "only environments of this package have a score: make one whose id begins with magical_mj/"
+NO_SCORE: Final = "only environments of this package have a score: make one with an id that begins with magical_mj/"
 
 
 class PolicyCopies:
-    """A batch policy made of copies of a policy for single observations, one for each episode."""
+    """A batch policy that consists of copies of a policy for single observations, one for each episode."""
 
     def __init__(self, policy: Act, envs: Envs) -> None:
         try:
             self._copies = [copy.deepcopy(policy) for _ in range(envs.num_envs)]
         except Exception as error:
             raise SettingsError(
-                f"{type(policy).__name__} cannot be copied for episodes side by side ({reason(error)}): give it the "
+                f"{type(policy).__name__} cannot be copied for parallel episodes ({reason(error)}): give it the "
                 "methods reset_batch and act_batch, or play in a single environment"
             ) from error
         self._space = envs.observation_space
@@ -89,20 +89,20 @@ class PolicyCopies:
 def rollouts(
     env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Iterable[Episode]
 ) -> Iterator[EpisodeResult]:
-    """Plays the episodes in an environment, or side by side in a vector environment; yields their results in order.
+    """Plays the episodes in an environment, or several at a time in a vector environment. Yields results in order.
 
     Args:
         env: one of the package's environments (with or without wrappers), or a vector environment of one of them. Its
-            actions are the 18.
-        policy: the agent; for single environments it takes single observations. In a vector environment, a
-            `BatchPolicy` acts for all environments at once; of any other policy, each environment gets a copy.
+            action space must be the 18 discrete actions.
+        policy: the agent. In a single environment, it takes single observations. In a vector environment, a
+            `BatchPolicy` acts for all environments at once; any other policy is copied for each environment.
         episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
-        EvaluationError: if the environment has other actions, or is not that of the episodes.
+        EvaluationError: if the environment has other actions, or is not the environment of the episodes.
         RenderingError, TaskError, EvaluationError, Exception: see `play`.
-        SettingsError: if the policy must be copied, and cannot be; if shifts change the sentence that says what is to
-            be done, and the policy does not read it.
+        SettingsError: if the policy must be copied, but cannot be; or if shifts change the instruction, but the policy
+            does not read it.
     """
     episodes = list(episodes)
     facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, policy, episodes)}
@@ -118,22 +118,22 @@ def rollouts(
             outcome = play(env, policy, replace(episode, task=told_task(episode.task)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
-        raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
+        raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
 
 
 def _checked_facts(
     env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
 ) -> dict[str, Any]:
-    """What an environment is besides task and variant, as in results.
+    """The rules, shift, body and wrapper of an environment, with the names of the fields of `EpisodeResult`.
 
     Raises:
         EvaluationError: unless it is the environment of the episodes.
-        SettingsError: if it changes the sentence that says what is to be done, and the policy does not read it.
+        SettingsError: if its shifts change the instruction, but the policy does not read it.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
         if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
-            spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
+            spec = env.unwrapped.get_attr("spec")[0]  # its environments have the same spec
         arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
         shifts, body = parse_shifts(arguments.get("shifts")), arguments.get("body", GRIPPER)
@@ -144,20 +144,20 @@ def _checked_facts(
     check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"sentence"}))
     if not isinstance(space, Discrete):
         raise EvaluationError(
-            f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
-            "actions, and end the policy in magical_mj.scene.actions.to_discrete(vector)"
+            f"policies return one of the 18 actions, but the environment takes {space}: make it without continuous "
+            "actions, and let the policy return magical_mj.scene.actions.to_discrete(vector)"
         )
     pair = (None if task is None else task_name(task)), variant
     for episode in episodes:
         if task is not None and (episode.task, episode.variant) != pair:
             raise EvaluationError(
-                f"the environment is {task} {variant}, and an episode {episode.task} {episode.variant}"
+                f"the environment is {task} {variant}, but an episode has {episode.task} {episode.variant}"
             )
     return {"rules": rules, "shift": shift_label(shifts), "body": body, "wrap": _wrapper(env)}
 
 
 def _wrapper(env: object) -> str:
-    """The outermost wrapper of an environment besides those of `gymnasium.make`; empty if there is none."""
+    """The outermost wrapper of an environment that `gymnasium.make` did not add. Empty if there is none."""
     while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
         if not isinstance(env, USUAL_WRAPPERS):
             return f"{type(env).__module__}:{type(env).__qualname__}"
@@ -166,7 +166,7 @@ def _wrapper(env: object) -> str:
 
 
 def engine_of(env: Env) -> Engine:
-    """The engine itself, or the one inside a Gymnasium environment, which must be of this package."""
+    """The engine of a Gymnasium environment of this package, or `env` itself if it is an engine."""
     engine = getattr(env.unwrapped, "engine", None) if isinstance(env, gymnasium.Env) else env
     if engine is None:
         raise EvaluationError(NO_SCORE)
@@ -174,16 +174,16 @@ def engine_of(env: Env) -> Engine:
 
 
 def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
-    """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
+    """Plays one episode. If the policy fails, its score is 0.
 
-    So it is if the episode has not ended after so many `seconds`, which is checked after each action. A policy that
-    uses the simulation gets it in the episode.
+    A policy fails if it raises an error, makes the simulation unstable, or has not finished within `seconds`. The time
+    is checked after each action. A policy that uses the simulation receives the engine as `Episode.env`.
 
     Raises:
-        RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
-            or an invalid score, which is not the policy's fault.
-        EvaluationError: if it is no environment of this package, or a wrapper ends the episode too early.
-        Exception: whatever else the environment raises.
+        RenderingError: if no pictures can be drawn on this machine.
+        TaskError: if the task has no scene for the seed, or an invalid score.
+        EvaluationError: if the environment is not one of this package, or a wrapper ends the episode too early.
+        Exception: any other error of the environment.
     """
     engine, over = engine_of(env), False
     with _attempt(seconds) as (outcome, check_time):
@@ -206,7 +206,7 @@ def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> 
 def play_side_by_side(
     envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode], seconds: float = math.inf
 ) -> list[Outcome]:
-    """Plays at most one episode per environment. If one fails as in `play`, all have failed."""
+    """Plays at most one episode per environment. If one fails as described in `play`, all are marked failed."""
     count = len(episodes)
     batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
     episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
@@ -233,7 +233,7 @@ def play_side_by_side(
 
 
 def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
-    """The sentence of each environment that says what is to be done in the episode that it is in."""
+    """The instruction (a sentence) of the current episode in each environment."""
     worlds: Any = envs.unwrapped
     if not hasattr(worlds, "get_attr"):  # batched worlds, which have no shifts
         return [task_spec(episode.task).summary for episode in episodes]
@@ -244,16 +244,16 @@ def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
 
 
 def late(seconds: float) -> str:
-    """Why an episode that took longer than this has failed."""
+    """The failure message of an episode that took longer than this."""
     return f"TimeLimitError: no end within {seconds:g} s"
 
 
 @contextmanager
 def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
-    """A context that ends without an error if the policy fails, or makes the simulation unstable.
+    """A context that suppresses errors of the policy and of an unstable simulation, and records them in the outcome.
 
-    It gives the outcome, and a function that fails after so many seconds. In it numpy has its own settings: results
-    depend on no ``np.seterr`` of the caller.
+    It yields the outcome, and a function that raises an error if more than `seconds` have passed. It sets numpy's error
+    handling, so that results do not depend on the caller's ``np.seterr``.
     """
     outcome, start = Outcome(), time.perf_counter()
 
@@ -272,21 +272,21 @@ def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
 
 
 def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
-    """The scores after a step of a vector environment, shape (n,), from what the step returned."""
+    """The scores after a step of a vector environment, shape (n,), from the values that the step returned."""
     if not isinstance(info, Mapping):
         raise EvaluationError(f"infos must be a dict, not {type(info).__name__}: leave out the wrapper")
-    info = info.get("final_info", info)  # the former if the next episodes have begun
-    if np.any(info.get("broken", False)):  # of batched worlds
+    info = info.get("final_info", info)  # present if the next episodes have begun
+    if np.any(info.get("broken", False)):  # only batched worlds have it
         raise PhysicsError("the state of a simulation is not finite any more")
     if ended.any() and not ended.all():
-        raise EvaluationError("the vector holds environments whose episodes differ in length")
+        raise EvaluationError("the environments of the vector differ in the length of their episodes")
     if "eval_score" not in info:
         raise EvaluationError(NO_SCORE)
     return info["eval_score"]
 
 
 def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
-    """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, without its score."""
+    """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, so it has no score."""
     inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
     limits = inside.get_attr("limit") if hasattr(inside, "get_attr") else [getattr(inside, "limit", 0)]
     if len(actions) < min(limits):
@@ -297,7 +297,11 @@ def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:
-    """What `reset` returns; raises a `TaskError` if no episode can start in the scene of a seed."""
+    """Calls `reset` and returns its result.
+
+    Raises:
+        TaskError: if no episode can start in the scene of the seed.
+    """
     try:
         return env.reset(seed=seed)
     except (InvalidSceneError, PlacementError) as error:
@@ -305,5 +309,5 @@ def _reset(env: Env | Envs, seed: Any) -> Any:
 
 
 def _observation(result: Any) -> Any:
-    """The observation in the result of `reset` or `step` of Gymnasium; None for an engine's."""
+    """The observation in the result of Gymnasium's `reset` or `step`. None if the result is an engine's."""
     return result[0] if isinstance(result, tuple) else None

@@ -1,4 +1,4 @@
-"""Evaluations: checks of the settings, finished episodes from the folder, and the rest from workers."""
+"""Evaluations: they check the settings, read finished episodes from the folder, and play the others in workers."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 STEPS_PER_WORKER: Final = 2000
-"""The least number of actions per process: for fewer, starting it would take longer than playing them."""
+"""The smallest number of actions per process. Starting a process takes longer than playing fewer."""
 FIRST_EPISODES: Final = 10
-"""If this many planned episodes of a policy, its first ones, fail with the same type of error, the evaluation stops."""
+"""If the first planned episodes of a policy, this many, fail with the same type of error, the evaluation stops."""
 
 
 def evaluate(
@@ -44,19 +44,20 @@ def evaluate(
 
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
-            stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
-            as a mapping of names to them. Policies with the same name are successive runs of one method.
-        name: what the policy is called in results, instead of by its class, function or file; several policies are
+            stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several policies, as a
+            list or as a mapping from names to policies. Policies with the same name are successive runs of one method.
+        name: the policy's name in results, instead of that of its class, function or file. Several policies are
             successive runs of a method with this name.
         watch: called with the result of each finished episode.
         settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
-        A pandas frame with a row for each episode: see `magical_mj.evaluation.EpisodeResult`.
+        A pandas frame with a row for each episode. Its columns are the fields of
+        `magical_mj.evaluation.EpisodeResult`.
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
-        EvaluationError: if the folder holds something else, two runs of a method have equal policy files, a worker
+        EvaluationError: if the folder holds other files, two runs of a method have equal policy files, a worker
             dies repeatedly, or the first episodes of a policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
@@ -90,11 +91,11 @@ class Evaluation:
     Attributes:
         settings: the settings of the evaluation.
         scores: the results of the finished episodes.
-        units: the work that remained when it was made, or when `play` was called last.
+        units: the work that remained at construction, or at the last call of `play`.
     """
 
     def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
-        """Checks everything and reads finished episodes; plays nothing yet. Raises the errors of `evaluate`."""
+        """Checks the settings and reads finished episodes, but plays none. Raises the errors of `evaluate`."""
         check_extra("evaluations", "eval")
         if settings.batched:
             check_extra("batched worlds", "gpu")
@@ -113,7 +114,7 @@ class Evaluation:
         self.settings = settings = replace(settings, preset=self._sources[0].preset)
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
-            single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # an error now
+            single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None
@@ -123,7 +124,7 @@ class Evaluation:
 
     @property
     def steps(self) -> int:
-        """How many actions the remaining units take."""
+        """The number of actions in the remaining units."""
         return sum(unit.steps(self.settings) for unit in self.units)
 
     def play(self) -> Iterator[EpisodeResult]:
@@ -138,7 +139,7 @@ class Evaluation:
                 yield from results
 
     def _remaining(self) -> list[Unit]:
-        """What is to be played; what is not becomes the `scores`."""
+        """The units that must still be played. Sets `scores` to the finished episodes."""
         if self._folder:
             self.scores = self._folder.done
         failed: dict[Key, int] = {}
@@ -148,10 +149,11 @@ class Evaluation:
         return plan(self._sources, self.settings, {result.key for result in self.scores}, failed)
 
     def _trusted_results(self) -> Iterator[list[EpisodeResult]]:
-        """All results; those of a policy are held back until one of its first episodes succeeds or fails differently.
+        """The results of all units, unless a policy always fails.
 
-        The first planned episodes decide, not the first finished ones, which depend on the number of workers. If all
-        fail with the same type of error, it is raised, and none are yielded.
+        The results of a policy are held back until one of its first episodes succeeds, or two fail with different types
+        of errors. If all fail with the same type, an error is raised, and none is yielded. The first planned episodes
+        decide, because the first finished ones depend on the number of workers.
         """
         planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
@@ -179,7 +181,7 @@ class Evaluation:
         problem = None if here else self._unsendable()
         if backend == "local" and jobs is None:
             jobs = min(cores(), self.steps // STEPS_PER_WORKER)
-            here = jobs == 0 or self.settings.batched or problem is not None  # an accelerator is not shared
+            here = jobs == 0 or self.settings.batched or problem is not None  # processes do not share an accelerator
         if here:
             played = map_here(player, self.units)
         elif problem is not None:
@@ -196,7 +198,7 @@ class Evaluation:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 
     def _unsendable(self) -> str | None:
-        """Why a policy cannot be sent to other processes; None if all can."""
+        """Why a policy cannot be sent to other processes. None if all can."""
         for source in self._sources:
             try:
                 cloudpickle.dumps(source)
@@ -211,16 +213,16 @@ def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:
     given = "" if result.preset is None else f"; it was given {observed(result.preset)}"
     which = "the first episode" if count == 1 else f"the first {count} episodes"
     return EvaluationError(
-        f"{which} of {result.policy}{run} failed, so none of them is kept; {result.task} {result.variant}, "
+        f"{which} of {result.policy}{run} failed, so no result is kept; {result.task} {result.variant}, "
         f"seed {result.seed}: {result.failure}{given}"
     )
 
 
 def _check_versions(results: Iterable[EpisodeResult]) -> None:
-    """Raises an `EvaluationError` if a worker has other versions than this process."""
+    """Raises an `EvaluationError` if a worker has versions different from those of this process."""
     for result in results:
         if (result.version, result.mujoco) != (__version__, MUJOCO_VERSION):
             raise EvaluationError(
                 f"a worker has magical_mj {result.version} and mujoco {result.mujoco}, "
-                f"and this process {__version__} and {MUJOCO_VERSION}: install the same everywhere"
+                f"but this process {__version__} and {MUJOCO_VERSION}: install the same versions everywhere"
             )

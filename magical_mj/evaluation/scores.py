@@ -1,8 +1,8 @@
 """The folder of an evaluation: ``run.json`` with its settings, and ``scores.jsonl`` with a line per finished episode.
 
-Lines are appended, and none is altered. An episode that failed and was played again has another line, which counts in
-place of the earlier ones. A line counts once it has its end: what a killed process left half written is
-not read, and cut off before more is appended. An evaluation that is resumed may grow, but keeps its other settings.
+Lines are appended and never altered. If a failed episode is played again, its new line replaces the earlier ones when
+the file is read. A killed process may leave an incomplete last line. It is ignored by readers, and removed before more
+lines are appended. An evaluation that is resumed may grow, but keeps its other settings.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ SCORE_TOLERANCE: Final = 1e-9
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
 MOST_SETTINGS: Final = 10_000_000
-"""The number of bytes of the largest file of settings that is read."""
+"""The largest size of a settings file in bytes."""
 
 Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """An integer that tables of scores can hold."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
 GROWING: Final = ("policies", "environments", "shifts")
-"""The settings of which a resumed evaluation may have more, as it may have more seeds."""
+"""The settings that a resumed evaluation may extend. It may add seeds as well."""
 OLDER: Final = {
     "worlds": "single",
     "split": "test",
@@ -66,7 +66,7 @@ class PlayedPolicy(TypedDict):
 
 
 class Played(TypedDict):
-    """What the settings of every evaluation say: of what it consists, where `OLDER` fills in the rest."""
+    """The settings in every ``run.json``. `OLDER` completes those of older versions."""
 
     policies: list[PlayedPolicy]
     environments: list[str]
@@ -81,41 +81,41 @@ class Outcome:
 
     actions: list[Any] = dataclasses.field(default_factory=list)
     score: float = 0.0
-    """In [0, 1]; of no meaning if the policy failed."""
+    """In [0, 1]. Meaningless if the policy failed."""
     failure: str | None = None
-    """Why the policy failed; None if it did not."""
+    """Why the policy failed. None if it did not."""
     seconds: float = 0.0
     cause: Exception | None = None
-    """The error by which the policy failed, if it was one."""
+    """The error that the policy raised. None if it raised none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResult:
-    """One played episode, with all that is needed to replay it: a line of ``scores.jsonl``.
+    """One played episode, with everything that a replay needs: a line of ``scores.jsonl``.
 
     Attributes:
-        policy: the method's name; of a policy that was not given a name, that of its class or function.
+        policy: the method's name. By default, the name of its class or function.
         run: the number of the run of the method.
-        task: the task's name. In files it is text: see `magical_mj.utils.imports` before it is looked up.
+        task: the task's name. A name from a file is untrusted: see `magical_mj.utils.imports` before looking it up.
         variant: the variant's name.
         seed: the scene's seed.
         score: in [0, 1]; 0 if the policy failed.
         steps: the number of actions.
         seconds: the duration of the episode, wall clock.
-        rules: the rules by which it was scored.
-        preset: the preset of the observations; None if the policy uses none, or they have no name.
+        rules: the scoring rules.
+        preset: the preset of the observations. None if the policy uses none, or if they have no name.
         version: the version of this package.
         mujoco: MuJoCo's version.
         gl: the OpenGL backend.
-        actions: a letter for each action, from which the episode can be replayed.
-        failure: why the policy failed; None if it did not.
-        scene: the digest of the scene in which the episode started; None in files of older versions.
-        worlds: "single" if MuJoCo itself simulated it; the scores of "batched" worlds are approximate.
+        actions: a letter for each action. A replay needs them.
+        failure: why the policy failed. None if it did not.
+        scene: the digest of the episode's initial scene. None in files of older versions.
+        worlds: "single" if MuJoCo itself simulated it. Scores of "batched" worlds are approximate.
         split: the split of the seed; see `magical_mj.tasks.registry.SPLITS`.
-        shift: what was shifted, such as "camera:3"; empty if nothing was.
-        wrap: the wrapper around the environment, such as "mine:Wrapper"; empty without one.
+        shift: the shift, such as "camera:3". Empty without a shift.
+        wrap: the wrapper around the environment, such as "mine:Wrapper". Empty without one.
         body: the robot's body.
-        retry: how often the episode had failed before, and was played again (``retry_failed``).
+        retry: how many times the episode had failed before and was played again (``retry_failed``).
     """
 
     policy: str
@@ -143,9 +143,10 @@ class EpisodeResult:
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
-        """The result of an episode that was played here and now.
+        """The result of an episode that this process has just played.
 
-        The facts are `policy`, `rules`, `preset`, `scene` and the fields after it; `gl`, if a renderer was chosen.
+        The facts are `policy`, `rules`, `preset`, `scene` and the fields after it. If a renderer was chosen, they
+        include `gl`.
         """
         with_gl: dict[str, Any] = {"gl": drawn_by(), **facts}
         return cls(
@@ -176,39 +177,39 @@ class EpisodeResult:
 
     @property
     def method(self) -> str:
-        """What played, as reports call it: the policy, and the body and the wrapper if they were others than usual."""
+        """The name of the method in reports: the policy, with the body and the wrapper if they are not the defaults."""
         return method_name(self.policy, self.body, self.wrap)
 
     def line(self) -> str:
-        """The line of the file; it leaves out fields that older versions did not write, where they are as usual."""
+        """The line of the file. Fields that older versions did not write are left out if they have default values."""
         values = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in _USUAL}
         return json.dumps(values, ensure_ascii=False) + "\n"
 
 
 def method_name(policy: str, body: str, wrap: str) -> str:
-    """What reports call a policy that played with this body and in this wrapper."""
-    who = policy if body == GRIPPER else f"{policy} with {body}"
-    return f"{who} in {wrap}" if wrap else who
+    """The name in reports of a policy that played with this body and in this wrapper."""
+    name = policy if body == GRIPPER else f"{policy} with {body}"
+    return f"{name} in {wrap}" if wrap else name
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
 _USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER), ("retry", 0))
 _RETRY: Final = b'"retry": '
-"""What stands in the line of an episode that was played again."""
+"""Only the line of an episode that was played again contains this."""
 _BEGINNING: Final = b'{"policy": '
-"""How each line begins."""
+"""Each line begins with this."""
 
 
 def parse(line: str | bytes) -> EpisodeResult:
-    """The episode in a line; raises a ValueError that says what is wrong with it."""
+    """The episode in a line. Raises a ValueError with an explanation if the line is invalid."""
     try:
         values = msgspec.json.decode(line)
         if not isinstance(values, dict) or not values.keys() <= _KNOWN:
             raise ValueError(f"it must be an object with the keys {', '.join(_FIELDS)}")
         result = msgspec.convert(values, EpisodeResult)
     except RecursionError:
-        raise ValueError("lists in lists without end") from None
+        raise ValueError("its lists are nested too deeply") from None
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from None
     check_name("variant", result.variant, VARIANTS)
@@ -223,13 +224,13 @@ def read(folder: Path) -> list[EpisodeResult]:
     """The finished episodes in a folder.
 
     Raises:
-        EvaluationError: if there is no such file, a line is invalid, or an episode occurs twice.
+        EvaluationError: if the file is missing or a line is invalid, or an episode occurs twice.
     """
     return list(episodes_in(folder))
 
 
 def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
-    """As `read`, one after another: the file may be larger than memory."""
+    """Yields the episodes of `read` one after another, since the file may be larger than memory."""
     path = folder / SCORES
     if not path.is_file():
         remedy = f"magical-mj evaluate --out {folder} makes one"
@@ -252,14 +253,14 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
                 yield result
             elif result.failure is None:
                 raise EvaluationError(
-                    f"{path}, line {number}: it has not failed, and another line replaces it; delete one"
+                    f"{path}, line {number}: the episode did not fail, but another line replaces it; delete one"
                 )
     if not lines:
         raise EvaluationError(f"{path} holds no finished episode yet")
 
 
 def _retried(path: Path) -> dict[Key, int]:
-    """The number of the last retry of each episode that was played again after it had failed."""
+    """The number of the last retry of each episode that was played again after a failure."""
     retries: dict[Key, int] = {}
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
@@ -274,12 +275,12 @@ def _parse_line(path: Path, number: int, line: bytes) -> EpisodeResult:
         return parse(line)
     except ValueError as error:
         raise EvaluationError(
-            f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is missing"
+            f"{path}, line {number}: {error}. Correct the line, or delete it: evaluate --resume plays missing episodes"
         ) from error
 
 
 def _is_half(line: bytes) -> bool:
-    """Whether a line is what a killed process leaves; what holds several episodes has lost the ends of its lines."""
+    """Whether a killed process left this line incomplete. A line with several episodes has lost line ends instead."""
     return not line.endswith(b"\n") and line.count(_BEGINNING) < 2
 
 
@@ -293,7 +294,7 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
 
 @contextmanager
 def open_scores(folder: Path) -> Iterator[IO[bytes]]:
-    """The file of scores in a folder, open for `append`, and locked so that only one process writes."""
+    """A context with the score file of a folder, open for `append`, and locked so that only one process writes."""
     path = folder / SCORES
     busy = EvaluationError(f"another evaluation is writing to {path}")
     with path.open("ab", buffering=0) as file, files.locked(path, busy=busy):
@@ -308,20 +309,21 @@ def append(file: IO[bytes], results: Iterable[EpisodeResult]) -> None:
     """Appends finished episodes in a single write."""
     lines = "".join(result.line() for result in results).encode()
     try:
-        while lines:  # of which a full disk may take a part before it raises an error
+        while lines:  # a full disk may write only a part before it raises an error
             lines = lines[file.write(lines) :]
-    except OSError as error:  # which names no file
+    except OSError as error:  # its message lacks the path
         raise OSError(error.errno, error.strerror, file.name) from error
 
 
 class EvaluationFolder:
-    """The folder of an evaluation: new, or with `resume` one to which an evaluation with these settings can be added.
+    """The folder of an evaluation. It is new, or with `resume`, an evaluation that these settings continue.
 
-    An evaluation without finished episodes is started anew.
+    If it has no finished episodes, the evaluation is started anew.
 
     Raises:
-        EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
-        SettingsError: if it was started with other settings.
+        EvaluationError: if the folder cannot be written to, holds other files, or holds an evaluation but `resume` is
+            false.
+        SettingsError: if the evaluation was started with other settings.
 
     Attributes:
         done: the finished episodes in it.
@@ -347,10 +349,11 @@ class EvaluationFolder:
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
-        """As `open_scores`; `done` then holds what other processes have added, and the settings are written.
+        """Opens the score file as `open_scores` does, then updates `done` and writes the settings.
 
         Raises:
-            EvaluationError, SettingsError: if another process is writing, or has started something else.
+            EvaluationError: if another process is writing.
+            SettingsError: if another process has started an evaluation with other settings.
         """
         with open_scores(self._path) as file:
             self._read()
@@ -364,7 +367,7 @@ class EvaluationFolder:
             self.done = read(self._path)
 
     def _write_settings(self) -> None:
-        """In place of those of a smaller evaluation."""
+        """Replaces the settings of a smaller evaluation."""
         files.write(self._path / SETTINGS, json.dumps(self._settings, indent=2) + "\n", overwrite=True)
 
 
@@ -376,16 +379,16 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
         if absent := [item for item in before[name] if _identity(item) not in now]:
             listed = ", ".join(map(_named, absent))
             raise SettingsError(
-                f"{folder} holds {name} that are left out here, or have changed: {listed}. An evaluation that is "
-                "resumed may have more, but not less"
+                f"{folder} holds {name} that are left out here, or have changed: {listed}. A resumed evaluation may "
+                f"have more {name}, but must keep all of these"
             )
     (first, last), (least, most) = (
         (known["first_seed"], known["first_seed"] + known["episodes"] - 1) for known in (before, settings)
     )
     if not (least <= first and last <= most):
         raise SettingsError(
-            f"{folder} holds the scenes {first} to {last} of its split, and {least} to {most} are asked for: an "
-            "evaluation that is resumed may have more, but not less"
+            f"{folder} holds the scenes {first} to {last} of its split, but {least} to {most} are requested: a "
+            "resumed evaluation may have more scenes, but must keep all of these"
         )
     free = (*GROWING, "episodes", "first_seed")
     new = {name for name in settings if name.startswith("code of ") and name not in before}
@@ -394,7 +397,7 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
 
 
 def _named(item: Any) -> str:
-    """What is left out, in words: a policy with its hash, by which it may have changed."""
+    """The name of a missing item for an error. A policy is shown with its hash, since its file may have changed."""
     if not isinstance(item, dict):
         return str(item)
     hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if name in item]
@@ -402,24 +405,28 @@ def _named(item: Any) -> str:
 
 
 def _identity(item: Any) -> Any:
-    """The item without the path of a policy that a hash identifies: folders may be moved, or written otherwise."""
+    """The item, without its path if it is a policy with a hash: its folder may have been moved."""
     return {**item, "origin": None} if isinstance(item, dict) and "sha256" in item else item
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """The settings with which the evaluation in a folder was started; an `EvaluationError` unless they are `Played`."""
+    """The recorded settings of the evaluation in a folder.
+
+    Raises:
+        EvaluationError: if there are none, or they lack a field of `Played`.
+    """
     path = folder / SETTINGS
     try:
         content = files.read_foreign(path, most=MOST_SETTINGS, error=EvaluationError)
         known = {**OLDER, **msgspec.json.decode(content, type=dict[str, Any])}
         msgspec.convert(known, Played)
     except (OSError, msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise EvaluationError(f"{path} is not of an evaluation ({error}); choose another folder") from error
+        raise EvaluationError(f"{path} does not belong to an evaluation ({error}); choose another folder") from error
     return known
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
+    """The settings that an evaluation recorded in ``run.json``. Empty if there are none, or they are invalid."""
     try:
         return read_settings(folder)
     except EvaluationError:
@@ -446,7 +453,7 @@ def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:
-    """The folders as a list; raises a `SettingsError` for a single one, since a text is a sequence of letters."""
+    """The folders as a list. A single path is a `SettingsError`, since its letters would be taken as paths."""
     if isinstance(folders, str | bytes | PathLike):
         raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
     return [files.to_path(folder) for folder in folders]

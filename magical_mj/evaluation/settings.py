@@ -1,4 +1,4 @@
-"""The settings of an evaluation: each with its type, default, bounds and meaning in one place."""
+"""The settings of an evaluation, each with its type, default, bounds and description."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ Split = Literal["test", "dev"]
 """See `magical_mj.tasks.registry.SPLITS`."""
 Simulator = Literal["mujoco", "warp"]
 WORLDS: Final = {"mujoco": "single", "warp": "batched"}
-"""Simulator -> what files call it: worlds that MuJoCo simulates one by one, or MuJoCo Warp in batches."""
+"""Simulator -> its name in files. MuJoCo simulates single worlds, MuJoCo Warp batches of worlds."""
 DEVICE: Final = "cuda"
 UNOFFICIAL: Final = (
-    "official scores come from MuJoCo in double precision, where an episode played again ends the same; batched worlds "
-    "calculate in single precision, and their scores are approximate"
+    "official scores come from MuJoCo in double precision, where replays are exact; batched worlds use single "
+    "precision, so their scores are approximate"
 )
 
 MUJOCO_VERSION: Final = version("mujoco")
-"""Read from its package's metadata: importing it may fail where there is no OpenGL, and takes a while."""
+"""Read from the package's metadata: importing MuJoCo is slow, and may fail without OpenGL."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,8 @@ class EvaluationSettings(Settings):
     """The settings of `evaluate`. `magical-mj evaluate` has an option for each setting, with the same default.
 
     Raises:
-        SettingsError, UnknownNameError: if a name is unknown, a value out of range, or settings are incompatible.
+        UnknownNameError: if a name is unknown.
+        SettingsError: if a value is out of range, or settings are incompatible.
     """
 
     tasks: Annotated[Names, Meta(description="Tasks, separated by commas.")] = "all"
@@ -59,31 +60,31 @@ class EvaluationSettings(Settings):
         Names, Meta(description="Variants, separated by commas; pairs that do not exist are left out.")
     ] = "all"
     episodes: Annotated[
-        Count, Meta(description="Episodes in each environment, in successive scenes. The paper plays 100.")
+        Count, Meta(description="Episodes in each environment, in successive scenes. The paper uses 100.")
     ] = 100
     split: Annotated[
         Split,
-        Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: others, to look at and tune."),
+        Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: other scenes, to inspect and tune."),
     ] = "test"
     first_seed: Annotated[Natural, Meta(description="The number of the first scene in its split.")] = 0
     preset: Annotated[
         str | None,
         Meta(
-            description="The observations: a preset's name, or an empty one; by default the one that the policies say "
-            "they were trained on, or LoRes4E."
+            description="The observations: a preset's name, or an empty one; by default the preset of the policies' "
+            "training, or LoRes4E."
         ),
     ] = None
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | None, Meta(description="The folder for the scores.")] = None
-    resume: Annotated[bool, Meta(description="Go on with what is in the folder.")] = False
+    resume: Annotated[bool, Meta(description="Continue the evaluation in OUT.")] = False
     retry_failed: Annotated[
-        bool, Meta(description="With resume: play episodes again whose policy failed; their rows say so.")
+        bool, Meta(description="With resume: play failed episodes again; their rows count the retries.")
     ] = False
     jobs: Annotated[
         Count | None,
         Meta(
-            description="Number of worker processes; by default one per core, if there is enough work. With 1, all is "
-            "played in this process, and the worlds of a policy that acts in batches are stepped on all cores."
+            description="Number of worker processes; by default one per core, if there is enough work. With 1, "
+            "everything is played in this process; worlds of a policy that acts in batches are stepped on all cores."
         ),
     ] = None
     backend: Annotated[Backend, Meta(description="Where the workers run: on this machine or on a cluster.")] = "local"
@@ -92,29 +93,29 @@ class EvaluationSettings(Settings):
     time_limit: Annotated[
         Annotated[float, Meta(ge=0.1, le=LARGEST_SETTING)],
         Meta(
-            description="Seconds after which an episode counts as failed. A call of the policy that does not return is "
-            "ended with its worker process, and with jobs 1 not at all."
+            description="Seconds after which an episode counts as failed. If a call of the policy does not return, its "
+            "worker process is killed; with jobs 1, it cannot be stopped."
         ),
     ] = 300.0
     simulator: Annotated[
         Simulator,
         Meta(
-            description="MuJoCo, or MuJoCo Warp (extra gpu): many episodes in one batch on DEVICE, whose scores are "
+            description="MuJoCo, or MuJoCo Warp (extra gpu): many episodes in one batch on DEVICE. Its scores are "
             "approximate and never official."
         ),
     ] = "mujoco"
-    device: Annotated[str, Meta(description="Of MuJoCo Warp: cuda, cuda:1 or cpu.")] = DEVICE
-    renderer: Annotated[RendererName | None, Meta(description="What draws pictures: opengl or software.")] = None
+    device: Annotated[str, Meta(description="The device of MuJoCo Warp: cuda, cuda:1 or cpu.")] = DEVICE
+    renderer: Annotated[RendererName | None, Meta(description="The renderer of pictures: opengl or software.")] = None
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
     shifts: Annotated[
         str,
-        Meta(description="Shifts to play beside what is not shifted: camera:1-5,light,body; all. See docs/shifts.md."),
+        Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md."),
     ] = ""
     wrap: Annotated[
-        str, Meta(description="A Gymnasium wrapper to play in, one episode at a time: package.module:NAME.")
+        str, Meta(description="A Gymnasium wrapper around the environment, package.module:NAME. Not for batches.")
     ] = ""
-    body: Annotated[str, Meta(description="The robot's body, one that the tasks offer. See docs/bodies.md.")] = GRIPPER
-    like: Annotated[str, Meta(description="The task that policies are told instead of their own.")] = ""
+    body: Annotated[str, Meta(description="The robot's body. The tasks must support it. See docs/bodies.md.")] = GRIPPER
+    like: Annotated[str, Meta(description="The task name that policies receive instead of the real one.")] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,23 +125,24 @@ class EvaluationSettings(Settings):
         preset_named(self.observed)
         check_backend(self.backend, self.address)
         if self.resume and self.out is None:
-            raise SettingsError("resume goes on with what is in a folder: give out, too")
+            raise SettingsError("resume continues the evaluation in a folder: give out as well")
         if self.retry_failed and not self.resume:
-            raise SettingsError("retry_failed plays failed episodes of a folder again: give resume, too (--resume)")
+            raise SettingsError("retry_failed plays failed episodes of a folder again: give resume as well (--resume)")
         if self.device != DEVICE and not self.batched:
-            raise SettingsError(f"device is that of MuJoCo Warp, not {short_repr(self.device)}: give --simulator warp")
+            raise SettingsError(f"device {short_repr(self.device)} is only for MuJoCo Warp: give --simulator warp")
         if self.like:
             check_name("task", self.like, TASKS)
         if self.wrap and not is_reference(self.wrap):
-            raise SettingsError(f"wrap is package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
+            raise SettingsError(f"wrap must be package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
         if self.batched and (self.wrap or self.shifts or self.body != GRIPPER):
             raise SettingsError(
-                "batched worlds have neither shifts nor wrappers nor other bodies: leave them out, or --simulator warp"
+                "batched worlds support no shifts, wrappers or other bodies: leave them out, or leave out "
+                "--simulator warp"
             )
 
     @property
     def observed(self) -> str:
-        """The preset of the observations; until policies are known, the default."""
+        """The preset of the observations. The default, if none was given and the policies are not loaded yet."""
         return DEFAULT_PRESET if self.preset is None else self.preset
 
     @cached_property
@@ -150,13 +152,14 @@ class EvaluationSettings(Settings):
 
     @cached_property
     def environments(self) -> list[Pair]:
-        """The pairs of tasks and variants that are played."""
+        """The pairs of task and variant that are played."""
         return environments(self.tasks, self.variants)
 
     def shift_labels(self, task: str, policies: Sequence[Source] = ()) -> list[str]:
-        """What is shifted in a task, one setting after another, as in rows; the first one is nothing.
+        """The labels of the shifts that are played in a task, as in results. The first one is "", without a shift.
 
-        "all" leaves out what one of the policies does not notice, whose score would show a robustness that it lacks.
+        "all" leaves out shifts that one of the policies does not notice: its score would show a robustness that it
+        does not have.
 
         Raises:
             SettingsError: if an axis is named that one of the policies does not notice.
@@ -175,7 +178,7 @@ class EvaluationSettings(Settings):
         return range(first, first + self.episodes)
 
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
-        """The settings that determine scores, and the policies if given: what a resumed evaluation must keep."""
+        """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
         return {
             **({"policies": [policy.described() for policy in policies]} if policies else {}),

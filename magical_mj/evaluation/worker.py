@@ -1,8 +1,8 @@
-"""Playing an evaluation's units, each of some episodes of one environment with one policy, with a time limit.
+"""Plays an evaluation's units with a time limit. A unit is some episodes of one environment with one policy.
 
-An episode that takes too long has failed. This is checked after each action. A call of the policy that does not return
-can only be ended with its process: worker processes are killed, see `magical_mj.utils.parallel`, and the process that
-called `evaluate` waits.
+An episode that takes too long has failed. The time is checked after each action. If a call of the policy does not
+return, its process must be killed, which only worker processes are (see `magical_mj.utils.parallel`). With ``jobs=1``,
+the process that called `evaluate` waits for the call.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from magical_mj.utils.parallel import Split, Timed
 
 T = TypeVar("T")
 Playing = Callable[[list[Episode], float], list[Outcome]]
-"""Plays episodes within so many seconds."""
+"""Plays episodes with a time limit in seconds."""
 Results = Callable[[list[Outcome]], list[EpisodeResult]]
 """Makes the results of episodes from their outcomes."""
 
 SIDE_BY_SIDE: Final = {"mujoco": 10, "warp": 100}
-"""The most episodes that are played side by side; they end together, so that killed runs lose those that play."""
+"""The most episodes that are played in one batch. They end together, so a killed evaluation loses the current batch."""
 GRACE: Final = 1.0
-"""Seconds after the time limit at which a worker process is killed: an episode whose calls return ends by itself."""
+"""Seconds from the time limit until a worker process is killed. If the policy's calls return, none needs to be."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Some episodes of one environment with one policy, played side by side: independent of all others, and repeatable.
+    """Episodes of one environment with one policy that are played together. A unit is repeatable and independent.
 
     Attributes:
         policy, run: identify the policy.
-        seeds: of the episodes.
-        shift: what is shifted.
-        retry: how often the episode has failed before.
+        seeds: the seeds of the episodes.
+        shift: the label of the shift.
+        retry: how many times the episode has failed before.
     """
 
     policy: str
@@ -66,7 +66,7 @@ class Unit:
         return [(self.policy, self.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
 
     def steps(self, settings: EvaluationSettings) -> int:
-        """How many actions it takes."""
+        """The number of actions of all its episodes."""
         return len(self.seeds) * task_spec(self.task).horizon(settings.rules)
 
     def one_by_one(self) -> list[Unit]:
@@ -77,9 +77,9 @@ class Unit:
 def plan(
     policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key], failed: Mapping[Key, int]
 ) -> list[Unit]:
-    """The remaining units, those of long episodes first, so that all workers end at about the same time.
+    """The remaining units. Those with long episodes come first, so that all workers end at about the same time.
 
-    `failed` are the episodes that are to be played again, and how often they have failed.
+    `failed` maps the episodes that must be played again to the number of their failures.
     """
     units: list[Unit] = []
     for task, variant in settings.environments:
@@ -96,13 +96,13 @@ def plan(
 
 @dataclass(frozen=True)
 class Played:
-    """The results of a unit, and the error by which the policy failed in it."""
+    """The results of a unit, and the error that the policy raised in it."""
 
     results: list[EpisodeResult]
     cause: Exception | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """For other processes, the error is text: it may not be picklable."""
+        """Converts the error to text, since it may not be picklable."""
         text = None if self.cause is None else PolicyError("".join(traceback.format_exception(self.cause)))
         return {"results": self.results, "cause": text}
 
@@ -111,7 +111,7 @@ class Played:
 class Player:
     """Plays units. It keeps the last environment and the last policy for the next unit.
 
-    Until it has played, it can be sent to other processes.
+    It can be sent to other processes before it has played a unit, but not afterwards.
     """
 
     policies: Mapping[tuple[str, int], Source]
@@ -124,9 +124,10 @@ class Player:
         return cls({(source.name, source.run): source for source in sources}, settings)
 
     def __call__(self, unit: Unit) -> Timed[Played | Split[Unit]]:
-        """Loads the policy and makes the environment, which takes time of its own; the rest plays the episodes.
+        """Loads the policy and makes the environment. Returns the work that remains, with its time limit.
 
-        If one of several episodes fails, they are split, to find out which.
+        That work plays the episodes, so the limit does not include loading. If one of several episodes fails, the unit
+        is split to find out which.
         """
         limit, several, playing = self.settings.time_limit, len(unit.seeds) > 1, self._playing(unit)
         results = self._recorder(unit)
@@ -136,7 +137,7 @@ class Player:
         return Timed(seconds + GRACE, partial(self._play, unit, playing, seconds, results), too_late)
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
-        """The results of a unit that is played here and now."""
+        """Plays a unit in this process and returns its results."""
         played = self(unit).call()
         if isinstance(played, Played):
             return played.results
@@ -148,16 +149,16 @@ class Player:
             self._drop(what)
 
     def _playing(self, unit: Unit) -> Playing:
-        """What plays episodes of a unit within so many seconds."""
-        settings, place = self.settings, (unit.task, unit.variant, unit.shift)
+        """The function that plays the episodes of a unit."""
+        settings, environment = self.settings, (unit.task, unit.variant, unit.shift)
         policy = self._policy(unit)
         reads = uses_instruction(policy)
         if settings.batched or len(unit.seeds) > 1:
             size = len(unit.seeds)
-            envs = self._keep("vector", (*place, size, reads), lambda: _vector_env(unit, settings, reads))
+            envs = self._keep("vector", (*environment, size, reads), lambda: _vector_env(unit, settings, reads))
             return lambda episodes, seconds: play_side_by_side(envs, policy, episodes, seconds)
         observed = bool(settings.wrap) or not uses_simulation(policy)
-        key = (*place, observed, reads)
+        key = (*environment, observed, reads)
         env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
         return lambda episodes, seconds: [play(env, policy, episode, seconds) for episode in episodes]
 
@@ -169,7 +170,7 @@ class Player:
         return Played(results(outcomes), outcomes[-1].cause)
 
     def _recorder(self, unit: Unit) -> Results:
-        """What makes the results of a unit's outcomes."""
+        """The function that makes the results of a unit from its outcomes."""
         settings, policy = self.settings, self._policy(unit)
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
@@ -194,7 +195,7 @@ class Player:
         return self._keep("policy", key, self.policies[key].load)
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
-        """The object made for this key; one that was kept for another key is replaced."""
+        """The object for this key. It replaces one that was kept for another key."""
         if what in self._kept and self._kept[what][0] != key:
             self._drop(what)
         if what not in self._kept:
@@ -203,20 +204,20 @@ class Player:
 
     def _drop(self, what: str) -> None:
         _, dropped = self._kept.pop(what)
-        if what != "policy":  # which may be a user's object
+        if what != "policy":  # a policy may be a user's object
             dropped.close()
 
 
 def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
-    """How a unit's environments are made."""
+    """The common arguments of all kinds of environments of a unit."""
     return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
 def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruction: bool = False) -> Env:
-    """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
+    """The environment of a policy: if `observed`, the Gymnasium environment with the preset, else the engine.
 
-    With `instruction`, observations that are dicts hold the sentence that says what is to be done.
-    The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
+    With `instruction`, observations that are dicts contain the instruction, a sentence. The Gymnasium environment has
+    only the user's wrapper. Those of `gymnasium.make` only add checks at each step.
     """
     how = _arguments(unit, settings)
     if observed:
@@ -229,7 +230,7 @@ def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruc
 
 
 def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> str:
-    """The digest of the scene in which an episode starts."""
+    """The digest of an episode's initial scene."""
     if not shift:
         return sample_scene(task, variant, seed, body).digest()
     from magical_mj.engine.engine import Setup  # imported late: it loads the simulator
@@ -252,8 +253,8 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
         or outer.action_space != env.action_space
     ):
         raise SettingsError(
-            f"the wrapper {wrap} must return a Gymnasium environment around the one that it is given, with its 18 "
-            f"actions, not {short_repr(outer)}"
+            f"the wrapper {wrap} must return a Gymnasium environment around its argument, with the same 18 actions, "
+            f"not {short_repr(outer)}"
         )
     return outer
 
@@ -264,10 +265,10 @@ def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> 
     if not settings.batched:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
-        threads = None if settings.jobs == 1 else 1  # other processes have the other cores
+        threads = None if settings.jobs == 1 else 1  # other worker processes use the other cores
         how |= {"threads": threads, "instruction": instruction, **_arguments(unit, settings)}
         return make_vec(unit.task, number, variant=unit.variant, **how)
-    from magical_mj import batched  # these need PyTorch
+    from magical_mj import batched  # imported late: it needs PyTorch
     from magical_mj.batched.environment import Arrays
 
     envs = batched.make(unit.task, unit.variant, number, device=settings.device, rules=settings.rules, **how)

@@ -1,4 +1,4 @@
-"""Variants: functions from the demo scene to a varied scene. Which axes each variant draws, and how."""
+"""Variants: the axes that each one varies, and the functions that make its scenes from the demo scene."""
 
 from magical_mj.variants.rules import (
     VARIANTS,

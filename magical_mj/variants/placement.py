@@ -1,10 +1,10 @@
-"""The jitter and layout axes: rejection sampling of poses on exact outlines.
+"""The jitter and layout axes: rejection sampling of poses with exact outlines.
 
-Things are placed one after the other: the goal regions, the robot with its open fingers, the blocks that
-start outside the regions, and last the blocks that belong in one. A draw is rejected if it touches a wall
-or anything placed before. For the robot and the outer blocks every region is an obstacle. What belongs in
-a region (a block, or the robot in a task of one's own) avoids the other regions, has its centre in its own,
-and may stick out of it. So each pose is uniform given those placed before, as in the original.
+Objects are placed in this order: the goal regions, the robot with its open fingers, the blocks that start outside the
+regions, and the blocks that belong in a region. A draw is rejected if the object touches a wall or an object placed
+before. For the robot and the outer blocks, every region is an obstacle. A block that belongs in a region (or the robot,
+in a user's task) avoids the other regions and has its centre in its own one, but may stick out of it. So each pose is
+uniform given the earlier ones, as in the original.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from magical_mj.scene.geometry import Solid, block_solid, inside_walls, region_s
 from magical_mj.utils.errors import PlacementError
 
 MAX_TRIES: Final = 10_000
-"""The number of draws for one thing before placement starts over."""
+"""The number of draws for one object before placement starts over."""
 MAX_ROUNDS: Final = 11
-"""How often placement starts over before it gives up."""
+"""The number of rounds before placement fails."""
 
 
 class Box(NamedTuple):
-    """A box of poses to draw from uniformly; both corners are (x, y, angle)."""
+    """A uniform distribution of poses over a box. Both corners are (x, y, angle)."""
 
     low: Pose
     high: Pose
 
     def draw(self, rng: np.random.Generator, tries: int) -> Pose:
-        """One joint draw of x, y and angle, however many `tries` there were before."""
+        """One joint draw of x, y and angle. It does not depend on the number of `tries` before."""
         del tries
         (x, y, angle), (x_high, y_high, angle_high) = self
         u, v, w = rng.random(3).tolist()
@@ -44,13 +44,13 @@ class Box(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Poses near one, to be tried further and further away from it; the first is the pose itself."""
+    """Random poses near a given one. The first is the pose itself; the range grows with each try."""
 
     pose: Pose
     home: GoalRegion | None
 
     def draw(self, rng: np.random.Generator, tries: int) -> Pose:
-        """A pose that differs at most by `STRIDE` times the tries, in each coordinate; the centre stays at home."""
+        """A pose that differs at most by `STRIDE` times the tries in each coordinate. The centre stays in `home`."""
         (x, y, angle), home = self.pose, self.home
         u, v, w = (min(STRIDE * tries, c.ARENA_HALF_WIDTH) * (2 * rng.random(3) - 1)).tolist()
         x, y = x + u, y + v
@@ -60,15 +60,15 @@ class Near(NamedTuple):
 
 
 STRIDE: Final = 0.001
-"""By how much poses are further away with each try, in world units and in rad."""
+"""The growth of the range of poses with each try, in world units and in rad."""
 
-Thing = Robot | Block | GoalRegion
-Boxes = Callable[[Thing, GoalRegion | None], Box | Near]
-"""From a thing and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
+Object = Robot | Block | GoalRegion
+Boxes = Callable[[Object, GoalRegion | None], Box | Near]
+"""(an object, the placed region that it belongs in, or None) -> the distribution of its pose."""
 
 
 def jitter(scene: Scene, rng: np.random.Generator, region_size: tuple[float, float]) -> Scene:
-    """The scene with small random changes of all poses and of the regions' sizes, which stay between these (low, high).
+    """The scene with small random changes of all poses and of the regions' sizes, which stay in `region_size`.
 
     Raises:
         PlacementError: if no legal placement was found.
@@ -90,7 +90,7 @@ def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, flo
         scene: the scene.
         rng: draws poses and sizes.
         region_size: the least and the greatest height and width of regions, in world units.
-        inner_margin: as `VariationRules.inner_margin`.
+        inner_margin: see `VariationRules.inner_margin`.
 
     Raises:
         PlacementError: if no legal placement was found.
@@ -100,7 +100,7 @@ def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, flo
         height, width = _between(rng, *region_size), _between(rng, *region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
-    def anywhere(_: Thing, home: GoalRegion | None) -> Box:
+    def anywhere(_: Object, home: GoalRegion | None) -> Box:
         if home is None:
             return Box((-scene.half_width, -scene.half_width, -math.pi), (scene.half_width, scene.half_width, math.pi))
         (x, y), half = home.centre, min(home.height, home.width) / 2 - inner_margin
@@ -109,29 +109,29 @@ def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, flo
     return _place(scene, regions, anywhere, rng)
 
 
-def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> Scene:
-    """The scene with everything moved to between its place and that in `other`: `way` of it, from 0 to 1.
+def along(scene: Scene, other: Scene, fraction: float, rng: np.random.Generator) -> Scene:
+    """The scene with all poses and region sizes interpolated between it and `other`.
 
-    Where things would touch, they are moved aside as little as some tries at random find.
+    If objects would touch, they are moved aside, by the smallest distance that a random search finds.
 
     Args:
         scene: the scene.
-        other: the same things at other poses, and regions of other sizes.
-        way: 1 gives the poses and sizes of `other`, to the bit.
-        rng: for what has to be moved aside.
+        other: a scene with the same objects at other poses, and regions of other sizes.
+        fraction: from 0, the scene itself, to 1, exactly the poses and sizes of `other`.
+        rng: the generator of the random search.
 
     Raises:
         PlacementError: if no legal placement was found.
     """
 
     def between(start: float, end: float) -> float:
-        return start * (1 - way) + end * way
+        return start * (1 - fraction) + end * fraction
 
     def turned(start: float, end: float) -> float:
-        return end if way == 1 else start + way * math.remainder(end - start, 2 * math.pi)
+        return end if fraction == 1 else start + fraction * math.remainder(end - start, 2 * math.pi)
 
-    def moved(thing: Robot | Block, there: Robot | Block) -> Pose:
-        return between(thing.x, there.x), between(thing.y, there.y), turned(thing.angle, there.angle)
+    def moved(here: Robot | Block, there: Robot | Block) -> Pose:
+        return between(here.x, there.x), between(here.y, there.y), turned(here.angle, there.angle)
 
     sides = ("x_min", "y_min", "x_max", "y_max")
     regions = tuple(
@@ -143,13 +143,13 @@ def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> S
     direct = replace(scene.moved(robot, blocks), regions=regions)
     if contact(direct) is None and _homes(direct) == _homes(scene):
         return direct
-    poses: dict[Thing, Pose] = {region: (*region.centre, 0.0) for region in regions}
+    poses: dict[Object, Pose] = {region: (*region.centre, 0.0) for region in regions}
     poses |= dict(zip((scene.robot, *scene.blocks), (robot, *blocks), strict=True))
-    return _place(scene, regions, lambda thing, home: Near(poses[thing], home), rng)
+    return _place(scene, regions, lambda item, home: Near(poses[item], home), rng)
 
 
 def contact(scene: Scene, regions: bool = True) -> str | None:
-    """What placement would reject about the scene's poses, such as "block 1 touches a wall"; None: nothing.
+    """The first contact because of which placement would reject the scene, such as "block 1 touches a wall", or None.
 
     Without `regions`, only the robot, blocks and walls count.
     """
@@ -161,8 +161,8 @@ def contact(scene: Scene, regions: bool = True) -> str | None:
         if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"
     pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]
-    for thing, body in zip((scene.robot, *scene.blocks), bodies.items(), strict=True):
-        home = _home(thing, scene.regions)
+    for item, body in zip((scene.robot, *scene.blocks), bodies.items(), strict=True):
+        home = _home(item, scene.regions)
         pairs += [(body, area) for number, area in enumerate(areas.items()) if number != home]
     return next((f"{name} touches {other}" for (name, a), (other, b) in pairs if touch(a, b)), None)
 
@@ -172,9 +172,9 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return low + (high - low) * rng.random()
 
 
-def _around(thing: Thing, home: GoalRegion | None) -> Box:
-    """The poses close to that of `thing`, with the centre in the home region if there is one."""
-    x, y, angle = (*thing.centre, 0.0) if isinstance(thing, GoalRegion) else thing.pose
+def _around(item: Object, home: GoalRegion | None) -> Box:
+    """The poses close to that of an object. If it belongs in a region, its centre stays there."""
+    x, y, angle = (*item.centre, 0.0) if isinstance(item, GoalRegion) else item.pose
     step, turn = c.JITTER_POSITION, c.JITTER_ANGLE
     xs, ys = (x - step, x + step), (y - step, y + step)
     if home is not None:
@@ -184,11 +184,11 @@ def _around(thing: Thing, home: GoalRegion | None) -> Box:
 
 
 class _NoRoomError(Exception):
-    """No legal pose was found for one thing; the argument is its name."""
+    """No legal pose was found for an object, which is the argument."""
 
 
 def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
-    """The scene with its regions replaced by `regions` and everything at poses drawn from its box."""
+    """The scene with its regions replaced by `regions` and all poses drawn from `boxes`."""
     stuck: object = None
     for _ in range(MAX_ROUNDS):
         try:
@@ -196,14 +196,18 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.ra
         except _NoRoomError as error:
             stuck = error
     raise PlacementError(
-        f"found no room for {stuck} among {len(scene.blocks)} blocks and {len(regions)} goal regions, after placing "
-        f"everything {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed; and let nothing "
-        "stick out into a region in which its centre is not"
+        f"found no room for {stuck} among {len(scene.blocks)} blocks and {len(regions)} goal regions, in "
+        f"{MAX_ROUNDS} rounds of placement. Use fewer blocks, fewer or smaller regions, or another seed; and let no "
+        "object overlap a region that does not contain its centre"
     )
 
 
 def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
-    """One round of `_place`; raises `_NoRoomError` if no legal pose is found for something."""
+    """One round of `_place`.
+
+    Raises:
+        _NoRoomError: if no legal pose is found for an object.
+    """
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
@@ -211,62 +215,62 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
-    things = (scene.robot, *scene.blocks)
+    items = (scene.robot, *scene.blocks)
     homes = _homes(scene)
-    poses = [thing.pose for thing in things]
+    poses = [item.pose for item in items]
     placed: list[Solid] = []
     # the robot first, then the outer blocks, then those that belong in a region
-    for index in sorted(range(len(things)), key=lambda index: index > 0 and homes[index] is not None):
-        thing, home = things[index], homes[index]
+    for index in sorted(range(len(items)), key=lambda index: index > 0 and homes[index] is not None):
+        item, home = items[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + [area for number, area in enumerate(areas) if number != home]
-        poses[index], solid = _find(thing, boxes(thing, own_region), obstacles, scene.half_width, rng)
+        poses[index], solid = _find(item, boxes(item, own_region), obstacles, scene.half_width, rng)
         placed.append(solid)
 
     return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
 
 
 def _homes(scene: Scene) -> list[int | None]:
-    """The home of the robot and then of each block."""
-    return [_home(thing, scene.regions) for thing in (scene.robot, *scene.blocks)]
+    """The index of the region that the robot belongs in, then that of each block; see `_home`."""
+    return [_home(item, scene.regions) for item in (scene.robot, *scene.blocks)]
 
 
-def _home(thing: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
-    """Index of the region in which the thing's centre lies, so that it belongs there; or None."""
-    return next((number for number, region in enumerate(regions) if region.contains(thing)), None)
+def _home(item: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
+    """The index of the region that an object belongs in, because it contains the object's centre. None if none does."""
+    return next((number for number, region in enumerate(regions) if region.contains(item)), None)
 
 
 def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
-    """The region with its centre at the pose's position; regions are never turned."""
+    """The region with its centre at the pose's position. The angle is ignored, since regions are never rotated."""
     (x, y, _), half_width, half_height = pose, region.width / 2, region.height / 2
     box = x - half_width, y - half_height, x + half_width, y + half_height
     return GoalRegion(region.colour, *box, region.border)
 
 
-def _solid(thing: Thing, pose: Pose) -> Solid:
-    """The area that the thing would cover at `pose`."""
-    if isinstance(thing, Robot):
-        return robot_solid(pose, thing.fingers, thing.body)
-    if isinstance(thing, Block):
-        return block_solid(thing.shape, pose)
-    return region_solid(_at(thing, pose))
+def _solid(item: Object, pose: Pose) -> Solid:
+    """The area that an object would cover at `pose`."""
+    if isinstance(item, Robot):
+        return robot_solid(pose, item.fingers, item.body)
+    if isinstance(item, Block):
+        return block_solid(item.shape, pose)
+    return region_solid(_at(item, pose))
 
 
 def _find(
-    thing: Thing, box: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
+    item: Object, box: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
-    """The first pose drawn from the box at which the thing touches nothing, and the area it covers there.
+    """The first drawn pose at which an object touches no wall and no obstacle, and the area that it covers there.
 
-    The walls are `half` from the middle.
+    The walls are at the distance `half` from the origin.
 
     Raises:
         _NoRoomError: if there is none among `MAX_TRIES` draws.
     """
     for tries in range(MAX_TRIES):
         pose = box.draw(rng, tries)
-        if isinstance(thing, Robot) and thing.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
-            continue  # already the disc touches; the fingers' outlines need not be computed
-        solid = _solid(thing, pose)
+        if isinstance(item, Robot) and item.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
+            continue  # a shortcut: the disc touches a wall, so the fingers' outlines are not needed
+        solid = _solid(item, pose)
         if inside_walls(solid, half_width=half) and not any(touch(solid, other) for other in obstacles):
             return pose, solid
-    raise _NoRoomError(thing)
+    raise _NoRoomError(item)

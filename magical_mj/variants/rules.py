@@ -1,6 +1,6 @@
-"""The variants: sets of axes, what a task declares about them, and the scenes that follow from both.
+"""The variants: their axes, the rules that a task declares for them, and the scenes that result.
 
-From a task's demo scene to the scenes of its variants all is pure, and the same on every machine.
+All functions are pure, and give the same scenes on every machine.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from magical_mj.variants.placement import contact, jitter, layout
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
-"""An axis's index in this tuple selects its random generator: append new ones, never insert or reorder."""
+"""An axis's index in this tuple selects its random generator: append new axes, never insert or reorder any."""
 
 VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
     {
@@ -48,12 +48,12 @@ AxisRule = Callable[[np.random.Generator, Scene], Scene]
 """Draws one attribute of a scene: its colours, its shapes or its counts.
 
 The result must be a scene of the task (`VariationRules.check`). Poses usually stay as they are. Blocks that a count
-rule adds may have any pose, since they are placed afterwards; but a block that belongs in a goal region must be in it.
+rule adds may have any pose, since they are placed afterwards. But a block that belongs in a goal region must be in it.
 """
 
 _ROUNDING: Final = 1e-9
 WIDER: Final = 0.2
-"""By how much (world units) a region may be wider than the arena: x-magical's zone is."""
+"""The most (world units) that a region may be wider than the arena, as x-magical's goal zone is."""
 
 MAX_SHAPE_DRAWS: Final = 1_000
 
@@ -65,25 +65,25 @@ DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "block_friction_torque": (0.07, 0.15),
     }
 )
-"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code.
+"""Force or torque cap -> the range of its independent uniform draw, as in the released code.
 
-The drive's force is drawn before them, from the task's range.
+The drive's force cap is drawn before these, from the task's range.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariationRules:
-    """What a task declares about its variation; `magical_mj.tasks.TaskSpec` adds its score and its plan.
+    """The part of a task's definition about variants. `magical_mj.tasks.TaskSpec` adds its score and its plan.
 
-    A task supports each of the axes colour, shape and count if it has a rule for it.
+    A task supports the axis colour, shape or count if it has a rule for it.
     """
 
     name: str
-    """As in ids and file names, such as ``"FindDupe"``: letters and digits."""
+    """The name in ids and file names, such as ``"FindDupe"``: letters and digits."""
     demo: Scene
-    """The one scene in which demonstrations start; blocks and regions in the original's order."""
+    """The scene in which all demonstrations start, with blocks and regions in the original's order."""
     check: Callable[[Scene], None]
-    """Raises `InvalidSceneError` unless the scene is one in which this task can start."""
+    """Raises `InvalidSceneError` if this task cannot start in the scene."""
 
     colour: AxisRule | None = None
     shape: AxisRule | None = None
@@ -91,17 +91,17 @@ class VariationRules:
     jitter: bool = True
     """Whether poses may change a little."""
     layout: bool | AxisRule = True
-    """Whether poses may be drawn from the whole workspace; or a rule of the task's own, which draws them."""
+    """Whether poses may be drawn from the whole workspace, or a rule of the task that draws them."""
     drive_forces: tuple[float, float] = (2.2, 3.5)
     """The range of the drive's force cap in Dynamics."""
     region_size: tuple[float, float] = (0.0, 0.0)
     """Least and greatest height and width of the goal regions, in world units."""
     inner_margin: float = 0.0
-    """For what belongs in a region: the least distance (world units) that a layout keeps between its
-    centre and the sides of the largest square around the region's centre."""
+    """For objects that belong in a region: the least distance (world units) in a layout between the object's centre and
+    the sides of the largest square around the region's centre."""
 
     def __post_init__(self) -> None:
-        """Raises `TaskError` if a field has a wrong type or is out of its range."""
+        """Raises `TaskError` if a field has a wrong type or is out of range."""
         if not is_task_name(self.name):
             raise TaskError(f"the name of a task must be made of letters and digits, not {short_repr(self.name)}")
         self._require("demo", isinstance(self.demo, Scene), "a magical_mj.Scene")
@@ -114,16 +114,16 @@ class VariationRules:
             rule = getattr(self, axis)
             self._require(axis, rule is None or callable(rule), "a function, or None")
         if self.count is not None and not self.layout:
-            raise TaskError(f"{self.name}.count needs layouts, which place the blocks that it adds: omit layout=False")
+            raise TaskError(f"{self.name}.count needs a layout, which places the added blocks: omit layout=False")
         self._check_regions()
 
     def _require(self, part: str, condition: bool, need: str) -> None:
-        """Raise `TaskError`, which says what this field must be, unless the condition holds."""
+        """Raise a `TaskError` unless the condition holds. `need` describes valid values."""
         if not condition:
             raise TaskError(f"{self.name}.{part} must be {need}, not {short_repr(getattr(self, part))}")
 
     def _check_regions(self) -> None:
-        """Raise `TaskError` unless the sizes are possible, and those of the demo's regions are among them."""
+        """Raise a `TaskError` unless the sizes are possible and include those of the demo's regions."""
         sides = [side for region in self.demo.regions for side in (region.height, region.width)]
         possible = _are_sizes(self.region_size, 2 * self.demo.half_width + WIDER) and (
             self.region_size[0] > 0 or not sides
@@ -139,24 +139,24 @@ class VariationRules:
 
 
 def is_task_name(name: Any) -> bool:
-    """Whether tasks may be called so: letters and digits, as ids and names of files need."""
+    """Whether a task may have this name. Ids and file names need letters and digits."""
     return isinstance(name, str) and name.isascii() and name.isalnum()
 
 
 def _are_sizes(sizes: Any, most: float) -> bool:
-    """Whether these are a least and a greatest size, of at most `most`."""
+    """Whether this is a pair of a least and a greatest size, both at most `most`."""
     if not isinstance(sizes, tuple | list) or len(sizes) != 2 or not all(isinstance(x, int | float) for x in sizes):
         return False
     return 0 <= sizes[0] <= sizes[1] <= most
 
 
 def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
-    """The axes that a task supports: always dynamics, the others as it declares."""
+    """The axes that a task supports: dynamics always, the others if it declares them."""
     return tuple(axis for axis in AXES if axis == "dynamics" or getattr(rules, axis))
 
 
 def variants_of(rules: VariationRules) -> tuple[str, ...]:
-    """The variants of a task: All, and those whose axes the task supports."""
+    """The variants of a task: All, and those with only axes that the task supports."""
     supported = set(supported_axes(rules))
     return tuple(name for name, axes in VARIANTS.items() if name == "All" or supported.issuperset(axes))
 
@@ -165,7 +165,7 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
     """The axes that `variant` varies in this task.
 
     Raises:
-        UnknownNameError: if there is no such variant, or this task does not have it.
+        UnknownNameError: if the variant is unknown, or this task does not have it.
     """
     check_name("variant", variant, VARIANTS)
     supported = supported_axes(rules)
@@ -175,17 +175,18 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
     missing = [axis for axis in VARIANTS[variant] if axis not in supported]
     if missing:
         raise UnknownNameError(
-            f"{rules.name} has no variant {variant!r}, for its {' and '.join(missing)} cannot vary. "
+            f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "
             f"It has: {', '.join(variants_of(rules))}"
         )
     return VARIANTS[variant]
 
 
 def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
-    """The scene in which `variant` of the task starts with this body of the robot, for a seed of any size.
+    """The initial scene of a task's variant for a seed, with this body of the robot.
 
     Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
-    drawn first, since a task's rules may change them, then counts, on which the other axes depend, and poses last.
+    drawn first, since a task's rules may change them. Counts follow, because the other axes depend on them. Poses are
+    drawn last.
 
     Raises:
         UnknownNameError: if the task has no such variant.
@@ -208,7 +209,7 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
         draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
         scene = draw_shapes(rules, "shape", rngs["shape"], scene)
     if dynamics is not None and scene.dynamics == rules.demo.dynamics:
-        scene = replace(scene, dynamics=dynamics)  # of a scene that a rule made anew, instead of changing the given one
+        scene = replace(scene, dynamics=dynamics)  # lost if a rule made a new scene instead of changing its argument
     if "jitter" in rngs:
         scene = jitter(scene, rngs["jitter"], rules.region_size)
     if "layout" in rngs:
@@ -219,13 +220,13 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
 
 
 def draw_dynamics(rng: np.random.Generator, drive_forces: tuple[float, float]) -> Dynamics:
-    """Five independent uniform draws; the values for blocks hold for all blocks."""
+    """Five independent uniform draws. All blocks have the same values."""
     ranges = {"drive_force": drive_forces, **DYNAMICS_RANGES}
     return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in ranges.items()})
 
 
 def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
-    """The scene with what the task's rule for this axis draws."""
+    """The scene that the task's rule for this axis returns."""
     drawn: Any = getattr(rules, axis)(rng, scene)
     if not isinstance(drawn, Scene):
         raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {short_repr(drawn)}")
@@ -235,8 +236,8 @@ def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Sc
 def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
     """The scene with shapes drawn by the rule, repeatedly until all fit at the blocks' poses.
 
-    If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
-    stars side by side do. So the shapes are uniform over those that fit.
+    If poses stay as in the demo, some shapes overlap a neighbour or a wall: in ClusterColour, two neighbouring stars
+    do. So the shapes are uniform over the draws without contact.
     """
     if touching := contact(scene):  # with the demo's own shapes
         raise PlacementError(f"in the demo scene of {rules.name}, {touching}: move them apart, so that shapes can vary")
@@ -247,7 +248,7 @@ def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Genera
             return drawn
     raise PlacementError(
         f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene; in the last, {touching}. "
-        "Move these further apart in it"
+        "Move these two further apart in the demo scene"
     )
 
 
@@ -264,7 +265,7 @@ def check_seed(seed: Any) -> int:
 
 
 def axis_generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
-    """The random generator of one axis of one task; it is independent of those of other axes and tasks.
+    """The random generator of one axis of one task. It is independent of those of other axes and tasks.
 
     The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`.
     """

@@ -120,7 +120,7 @@ def test_reports_say_so_and_hold_nothing_else(approximate: Path, official: Path,
     page = report([approximate], tmp_path / "report").read_text()
     assert page.startswith("# Evaluation\n\n**Approximate, no official results: ")
     assert "Approximate" not in report([official], tmp_path / "other").read_text()
-    with pytest.raises(EvaluationError, match=r"different worlds: .*reported by themselves"):
+    with pytest.raises(EvaluationError, match=r"different worlds: .*report them separately"):
         report([approximate, official], tmp_path / "both", mixed_presets=True)
 
 

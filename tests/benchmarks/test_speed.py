@@ -69,7 +69,7 @@ def test_tables_and_json(capsys: pytest.CaptureFixture[str]) -> None:
         ("--variants Al", "Al"),
         ("--presets LoRes5E", "LoRes5E"),
         ("--num-envs 5", "only with --batched"),
-        ("--batched --num-envs 8,0", "numbers of at least 1"),
+        ("--batched --num-envs 8,0", "must be positive numbers"),
         ("--batched --device cuda:7", "no device 'cuda:7'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The command line: lists, pictures, exported models, episodes and films of them, and the short tour."""
+"""The command line: lists, pictures, exported models, rollouts, videos, and the short tour."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_list_shows_every_environment(shell: Shell) -> None:
 
 
 def test_list_ids(shell: Shell) -> None:
-    """As they are registered, of SweepToTop those of its suite; or those of some tasks."""
+    """The registered environments (for SweepToTop those of its suite), or those of the given tasks."""
     _, out, _ = shell("list", "--ids")
     ids = out.split()
     assert ids[:60] == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
@@ -61,14 +61,14 @@ def test_list_shows_a_task_of_ones_own(shell: Shell) -> None:
 
 
 def test_out_is_a_file_or_its_folder(shell: Shell) -> None:
-    """By default the file has its usual name in the current folder; evaluations and trainings fill a folder."""
+    """By default, a file has its usual name in the current folder. Evaluations and trainings write to a folder."""
     view, model = ("view", "FindDupe", "--size", 32), ("export", "FindDupe")
     for command, name in ((view, "FindDupe-Demo-0.png"), (model, "FindDupe-Demo-0.xml")):
         for out, path in (([], name), (["--out", "a"], f"a/{name}"), (["--out", f"b{name[-4:]}"], f"b{name[-4:]}")):
             assert shell(*command, *out) == (0, f"{path}\n", "")
             assert Path(path).is_file()
         assert f"must end in {name[-4:]}" in shell.fails(2, *command, "--out", "a.jpg")
-    assert "--out is a folder" in shell.fails(2, "evaluate", "--policy", "noop", "--out", "scores.jsonl")
+    assert "--out must be a folder" in shell.fails(2, "evaluate", "--policy", "noop", "--out", "scores.jsonl")
 
 
 def test_help_and_version(shell: Shell) -> None:
@@ -89,7 +89,7 @@ def test_both_ways_to_start_it() -> None:
 
 @pytest.mark.parametrize(("command", "code"), [("list --ids", 0), ("--help", 141)])
 def test_a_closed_pipe_ends_quietly(command: str, code: int) -> None:
-    """The reader has gone before anything is written."""
+    """The reader closes the pipe before anything is written."""
     reading, writing = os.pipe()
     os.close(reading)
     full = [sys.executable, "-m", "magical_mj", *command.split()]
@@ -142,7 +142,7 @@ def test_view_grid(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
-    """Another demo that is running."""
+    """Another demo is running."""
     command = ("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
     with files.locked(tmp_path):
         assert f"another demo is running in {tmp_path}; wait for it" in shell.fails(1, *command)
@@ -151,7 +151,7 @@ def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_demo(tmp_path: Path) -> None:
-    """The main job, on the quickest task, over what a killed run left, where no OpenGL can be loaded."""
+    """The main job, on the quickest task, in the folder of a killed run, on a machine without OpenGL."""
     (tmp_path / ".run.0123abcd-4567cdef.part.json").write_text("{")
     (tmp_path / "scores.jsonl").touch()
     settings = {"tasks": "MoveToRegion", "episodes": 1, "jobs": 1, "renderer": "software"}
@@ -182,7 +182,7 @@ def test_rollout_writes_a_video(shell: Shell, tmp_path: Path) -> None:
     assert "expert: mean score of 2 episodes 1.000" in out
     assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
-    assert frames == 2 * (8 + 40 + 8)  # the first and the last frame of an episode stand for a second
+    assert frames == 2 * (8 + 40 + 8)  # the first and the last frame of an episode are shown for a second
     assert seconds == pytest.approx(frames / 8, abs=0.2)
 
 
@@ -192,7 +192,7 @@ def test_rollout_takes_one_environment(shell: Shell) -> None:
 
 
 def test_rollout_plays_what_evaluate_plays(shell: Shell, tmp_path: Path) -> None:
-    """The same actions for the same seed, of built-in agents and of one's own, whatever they look at."""
+    """The same seed gives the same actions, for built-in agents and for users' policies."""
     (tmp_path / "watchful.py").write_text("def turn(observation):\n    return int(observation[0, 0, 0]) % 18\n")
     for policy in ("random", "watchful:turn"):
         code, out, _ = shell("rollout", "FixColour", "All", "--policy", policy, "--episodes", 3)
@@ -204,7 +204,7 @@ def test_rollout_plays_what_evaluate_plays(shell: Shell, tmp_path: Path) -> None
 
 
 def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) -> None:
-    """In its own words, which rich's markup would change."""
+    """The policy's own message is printed unchanged, although rich's markup could interpret it."""
     (tmp_path / "wrong.py").write_text("def act(observation):\n    raise ValueError('[batch, 12] is not in [/data]')\n")
     policy = "my [red] one=wrong:act"
     code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a:b.mp4", "--size", 32)
@@ -245,7 +245,7 @@ def test_films_say_what_is_shown() -> None:
     assert {frame.shape for frame in frames} == {(movie.height, movie.width, 3)}
     assert movie.height % 2 == 0
     start, first, second, last = frames[0], frames[3], frames[4], frames[-1]
-    assert (start[:96] != 0).any()  # the title lies over the views
+    assert (start[:96] != 0).any()  # the title is drawn over the views
     assert (first[:96] == 0).all()
     assert (first[96:] != second[96:]).any()  # another step and another score
     assert np.array_equal(second, last)
@@ -257,7 +257,7 @@ def test_long_titles_fit() -> None:
     movie.begin("FindDupe CountPlus, seed 3: expert", np.zeros((192, 192, 3), np.uint8), 0.0)
     band = frames[0][86:106]
     assert len(np.unique(band)) > 1
-    assert len(np.unique(band[:, [0, 1, 2, -3, -2, -1]])) == 1  # no letter is cut at the sides
+    assert len(np.unique(band[:, [0, 1, 2, -3, -2, -1]])) == 1  # no letter is cut off at the sides
 
 
 @pytest.mark.parametrize("overwrite", [False, True])

@@ -1,4 +1,4 @@
-"""All commands under conditions that a machine may have, such as a full disk; and the doctor who looks at them."""
+"""All commands under adverse conditions, such as a full disk, and the doctor's report about them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ COMMANDS = [
     ["rollout", "MoveToRegion", "--preset", "State", "--video", "{}/a.mp4", "--size", "32"],
     ["play", "MoveToRegion", "--size", "32", "--record", "{}/played"],
     ["evaluate", "--policy", "noop", *SHORT, "--episodes", "1", "--jobs", "2", "--preset", "State", "--out", "{}/s"],
-    ["verify", "{}/s", "--jobs", "1"],  # which says that not all episodes are there
+    ["verify", "{}/s", "--jobs", "1"],  # the evaluation is incomplete
     ["report", "{}/s"],
     ["compare", "{}/s", "{}/s"],
     ["submit", "{}/s", "--out", "{}/e.json.xz"],
@@ -65,13 +65,13 @@ COMMANDS = [
     ["demos", "import", "{}/recording.json", "--out", "{}/imported"],
     ["experiment", "{}/e.toml", "--jobs", "1", "--out", "{}/experiment"],
 ]
-"""Each writes below a folder {}."""
+"""The commands, each of which writes below a folder {}."""
 CODES = [int(command[0] == "verify") for command in COMMANDS]
 RUN = """
 import json, sys
 sys.path.insert(0, {root!r})
 from magical_mj.cli import main, play
-play.Window.wish = lambda self: "quit"  # somebody who looks at the window, and leaves
+play.Window.wish = lambda self: "quit"  # a player who opens the window and quits
 print([main(command) for command in json.loads({commands!r})], file=sys.stderr)
 """
 ONE_OF_MANY = r"1 (?:demonstration|entrie|environment|episode|file|run|scene|step|task|variant)s\b"
@@ -88,9 +88,9 @@ def commands_in(folder: Path) -> list[list[str]]:
 
 @pytest.mark.slow
 def test_every_command_works(tmp_path: Path) -> None:
-    """In a folder that cannot be written, isolated, without HOME and TMPDIR, in the C locale, on files of any name."""
+    """In a read-only folder, isolated, without HOME and TMPDIR, in the C locale, with unusual file names."""
     missing = [name for name in ALL if not any(command[: len(name.split())] == name.split() for command in COMMANDS)]
-    assert missing == ["inspect"]  # which serves a page until it is interrupted, as `play --web`
+    assert missing == ["inspect"]  # like `play --web`, it serves a page until it is interrupted
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
     folder = tmp_path / f"two\nlines{'x' * 237}.png"
     program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(folder)))
@@ -116,12 +116,12 @@ ODD = {
     "COLUMNS": "20",
     "LINES": "5",
 }
-"""Variables that a process may inherit from a notebook, a CI or a window manager."""
+"""Environment variables that a process may inherit from a notebook, a CI system or a window manager."""
 
 
 @pytest.mark.slow
 def test_inherited_variables_do_not_matter(tmp_path: Path) -> None:
-    """Even a backend of matplotlib that does not exist; what does not fit a line is folded, and not cut off."""
+    """Includes a missing backend of matplotlib. Long lines are folded, not cut off."""
     chosen = ("list", "doctor", "view", "rollout", "evaluate", "report", "train", "export")
     commands = [command for command in commands_in(tmp_path / "o") if command[0] in chosen or command[1] == "info"]
     (tmp_path / "modules").mkdir()
@@ -140,10 +140,10 @@ def test_inherited_variables_do_not_matter(tmp_path: Path) -> None:
         commands = [command for command in commands if command[0] == "report"]
 
 
-MOST = 1500  # bytes of a file, as if the disk were full then
+MOST = 1500  # the largest size of a file in bytes, to simulate a full disk
 STATE = ("--preset", "State")
 TASK = ("--tasks", "MoveToRegion")
-FILES = {  # and the file that the error names
+FILES = {  # command -> the file that the error names
     ("view", "FindDupe", "--out", "a.png"): "a.png",
     ("export", "FindDupe", "--out", "models"): "models/FindDupe-Demo-0.xml",
     ("rollout", "MoveToRegion", "--policy", "random", *STATE, "--video", "a.mp4", "--size", "64"): "a.mp4",
@@ -154,12 +154,12 @@ FILES = {  # and the file that the error names
     ("evaluate", "--policy", "noop", *TASK, "--episodes", "3", "--out", "scores"): "scores/scores.jsonl",
 }
 MAY_STAY = ("scores.jsonl", "run.json", "config.toml", "metrics.csv", "events.*")
-"""What is written line by line, or was finished before."""
+"""Files that are written line by line, or that were finished before."""
 
 
 @contextmanager
 def small_files() -> Iterator[None]:
-    """All files of this process and of those that it starts are limited."""
+    """Limits the size of all files of this process and its children."""
     before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (MOST, before[1]))
     try:
@@ -183,11 +183,11 @@ def test_a_full_disk_is_one_line_that_names_the_file(
     left = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert [path.name for path in left if not any(path.match(pattern) for pattern in MAY_STAY)] == []
     if "evaluate" in command:
-        assert len(read(tmp_path / "scores")) > 0  # the episodes that had found room
+        assert len(read(tmp_path / "scores")) > 0  # the episodes that fitted
 
 
 def test_a_training_on_a_full_disk_is_one_line_too(tmp_path: Path) -> None:
-    """In a process of its own: threads of TensorBoard's writer outlive an error in this one."""
+    """Runs in a separate process, because threads of TensorBoard's writer continue after an error."""
     command = f"'{sys.executable}' -m magical_mj train bc {' '.join((*TASK, *STATE))} --set bc.batches=200 --out run"
     limited = f"trap '' XFSZ; ulimit -f 2; PYTHONDONTWRITEBYTECODE=1 exec {command}"
     result = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -226,14 +226,14 @@ def test_doctor_without_opengl_says_what_to_do() -> None:
     result = process("doctor", DISPLAY="", MUJOCO_GL="", __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent")
     assert result.returncode == 0
     assert "Flat views are drawn by software" in result.stdout
-    assert "OpenGL, which draws the view `scene`" in result.stdout
+    assert "OpenGL does not work. The view `scene`" in result.stdout
     assert "libegl1" in result.stdout
     assert "MUJOCO_GL is osmesa, which does not start" in " ".join(result.stdout.split())
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 def test_a_driver_that_hangs_ends_with_the_doctor_who_is_killed(tmp_path: Path) -> None:
-    """The module stands for a driver; the process that tries it writes its number, and waits."""
+    """The module simulates a driver that hangs: the probing process writes its number and waits."""
     number = tmp_path / "number"
     hangs = f"import os, pathlib, time; pathlib.Path({str(number)!r}).write_text(str(os.getpid())); time.sleep(600)"
     (tmp_path / "glfw.py").write_text(hangs)

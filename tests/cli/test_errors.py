@@ -1,4 +1,4 @@
-"""The command line: one clear line for everything that can go wrong. Exit code 2 for wrong use, 1 for failures."""
+"""The command line prints one clear line for every expected error. Exit code 2 for wrong use, 1 for failures."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ TASK = "from magical_mj.tasks.move_to_corner import SPEC as OURS\n"
     ],
 )
 def test_files_in_the_folder_are_meant(shell: Shell, line: str, meant: str) -> None:
-    """Their code is not run to find out what is in them, unless the module is named."""
+    """Their code does not run, unless the command names the module."""
     fails = "1 / 0\n" if ":" in meant else ""
     Path("push_to_wall.py").write_text(f"{fails}from dataclasses import replace\n{TASK}SPEC = replace(OURS)\n")
     Path("salt.py").write_text(f"{fails}from magical_mj.shifts import Shift\n\nclass Salt(Shift):\n    name = 'salt'\n")
@@ -86,7 +86,7 @@ def test_files_in_the_folder_are_meant(shell: Shell, line: str, meant: str) -> N
     ],
 )
 def test_a_value_error_of_the_parser_is_not_shown_as_one(shell: Shell, line: str, refusal: str) -> None:
-    """Before the choices it puts "Value error, ", which says nothing to users; `Shell.fails` looks for it, too."""
+    """Click puts "Value error, " before the choices, which does not help users. `Shell.fails` checks it as well."""
     assert shell.fails(2, *line.split()).startswith(f"magical-mj: Invalid value for {refusal}")
 
 
@@ -135,7 +135,7 @@ def test_a_task_whose_module_fails_is_one_line(shell: Shell, broken: str, tmp_pa
 
 
 def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -> None:
-    """It starts anew where it was called before; scores of other evaluations may have taken days."""
+    """It replaces its own earlier run, but not other evaluations, which may have taken days."""
     few = ("--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1)
     assert shell("evaluate", "--policy", "expert,random,noop", "--preset", "State", "--out", "states", *few)[0] == 0
     assert "give another folder" in shell.fails(1, "demo", *few, "--out", "states")
@@ -152,7 +152,7 @@ def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -
 def test_the_tour_keeps_out_of_folders_with_other_files(shell: Shell, name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("precious")
     error = shell.fails(1, "demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
-    assert "holds files that this command has not made" in error
+    assert "holds files that this command did not make" in error
     assert (tmp_path / name).read_text() == "precious"
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -179,7 +179,7 @@ def test_an_export_that_cannot_be_finished_is_not_begun(shell: Shell, tmp_path: 
 
 @pytest.mark.parametrize("backend", ["glfw", "mesa"])
 def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
-    """Backends that do not work: GLFW without a display, and one that nobody knows."""
+    """Backends that do not work: GLFW without a display, and an unknown one."""
     variables = {
         "MUJOCO_GL": backend,
         "DISPLAY": "",

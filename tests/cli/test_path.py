@@ -1,4 +1,4 @@
-"""One's own recordings at the command line: record, import, train, evaluate, report."""
+"""A user's own recordings on the command line: record, import, train, evaluate, report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.helpers.commands import Shell
 
 
 def recording(number: int) -> str:
-    """What the page in the browser saves, of an episode in MoveToRegion's demo scene."""
+    """The file that the page in the browser saves, for an episode in MoveToRegion's demo scene."""
     actions = demos.load("MoveToRegion")[number].actions.tolist()
     names = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "Demo", "seed": 0}
     return json.dumps({**names, "actions": actions})

@@ -1,4 +1,4 @@
-"""Playing with the keyboard: synthetic keys without a display, and windows under X11 in a display of their own."""
+"""Playing with the keyboard: synthetic keys without a display, and windows on a hidden X11 display."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_opposite_keys_cancel_and_a_lost_focus_lets_go(window: Window) -> None:
 
 
 class Player:
-    """Somebody at the keyboard: at some frames keys are pressed and released."""
+    """Simulates a player who presses and releases keys at given frames."""
 
     def __init__(self, window: Window, monkeypatch: pytest.MonkeyPatch, keys: dict[int, list[int]]) -> None:
         self.keys, self.lines, self.show = keys, [], window.show
@@ -108,11 +108,11 @@ def test_an_episode_is_played_recorded_and_read_again(
     assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
     assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
     assert "5 s, score so far 0.00" in player.lines[5][1]
-    assert "not solved; kept, D discards it" in player.lines[-1][1]
+    assert "not solved; saved, D discards it" in player.lines[-1][1]
     (demo,) = load("MoveToRegion", tmp_path)
     assert len(demo.actions) == 40
     assert demo.demonstrator == "human"
-    first = Action(turn=Turn.LEFT, drive=Drive.FORWARD).number  # the up key is held still
+    first = Action(turn=Turn.LEFT, drive=Drive.FORWARD).number  # the up key is still held
     assert set(demo.actions.tolist()) <= {Action(drive=Drive.FORWARD).number, first}
     assert verify(demo).exact
 
@@ -133,10 +133,14 @@ def test_what_was_played_is_kept_at_once_and_discarded_on_request(
 
 
 def test_only_what_was_saved_last_is_discarded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Never an episode of before that is the same; and without a folder nothing is kept."""
+    """It never discards an equal episode that was saved before. Without a folder, it saves none."""
     env = magical_mj.Engine("MoveToRegion", seed=0)
     demo = load("MoveToRegion")[0]
-    for folder, caption in ((tmp_path, "kept, D discards it"), (tmp_path, "the same as one that is kept"), (None, "")):
+    for folder, caption in (
+        (tmp_path, "saved, D discards it"),
+        (tmp_path, "the same episode was saved"),
+        (None, ""),
+    ):
         game = Game(env, "MoveToRegion", 0, folder)
         game.finish(demo)
         assert f"score 1.00, solved; {caption}" in game.caption()
@@ -170,7 +174,7 @@ OWN = (
 def test_without_a_display_it_says_so_and_makes_nothing(
     task: str, driver: str | None, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And advises to play in a browser, where only tasks of the benchmark can be played."""
+    """The error recommends playing in a browser, where only the benchmark's tasks can be played."""
     (tmp_path / "mine.py").write_text(OWN)
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
@@ -224,7 +228,7 @@ def display(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Display]:
 def test_a_window_opens_beside_drawing(
     display: Display, backend: str, presets: tuple[str, ...], draws_first: bool
 ) -> None:
-    """With every preset, and with every backend that can be chosen."""
+    """With every preset and every backend."""
     variables = {name: value for name, value in os.environ.items() if not name.startswith("SDL_")}
     result = subprocess.run(
         [sys.executable, "-c", WATCH, str(draws_first), *presets],
@@ -239,7 +243,7 @@ def test_a_window_opens_beside_drawing(
 
 
 def words(text: str) -> NDArray[np.uint8]:
-    """How a line of text looks in the window."""
+    """A picture of a line of text as it is drawn in the window."""
     import pygame
 
     pygame.font.init()
@@ -251,7 +255,7 @@ def words(text: str) -> NDArray[np.uint8]:
 
 
 def is_in(part: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
-    """Whether a picture is somewhere in another one: all its pixels, looked at one by one."""
+    """Whether a picture contains another one exactly. Compares all pixels."""
     height, width = whole.shape[0] - part.shape[0] + 1, whole.shape[1] - part.shape[1] + 1
     places = np.argwhere((whole[:height, :width] == part[0, 0]).all(axis=-1))
     for y, x in np.random.default_rng(0).permutation(np.argwhere(np.ones(part.shape[:2]))):
@@ -272,7 +276,7 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
 @needs_xvfb
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="needs xdotool (Debian and Ubuntu: apt-get install xdotool)")
 def test_an_episode_is_played_with_real_keys(display: Display, tmp_path: Path) -> None:
-    """The whole command: what stands below the pictures is read from the screen, and the keys come from the server."""
+    """The whole command. The text is read from the screen, and the server sends the keys."""
     command = [sys.executable, "-m", "magical_mj", "play", "MoveToRegion", "Jitter", "--record", str(tmp_path)]
     variables = os.environ | {"DISPLAY": display.name, "SDL_VIDEODRIVER": "x11"}
 
@@ -280,23 +284,23 @@ def test_an_episode_is_played_with_real_keys(display: Display, tmp_path: Path) -
         return is_in(words(text), display.picture())
 
     def play_to_the_end() -> str:
-        """Holds the up key until the episode is kept; returns what the window is to say of it."""
+        """Holds the up key until the episode is saved. Returns the expected text of the window."""
         wait_for(lambda: shows(f"press a key to start, score so far 0.00 ({KEYS})"), "a new episode")
         display.xdotool("keydown", "Up")
         wait_for(lambda: any(tmp_path.glob("*.npz")), "a file")
         display.xdotool("keyup", "Up")
         (demo,) = load("MoveToRegion", tmp_path)
-        assert demo.actions[0] != NOOP  # the clock started with the key
+        assert demo.actions[0] != NOOP  # the clock started with the first key
         assert verify(demo).exact
         return f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
 
     with subprocess.Popen([*command, "--speed", "4", "--size", "480"], env=variables) as game:
         try:
             wait_for(lambda: shows("Drive into the goal region."), "the goal")
-            time.sleep(3)  # three times as long as the episode is
+            time.sleep(3)  # three times the length of the episode
             assert not any(tmp_path.iterdir())
             said = play_to_the_end()
-            wait_for(lambda: shows(f"{said}; kept, D discards it; {AFTER}"), "that it is kept")
+            wait_for(lambda: shows(f"{said}; saved, D discards it; {AFTER}"), "that it is kept")
             display.xdotool("key", "d")
             wait_for(lambda: shows(f"discarded; {AFTER}"), "that it is discarded")
             assert not any(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""The command line in shells that differ: completion, pipes, terminals, encodings, signals, plug-ins, progress."""
+"""The command line in different shells: completion, pipes, terminals, encodings, signals, plug-ins, progress."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ def test_wrong_options_are_one_line_that_names_the_commands_own_help(shell: Shel
 
 @pytest.mark.parametrize("columns", [40, 80, 300])
 def test_help_fits_any_terminal_and_can_be_read(columns: int, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where help stands beside the options, it has 40 columns at least; on narrow terminals it stands below them."""
+    """Help in a second column has at least 40 columns. On narrow terminals, it is below the options."""
     monkeypatch.setenv("COLUMNS", str(columns))
     for command in COMMANDS:
         code, out, _ = shell(*command.split(), "--help")
         assert code == 0
         assert max(map(len, out.splitlines())) <= columns
     _, out, _ = shell("evaluate", "--help")
-    (row,) = (line for line in out.splitlines() if "Go on with what is in the folder." in line)
-    assert row.index("Go on") <= (6 if columns == 40 else 32)
+    (row,) = (line for line in out.splitlines() if "Continue the evaluation in OUT." in line)
+    assert row.index("Continue") <= (6 if columns == 40 else 32)
 
 
 def test_terminals_that_cannot_show_every_sign(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,7 +65,7 @@ def test_terminals_that_cannot_show_every_sign(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
-    """It is done as it would be otherwise, and its exit code says how it went."""
+    """The work is done as usual, and the exit code reports its result."""
     (tmp_path / "bad.npz").write_bytes(b"no demonstration")
     commands = "rollout MoveToRegion --video v.mp4 --size 32", "demos verify bad.npz"
     for command, code in zip(commands, (0, 1), strict=True):
@@ -111,14 +111,14 @@ sys.meta_path.insert(0, Finder())
     ids=["the command line's own", "of all commands", "of this command", "compiled"],
 )
 def test_ctrl_c_while_modules_are_loaded_is_no_traceback(module: str, code: int, text: str, tmp_path: Path) -> None:
-    """In the first module, in one that all commands import, in one that this command does, and in a compiled one."""
+    """In the first module, in one that all commands import, in one that this command imports, and in a compiled one."""
     (tmp_path / f"{module}.py").write_text(text)
     result = process("list", PYTHONPATH=f"{tmp_path}:{Path(__file__).parents[2]}")
     assert (result.returncode, result.stdout, result.stderr) == (code, "", "")
 
 
 def test_the_table_of_demonstrations_fits_a_terminal(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 80 columns, without shortening the environments' names."""
+    """A terminal of 80 columns does not shorten the environments' names."""
     monkeypatch.setattr("magical_mj.cli.console.PLAIN_WIDTH", 80)
     code, out, _ = shell("demos", "info", "--tasks", "ClusterColour")
     assert code == 0
@@ -179,7 +179,7 @@ def test_terminals_show_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_bar_is_shown_of_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the work is known, something may be refused; from then on there is a bar."""
+    """A command may be refused before its amount of work is known. Afterwards, there is a bar."""
     monkeypatch.setenv("TERM", "xterm")
     written = io.StringIO()
     screen = Console(file=written, force_terminal=True)

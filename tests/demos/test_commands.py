@@ -41,7 +41,7 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
     folder = Path("made")
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert sorted(first) == ["MoveToRegion-All-000.npz", "MoveToRegion-All-001.npz"]
-    assert "2 of 3 are there already" in said(shell, *generate, "--count", 3)
+    assert "2 of 3 exist already" in said(shell, *generate, "--count", 3)
     assert all((folder / name).read_bytes() == content for name, content in first.items())
     verified = said(shell, "verify", "made", "--jobs", 1)
     assert "3 of 3 replay to the same score, 3 through the same states, 3 with the same pictures" in verified
@@ -50,14 +50,14 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
     assert Path("x.mp4").stat().st_size > 1000
     said(shell, "export", "made", "--out", "x.npz", "--preset", "State")
     assert Path("x.npz").exists()
-    assert "would lie among" in said(shell, "export", "made", "--out", folder / "x.npz", code=2)
+    assert "would be in the folder" in said(shell, "export", "made", "--out", folder / "x.npz", code=2)
     assert "none of the 3 demonstrations" in said(shell, "verify", "made", "--tasks", "MakeLine", "--jobs", 1, code=2)
 
 
 def test_rollouts_of_a_policy_are_episodes_in_scenes_of_no_test_which_exports_take(shell: Shell) -> None:
     command = ("rollouts", "--tasks", "MoveToRegion", "--variants", "All", "--out", "made", "--jobs", 1)
     assert "2 episodes with 80 steps" in said(shell, *command, "--steps", 41)
-    assert "2 of 3 are there already" in said(shell, *command, "--steps", 81)
+    assert "2 of 3 exist already" in said(shell, *command, "--steps", 81)
     played = [demos.read(path) for path in demos.files_in("made")]
     assert [(demo.scene_seed, demo.demonstrator) for demo in played] == [
         (SPLITS["dev"] + k, "random") for k in range(3)

@@ -176,7 +176,7 @@ def test_all_ids_are_checked_before_the_first_minari_set_is_made(
         demos.write(episode, tmp_path / f"{episode.name}.npz")
     there = demos.to_minari([other])  # the second one
     assert main(["demos", "export", str(tmp_path), "--to", "minari"]) == 1
-    assert "there is a data set" in " ".join(capsys.readouterr().err.split())
+    assert "the data set" in " ".join(capsys.readouterr().err.split())
     assert list(minari.list_local_datasets()) == [there]
     assert main(["demos", "export", str(tmp_path), "--to", "minari", "--force"]) == 0
     assert len(minari.list_local_datasets()) == 2

@@ -203,7 +203,7 @@ def test_the_command_imports_each_file_once(
     first, second, third = out.splitlines()
     assert names[0] in first
     assert "from what the player saw" in second
-    assert "is there already" in third
+    assert "was imported already" in third
     assert main(["demos", "import", *files, "--out", str(made)]) == 0
     assert sorted(path.name for path in made.iterdir()) == names
     assert main(["demos", "verify", str(made), "--jobs", "1"]) == 0
@@ -226,4 +226,4 @@ def test_folders_of_several_people_are_read_and_no_file_twice(
     assert main(["demos", "verify", str(tmp_path), str(path), str(path.parent), "--jobs", "1"]) == 0
     assert "2 of 2 replay" in capsys.readouterr().out
     assert main(["demos", "export", str(tmp_path), "--out", str(path.with_name("x.npz")), "--preset", "State"]) == 2
-    assert "would lie among the demonstrations" in capsys.readouterr().err
+    assert "would be in the folder of the demonstrations" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`magical-mj evaluate`, `report` and `compare`: what they print and write, and one line for what goes wrong."""
+"""`magical-mj evaluate`, `report` and `compare`: their output and files, and one line for each error."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp
     mine.parent.mkdir()
     mine.write_bytes(b"mine")
     error = shell.fails(1, "report", "o", "--videos", "--out", "mine")
-    assert "best-noop-MoveToRegion.mp4 is not of an earlier report: move it" in error
+    assert "best-noop-MoveToRegion.mp4 does not belong to an earlier report: move it" in error
     assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
     assert (tmp_path / "ours" / mine.name).stat().st_size > 1000
-    (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # it was killed
+    (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # killed
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
 
 
@@ -64,7 +64,7 @@ def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
-    """The agent is right in the first scene only."""
+    """The agent is right only in the first scene."""
     (tmp_path / "mine.py").write_text(
         "class Agent:\n    uses_simulation = True\n    def reset(self, episode):\n        self.seed = episode.seed\n"
         "    def __call__(self, _):\n        return 99 if self.seed else 0\n"

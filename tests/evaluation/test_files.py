@@ -1,4 +1,4 @@
-"""What an evaluation leaves in its folder: resumed, killed, corrupted, changed."""
+"""The folder of an evaluation when it is resumed, killed, corrupted or changed."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
     assert len(read(tmp_path)) == len(frame) == 6
     entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    unwritten = {"split", "shift", "wrap", "body", "retry"}  # where they are as usual
+    unwritten = {"split", "shift", "wrap", "body", "retry"}  # left out if they have default values
     assert set(entry) == set(frame.columns) - unwritten
     assert entry["version"] == magical_mj.__version__
     assert entry["rules"] == "paper"
-    assert entry["preset"] is None  # random looks at nothing
+    assert entry["preset"] is None  # the random agent uses no observations
     assert entry["steps"] == len(entry["actions"]) == 40
 
 
 @pytest.mark.parametrize("name", [SCORES, SETTINGS])
 def test_a_pipe_in_the_place_of_a_file_is_refused(name: str, tmp_path: Path) -> None:
-    """Instead of waiting for what somebody writes into it."""
+    """It must not wait for a writer."""
     magical_mj.evaluate("random", out=tmp_path, **SMALL)
     (tmp_path / name).unlink()
     os.mkfifo(tmp_path / name)
@@ -91,7 +91,7 @@ def test_a_task_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypatc
 
 
 def miss_a_file(episode: Episode) -> None:
-    """In the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
+    """A missing file in the scene of seed 1. Its name is not UTF-8, and Python represents such names by surrogates."""
     if episode.seed == 1:
         raise FileNotFoundError("weights-\udce9.npy")
 
@@ -105,13 +105,13 @@ def test_reasons_that_cannot_be_encoded_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", [1, 20, -1])
 def test_a_half_written_last_line_is_played_again(tmp_path: Path, cut: int) -> None:
-    """Wherever it was cut; its neighbours stay."""
+    """At whatever byte the line was cut. The other lines are kept."""
     magical_mj.evaluate("random", out=tmp_path, **SMALL)
     before = rows(tmp_path)
     path = tmp_path / SCORES
     *whole, last = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(whole) + last[:cut])
-    assert len(read(tmp_path)) == 5  # reports need no repair
+    assert len(read(tmp_path)) == 5  # reports do not need a repaired file
     played: list[EpisodeResult] = []
     magical_mj.evaluate("random", out=tmp_path, resume=True, watch=played.append, **SMALL)
     assert len(played) == 1
@@ -155,8 +155,8 @@ def test_files_of_older_versions_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "change", "difference"),
     [
-        ("noop", {"episodes": 2}, "holds the scenes 0 to 2 of its split, and 0 to 1 are asked for"),
-        ("noop", {"first_seed": 1}, "holds the scenes 0 to 2 of its split, and 1 to 3 are asked for"),
+        ("noop", {"episodes": 2}, "holds the scenes 0 to 2 of its split, but 0 to 1 are requested"),
+        ("noop", {"first_seed": 1}, "holds the scenes 0 to 2 of its split, but 1 to 3 are requested"),
         ("noop", {"rules": "released"}, 'rules was "paper" and is "released"'),
         ("noop", {"preset": "LoRes4A"}, 'preset was "State" and is "LoRes4A"'),
         ("noop", {"variants": "Demo"}, "environments that are left out here, or have changed: MoveToRegion-Layout."),
@@ -176,11 +176,11 @@ def test_changed_settings_are_refused(tmp_path: Path, policy: str, change: dict[
     ("name", "value"), [("episodes", None), ("first_seed", "0"), ("environments", "all"), ("shifts", 3)]
 )
 def test_a_damaged_file_of_settings_is_no_evaluation_that_can_go_on(tmp_path: Path, name: str, value: Any) -> None:
-    """Found by fuzzing: it was taken for a smaller one, and written anew."""
+    """Found by fuzzing: it was taken for the settings of a smaller evaluation, and overwritten."""
     magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     damaged = json.dumps(read_settings(tmp_path) | {name: value})
     (tmp_path / SETTINGS).write_text(damaged)
-    with pytest.raises(EvaluationError, match=rf"not of an evaluation.*\.{name}"):
+    with pytest.raises(EvaluationError, match=rf"does not belong to an evaluation.*\.{name}"):
         magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
     assert (tmp_path / SETTINGS).read_text() == damaged
 
@@ -209,11 +209,11 @@ def test_folders_are_not_mixed_up(tmp_path: Path) -> None:
 def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With other settings, too, as long as no other process plays into the folder."""
+    """Even with other settings, as long as no other process is writing to the folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     Path("failing.py").write_text("def act(observation):\n    raise KeyError('position')\n")
-    with pytest.raises(EvaluationError, match="failed, so none of them is kept"):
+    with pytest.raises(EvaluationError, match="failed, so no result is kept"):
         magical_mj.evaluate("failing:act", out="out", **SMALL)
     with open_scores(Path("out")), pytest.raises(EvaluationError, match="another evaluation"):
         magical_mj.evaluate("noop", out="out", **SMALL)
@@ -222,19 +222,19 @@ def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
 
 
 def test_settings_are_those_of_the_evaluation_that_plays(tmp_path: Path) -> None:
-    """Not of one that was prepared in the same folder meanwhile."""
+    """It must not use the settings of another evaluation that was prepared in the folder meanwhile."""
     first, second = (
         Evaluation("noop", EvaluationSettings(out=tmp_path, **{**SMALL, "episodes": count})) for count in (2, 1)
     )
     list(first.play())
-    with pytest.raises(SettingsError, match="holds the scenes 0 to 1 of its split, and 0 to 0 are asked for"):
+    with pytest.raises(SettingsError, match="holds the scenes 0 to 1 of its split, but 0 to 0 are requested"):
         list(second.play())
     assert len(read(tmp_path)) == 4
     assert read_settings(tmp_path)["episodes"] == 2
 
 
 def test_an_evaluation_grows_in_every_direction(tmp_path: Path) -> None:
-    """Episodes, tasks, variants and policies: what is missing is played, and all is as if it was played at once."""
+    """Adds episodes, tasks, variants and policies. The result is that of a single evaluation."""
     grown = {**SMALL, "tasks": "MoveToRegion,FixColour", "variants": "Demo,Layout,Jitter", "episodes": 4}
     magical_mj.evaluate("random", out=tmp_path / "grown", first_seed=1, **SMALL)
     played: list[EpisodeResult] = []
@@ -246,7 +246,7 @@ def test_an_evaluation_grows_in_every_direction(tmp_path: Path) -> None:
 
 
 class Away(agents.Acting):
-    """Fails in the scenes of odd seeds, as a client of a server that is away at times."""
+    """Fails in the scenes of odd seeds, like a client of a server that is sometimes unavailable."""
 
     def __init__(self) -> None:
         super().__init__(reset=self._ask)
@@ -258,7 +258,7 @@ class Away(agents.Acting):
 
 
 def test_failed_episodes_are_played_again(tmp_path: Path) -> None:
-    """If asked for; the rows that failed stay in the file, and the new ones say how often that was."""
+    """If requested. The failed rows stay in the file, and the new rows count the retries."""
     policy, settings = Away(), {**SMALL, "variants": "Demo", "episodes": 4, "jobs": 1}
     magical_mj.evaluate({"P": policy}, out=tmp_path, **settings)
     first = (tmp_path / SCORES).read_bytes()
@@ -284,7 +284,7 @@ def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
     write(tmp_path, [done, failed, replace(failed, retry=1), replace(failed, retry=2, failure=None)])
     assert read(tmp_path) == [done, replace(failed, retry=2, failure=None)]
     for wrong, problem in (
-        (replace(done, retry=1), "line 1: it has not failed, and another line replaces it"),
+        (replace(done, retry=1), "line 1: the episode did not fail, but another line replaces it"),
         (failed, "line 4: the same episode as line 2"),
         (replace(failed, retry=2), "line 4: the same episode as line 3"),
     ):
@@ -295,13 +295,13 @@ def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
 
 def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
     (tmp_path / SETTINGS).write_text('{"mine": 1}')
-    with pytest.raises(EvaluationError, match=r"run\.json is not of an evaluation"):
+    with pytest.raises(EvaluationError, match=r"run\.json does not belong to an evaluation"):
         magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['{"mine": 1}']
 
 
 def killed_and_resumed(folder: Path) -> set[tuple[Any, ...]]:
-    """The rows of an evaluation by two processes that was killed at a random moment with work left."""
+    """The rows of an evaluation by two processes that was killed at a random moment before its end."""
     command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "random,tests.helpers.agents:Slow"]
     command += ["--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "30", "--jobs", "2", "--resume"]
     command += ["--out", str(folder)]
@@ -318,7 +318,7 @@ def killed_and_resumed(folder: Path) -> set[tuple[Any, ...]]:
 
 
 def test_finished_episodes_of_a_terminated_run_are_stored(tmp_path: Path) -> None:
-    """Each as it ends, not those of a worker together."""
+    """Each result is written when it is finished, without waiting for the others of its worker."""
     command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "tests.helpers.agents:Slower", "--jobs", "2"]
     command += ["--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "60", "--out", str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
@@ -335,7 +335,7 @@ def test_finished_episodes_of_a_terminated_run_are_stored(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_killed_runs_end_with_the_same_rows(tmp_path: Path) -> None:
     settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 30}
-    whole = magical_mj.evaluate("random,Slow=noop", out=tmp_path / "whole", **settings)  # does the same, but faster
+    whole = magical_mj.evaluate("random,Slow=noop", out=tmp_path / "whole", **settings)  # acts the same, but faster
     resumed = killed_and_resumed(tmp_path / "killed")
     assert len(resumed) == len(whole) == 120
     assert resumed == rows(tmp_path / "whole")

@@ -1,4 +1,4 @@
-"""Policies, environments and wrappers that users write: what they may hold, start and break; tasks like another."""
+"""Users' policies, environments and wrappers: their state, processes and errors; and tasks that are like another."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SINGLY: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISAB
 
 
 class Remembering:
-    """Counts its steps, and can only be reset for several episodes at once."""
+    """Counts its steps, and can be reset only for several episodes at once."""
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
         self.steps = 0
@@ -52,7 +52,7 @@ class Remembering:
 
 @dataclass
 class Linear:
-    """Holds arrays, which cannot be compared in one word."""
+    """Holds arrays, so that its comparison is ambiguous."""
 
     weights: NDArray[Any] = field(default_factory=lambda: np.arange(3.0))
 
@@ -61,7 +61,7 @@ class Linear:
 
 
 class Forking:
-    """Starts a process that lives on."""
+    """Starts a process that continues after it."""
 
     def __init__(self) -> None:
         self.helper: Any = None
@@ -85,7 +85,7 @@ def test_policies_need_not_be_comparable() -> None:
 
 
 class MuteError(Exception):
-    """Cannot be shown."""
+    """Has a failing `repr`."""
 
     def __str__(self) -> str:
         raise AttributeError("message")
@@ -103,7 +103,7 @@ def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
 
 
 def get_lost(episode: Episode) -> None:
-    """In the tasks of the longest episodes."""
+    """Fails in the task with the longest episodes."""
     if episode.task == "ClusterShape":
         raise RuntimeError("lost")
 
@@ -145,7 +145,7 @@ def test_a_file_that_changes_meanwhile_is_no_policy_of_the_evaluation(tmp_path: 
 
 @pytest.fixture
 def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Tasks whose score is too high in some scenes, whose count rule draws too many blocks, and whose score fails."""
+    """Tasks with a score above 1 in some scenes, a count rule that draws too many blocks, and a score that fails."""
     name = f"excessive_{tmp_path.name}"
     (tmp_path / f"{name}.py").write_text(
         "from dataclasses import replace\n"
@@ -195,9 +195,9 @@ def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: boo
     assert played(make())[0].failure is None
     with pytest.raises(EvaluationError, match=r"the environment takes .*Box.*to_discrete\(vector\)"):
         played(make(action="continuous"))
-    with pytest.raises(EvaluationError, match="the environment is FixColour All, and an episode MoveToRegion Demo"):
+    with pytest.raises(EvaluationError, match="the environment is FixColour All, but an episode has MoveToRegion Demo"):
         played(make("magical_mj/FixColour-TestAll-State-v0"))
-    with pytest.raises(EvaluationError, match="make one whose id begins with magical_mj/"):
+    with pytest.raises(EvaluationError, match="make one with an id that begins with magical_mj/"):
         played(make("CartPole-v1"))
     closed = make()
     closed.close()
@@ -226,10 +226,10 @@ def test_an_unstable_simulation_costs_one_episode() -> None:
 
 
 class TooFew:
-    """Forgets one of the environments."""
+    """Returns an action too few."""
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Starts nothing."""
+        """Returns no actions."""
 
     def act_batch(self, observations: Any) -> list[int]:
         return [0] * (len(observations) - 1)
@@ -265,7 +265,9 @@ def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
     for env in (gymnasium.make(name), several):
         outcomes = list(rollouts(env, Acting(lambda _: 1), (Episode("MoveToRegion", "Demo", seed) for seed in (0, 1))))
         assert [len(outcome.actions) for outcome in outcomes] == [40, 40]
-        with pytest.raises(EvaluationError, match="the environment is MoveToRegion Demo, and an episode MoveToCorner"):
+        with pytest.raises(
+            EvaluationError, match="the environment is MoveToRegion Demo, but an episode has MoveToCorner"
+        ):
             list(rollouts(env, Acting(lambda _: 1), [Episode("MoveToCorner", "Demo", 0)]))
         env.close()
 
@@ -274,7 +276,7 @@ def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
 def test_vector_environments_in_every_autoreset_mode(mode: AutoresetMode) -> None:
     name = "magical_mj:magical_mj/MoveToRegion-TestLayout-State-v0"
     episodes = [Episode("MoveToRegion", "Layout", seed) for seed in range(5)]
-    processes = mode == AutoresetMode.NEXT_STEP  # each of their own
+    processes = mode == AutoresetMode.NEXT_STEP  # each environment in its own process
     kwargs: dict[str, Any] = {"autoreset_mode": mode, **({"context": "spawn"} if processes else {})}
     envs = gymnasium.make_vec(name, 2, "async" if processes else "sync", vector_kwargs=kwargs)
     assert isinstance(envs, SyncVectorEnv | AsyncVectorEnv)
@@ -355,11 +357,11 @@ def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wrap", "problem"),
     [
-        ("Dark", "wrap is package.module:NAME"),
+        ("Dark", "wrap must be package.module:NAME"),
         ("mine:nothing", "mine:nothing cannot be used: ImportError"),
         ("mine:OLD", "mine:OLD cannot be used: TypeError"),
         ("mine:sum_is_even", "mine:sum_is_even cannot be used: AttributeError"),
-        ("mine:Other", "with its 18 actions"),
+        ("mine:Other", "with the same 18 actions"),
     ],
 )
 def test_what_is_no_wrapper_is_refused(wrap: str, problem: str) -> None:
@@ -368,7 +370,7 @@ def test_what_is_no_wrapper_is_refused(wrap: str, problem: str) -> None:
 
 
 def test_policies_play_a_task_that_is_like_theirs(shell: Shell) -> None:
-    """By the task's definition, or by --as; the expert takes the plan of the task that it is like."""
+    """Set by the task's definition, or by --as. The expert uses the plan of the other task."""
     settings: dict[str, Any] = {"variants": "Demo", "episodes": 1, "preset": "State", "jobs": 1}
     told: list[str] = []
     policy = Acting(reset=lambda episode: told.append(episode.task), tasks=("FindDupe",))

@@ -1,4 +1,4 @@
-"""Which stored episodes can be played again: what cannot is said, and neither shown nor counted as replayed."""
+"""Which stored episodes can be replayed. Others are reported, but neither shown nor counted as replayed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TINY = {**SMALL, "variants": "Demo", "episodes": 2, "jobs": 1}
 
 
 def test_an_episode_in_a_wrapper_is_not_replayed(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wrapper drives back where the policy does nothing: a film of its actions would show a robot at rest."""
+    """The wrapper drives back after no-ops, so a film of the policy's actions would show a robot at rest."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "back.py").write_text(WRAPPER)
     magical_mj.evaluate("noop", out=tmp_path / "wrapped", wrap="back:Back", **TINY)
@@ -56,11 +56,11 @@ def test_an_episode_in_a_wrapper_is_not_replayed(tmp_path: Path, shell: Shell, m
 
 
 class Still(gymnasium.Wrapper):  # type: ignore[type-arg]
-    """Does nothing."""
+    """Takes no-op actions."""
 
 
 def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
-    """As evaluations do: replayed with the shift and the body, they end alike; in a wrapper they may not."""
+    """Replayed with the evaluation's shift and body, episodes end equally; in a wrapper, they may not."""
     options: Any = {"shifts": "latency:2", "body": "shortstick"}
     name, episodes = "magical_mj/MoveToRegion-Demo-State-v0", [Episode("MoveToRegion", "Demo", 0)]
     for env in (gymnasium.make(name, **options), gymnasium.make_vec(name, 1, vectorization_mode="sync", **options)):
@@ -77,7 +77,7 @@ def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
     [
         ({"worlds": "batched"}, {}, "it was played in batched worlds"),
         ({"wrap": "mine:Wrapper"}, {}, "it was played in the wrapper mine:Wrapper"),
-        ({}, {"protocol": 0}, "it follows protocol 0, and this version plays 1"),
+        ({}, {"protocol": 0}, "it follows protocol 0, but this version plays 1"),
         ({"shift": "camera:3"}, {"shift_protocol": 99}, "it follows shift protocol 99"),
         ({"task": "Gone"}, {}, "unknown task 'Gone'"),
         ({"rules": "mine"}, {}, "unknown set of rules 'mine'"),

@@ -1,6 +1,6 @@
-"""Reports: golden tables, what is missing is said, and what does not go together is refused. Comparisons, by hand.
+"""Reports: golden tables, notes about missing results, and errors for incompatible ones. Comparisons by hand.
 
-To write the golden files anew: ``python tests/evaluation/test_report.py`` from the repository's root.
+To regenerate the golden files: ``python tests/evaluation/test_report.py`` from the repository's root.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TABLES: Final = (
 
 @pytest.fixture(scope="module", autouse=True)
 def _benchmark_of_the_paper() -> Iterator[None]:
-    """Reports name what is missing of the benchmark; the golden ones are about the paper's tasks, which come first."""
+    """Reports name missing environments. The golden reports cover the paper's tasks, which come first."""
     paper = tuple(published_results()["task"].unique())
     assert set(TASKS[: len(paper)]) == set(paper)
     with pytest.MonkeyPatch.context() as patch:
@@ -52,7 +52,7 @@ def _benchmark_of_the_paper() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of the example, with nothing but scores.jsonl to go by."""
+    """The report of the example from scores.jsonl alone."""
     folder = tmp_path_factory.mktemp("report")
     return report([write(folder / "scores", example())], folder / "out").parent
 
@@ -95,7 +95,7 @@ def test_missing_environments_are_said_and_marked(out: Path) -> None:
 
 
 def test_the_page_says_what_readers_must_know(tmp_path: Path) -> None:
-    """An evaluation that is not finished, versions that differ, and links, whatever the name of the file."""
+    """An unfinished evaluation, different versions, and links to files with unusual names."""
     scores = example()[:-2]
     scores[0] = replace(scores[0], mujoco="3.18.0")
     folder = write(tmp_path / "scores", scores)
@@ -131,7 +131,7 @@ def noop_report(folder: Path, **settings: Any) -> str:
     ],
 )
 def test_reports_say_how_they_differ_from_the_protocol(tmp_path: Path, settings: dict[str, Any], said: str) -> None:
-    """At the top and with every table and figure; complete evaluations have no note about missing episodes."""
+    """At the top and with every table and figure. Complete evaluations have no note about missing episodes."""
     page = noop_report(tmp_path, **settings)
     assert page.count(f"Not by the official protocol: {said}") == 4
     assert "Unfinished" not in page
@@ -149,7 +149,7 @@ def test_reports_by_the_protocol_have_no_mark(tmp_path: Path) -> None:
 
 
 def test_planned_episodes_that_are_missing_are_noted(tmp_path: Path) -> None:
-    """For each policy, run, environment and shift, by what the evaluation planned."""
+    """For each policy, run, environment and shift, according to the plan of the evaluation."""
     page = noop_report(tmp_path, episodes=4, shifts="camera:1-2,light:2", first_seed=3)
     assert "Unfinished" not in page
     assert "split `test`, seeds 3 to 6; shifts: camera:1-2, light:2; " in page
@@ -194,7 +194,7 @@ def test_one_training_is_not_two_runs(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of the example beside the paper's results."""
+    """The report of the example with the paper's results."""
     folder = tmp_path_factory.mktemp("published")
     return report([write(folder / "scores", example())], folder / "out", with_published=True).parent
 
@@ -230,7 +230,7 @@ def test_figures_mark_what_is_published_and_what_is_incomplete(tmp_path: Path) -
 
 
 def test_names_are_shown_as_they_are(tmp_path: Path) -> None:
-    """Between dollars, matplotlib expects a formula; letters that its font lacks are no reason for warnings."""
+    """Matplotlib would read text between dollars as a formula. Letters that its font lacks cause no warnings."""
     name = r"$\frac{$ 我的方法"
     rows = [replace(score, policy=name) for score in example() if score.policy == "noop"]
     page = report([write(tmp_path / "scores", rows)], tmp_path / "out")
@@ -244,12 +244,12 @@ def test_other_peoples_files_are_not_replaced(tmp_path: Path) -> None:
         folder = tmp_path / name.partition(".")[0]
         folder.mkdir()
         (folder / name).write_text("mine")
-        with pytest.raises(EvaluationError, match=rf"{name} is not of an earlier report: move it"):
+        with pytest.raises(EvaluationError, match=rf"{name} does not belong to an earlier report: move it"):
             report([scores], folder)
         assert [path.read_text() for path in folder.iterdir()] == ["mine"]
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.md").write_text("# Evaluation of my own\n")
-    with pytest.raises(EvaluationError, match=r"report.md is not of an earlier report"):
+    with pytest.raises(EvaluationError, match=r"report.md does not belong to an earlier report"):
         report([scores], tmp_path / "out")
 
 
@@ -299,7 +299,7 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
 
 
 def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path) -> None:
-    """As if they had been played by them, after fewer steps where these end earlier; and the actions must fit."""
+    """The scores are those of an evaluation by the other rules, after fewer steps if these end earlier."""
     settings = {"tasks": "ClusterShape,MoveToCorner", "variants": "Demo,Layout", "episodes": 2, "jobs": 1}
     for rules in ("paper", "released"):
         magical_mj.evaluate("noop,random", out=tmp_path / rules, rules=rules, **settings)
@@ -330,7 +330,7 @@ def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[Ep
 
 
 def test_comparison_is_paired_by_scene(tmp_path: Path) -> None:
-    """By hand: FindDupe differs by 0.5, -0.5, 0.5 and MakeLine by 0, 0.3; the scene that one has alone is left out."""
+    """By hand: FindDupe differs by 0.5, -0.5, 0.5 and MakeLine by 0, 0.3. A scene of only one policy is left out."""
     a, b = tmp_path / "a", tmp_path / "b"
     write(a, side(a, {("FindDupe", "Demo"): [1.0, 0.0, 0.5, 1.0], ("MakeLine", "Demo"): [0.5, 0.5]}))
     write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.5, 0.0], ("MakeLine", "Demo"): [0.5, 0.2]}))
@@ -354,7 +354,7 @@ def test_comparison_averages_runs_first(tmp_path: Path) -> None:
 
 
 def test_means_of_the_same_scores_are_equal(tmp_path: Path) -> None:
-    """Whatever the order of the runs does to their last digit."""
+    """The order of the runs must not change even their last digit."""
     for name, order in (("a", (1 / 3, 1.0, 1.0)), ("b", (1.0, 1.0, 1 / 3))):
         folder = tmp_path / name
         runs = [side(folder, {("FindDupe", "Demo"): [score]}, run) for run, score in enumerate(order)]
@@ -391,7 +391,7 @@ def test_comparisons_need_names_and_common_scenes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("different", [{"rules": "released"}, {"worlds": "batched"}])
 def test_scores_of_different_kinds_are_not_compared(different: dict[str, Any], tmp_path: Path) -> None:
-    """By other rules, or in batched worlds."""
+    """With other rules, or in batched worlds."""
     one = write(tmp_path / "one", example())
     other = write(tmp_path / "other", [replace(score, **different) for score in example()])
     with pytest.raises(EvaluationError, match=f"different {next(iter(different))}"):
@@ -399,7 +399,7 @@ def test_scores_of_different_kinds_are_not_compared(different: dict[str, Any], t
 
 
 def test_scores_in_different_worlds_are_not_compared(tmp_path: Path) -> None:
-    """A protocol draws other scenes from the same seeds; older files do not say which scenes they were."""
+    """Another protocol draws other scenes from the same seeds. Older files do not record their scenes."""
     one, other, older = (
         write(tmp_path / str(scene), [replace(TEMPLATE, policy=str(scene), scene=scene)]) for scene in ("a", "b", None)
     )

@@ -1,4 +1,4 @@
-"""Playing: equal scores however and wherever it is done, failures that cost one episode, and workers that die."""
+"""Playing: equal scores in all configurations, failures that affect one episode, and workers that die."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.helpers import agents
 from tests.helpers.agents import Acting
 from tests.helpers.evaluations import evaluate
 
-# equal scores
+# scores are equal
 
 
 def test_evaluations_that_take_turns_keep_their_policies() -> None:
@@ -38,7 +38,7 @@ def test_evaluations_that_take_turns_keep_their_policies() -> None:
 
 
 def test_policies_act_in_the_thread_that_evaluates() -> None:
-    """As in a loop of one's own: so a debugger works, and signals reach them."""
+    """As in a user's own loop, so that debuggers and signals work."""
     threads: set[int] = set()
     evaluate(Acting(lambda _: threads.add(threading.get_ident()) or 1), episodes=1, jobs=1)
     assert threads == {threading.get_ident()}
@@ -95,7 +95,7 @@ def test_two_jobs_give_the_same_as_one() -> None:
 
 
 class OnlyBatch(agents.Batch):
-    """Cannot act alone."""
+    """Cannot act on single observations."""
 
     def __call__(self, observation: Any) -> int:
         raise AssertionError("alone")
@@ -123,7 +123,7 @@ def test_dict_observations_side_by_side() -> None:
 
 
 def test_rules_reach_the_scores() -> None:
-    """Nobody moves: ClusterShape's demo scores 0.25 by the paper's rules, 0 by the code's, and takes longer."""
+    """Without moving, ClusterShape's demo scores 0.25 in 320 steps by the paper's rules, and 0 in 240 by the code's."""
     for rules, expected in (("paper", (0.25, 320)), ("released", (0.0, 240))):
         frame = evaluate("noop", tasks="ClusterShape", variants="Demo", episodes=1, rules=rules)
         assert (frame["score"].item(), frame["steps"].item()) == expected
@@ -138,7 +138,7 @@ def test_a_policy_may_learn_between_evaluations() -> None:
 
 
 def test_policies_that_can_be_closed_are_left_open() -> None:
-    policies = {str(action): agents.Stubborn(action) for action in (3, 4)}  # which take turns
+    policies = {str(action): agents.Stubborn(action) for action in (3, 4)}  # they alternate
     assert evaluate(policies, preset="State")["failure"].isna().all()
 
 
@@ -146,7 +146,7 @@ def test_policies_that_can_be_closed_are_left_open() -> None:
 
 
 def test_a_failing_policy_costs_only_its_episodes() -> None:
-    """Calls that do not return are ended with their worker process, even if they let no other thread run."""
+    """Calls that do not return are ended with their worker process, even if they block all other threads."""
     policy = "tests.helpers.agents:Trouble"
     frame = evaluate(policy, variants="Demo", episodes=17, time_limit=1.0, jobs=2).set_index("seed")
     good = frame.loc[range(0, 17, 2)]
@@ -176,7 +176,7 @@ def test_a_slow_policy_fails_at_its_next_action_in_this_process() -> None:
 
 
 class SlowBatch(agents.Batch):
-    """Does not return where the scene of seed 1 is among those that it acts in."""
+    """Does not return if the scene of seed 1 is in its batch."""
 
     def reset_batch(self, episodes: Any) -> None:
         self.reset(max(episodes, key=lambda episode: episode.seed == 1))
@@ -234,7 +234,7 @@ def test_an_interruption_ends_the_episode_and_keeps_those_before(tmp_path: Path)
     assert frame["failure"].isna().tolist() == [True] * 3
 
 
-# what is asked for
+# selection of policies, tasks and scenes
 
 
 @pytest.mark.parametrize(
@@ -258,9 +258,9 @@ def test_an_interruption_ends_the_episode_and_keeps_those_before(tmp_path: Path)
         ("noop", {"address": "tcp://there:1"}, "choose the dask backend"),
         ("noop", {"device": "cpu"}, "give --simulator warp"),
         ("noop", {"episods": 3}, "Did you mean 'episodes'"),
-        ("noop", {"resume": True}, "give out, too"),
-        ("noop", {"retry_failed": True}, "give resume, too"),
-        ("noop", {"retry_failed": True, "out": Path("o")}, "give resume, too"),
+        ("noop", {"resume": True}, "give out as well"),
+        ("noop", {"retry_failed": True}, "give resume as well"),
+        ("noop", {"retry_failed": True, "out": Path("o")}, "give resume as well"),
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
         ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
@@ -297,25 +297,25 @@ def rows(scores: list[EpisodeResult]) -> list[Any]:
 
 
 def meet(folder: Path, patience: float, number: int) -> bool:
-    """Whether another piece of work is done at the same time, somewhere."""
+    """Whether another unit runs at the same time, in any process."""
     (folder / str(number)).touch()
     start = time.monotonic()
     while not (met := len(list(folder.iterdir())) > 1) and time.monotonic() - start < patience:
         time.sleep(0.01)
-    time.sleep(0.1)  # the other one looks, too
+    time.sleep(0.1)  # the other process checks as well
     (folder / str(number)).unlink()
     return met
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # of the libraries' own
+@pytest.mark.filterwarnings("ignore")  # warnings of the libraries
 def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: Path) -> None:
-    """On no more pieces at once than asked for; one of two workers is killed when the first scores come in."""
+    """Plays at most the given number of units at once. One of two workers is killed after the first scores."""
     distributed = pytest.importorskip("distributed")
-    magical_mj.evaluate("random,Slow=noop", out=tmp_path / "here", **SETTINGS)  # does the same, but faster
+    magical_mj.evaluate("random,Slow=noop", out=tmp_path / "here", **SETTINGS)  # acts the same, but faster
     killed: list[int] = []
     stored: list[int] = []
-    here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder wherever that is
+    here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder there
     with (
         here,
         distributed.LocalCluster(
@@ -365,7 +365,7 @@ def test_dask_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
-    """What is no address is said before anything is made."""
+    """An invalid address is reported before anything is started."""
     distributed = pytest.importorskip("distributed")
     with distributed.dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:9", "foo://127.0.0.1:9"):
@@ -378,7 +378,7 @@ def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_a_dead_worker_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its unit is played again; so the scores are those of an evaluation in which nobody died."""
+    """Its unit is played again, so the scores are those of an evaluation without a crash."""
     mark = tmp_path / "mark"
     monkeypatch.setenv("FATAL_MARK", str(mark))
     frame = magical_mj.evaluate("tests.helpers.agents:Fatal", jobs=2, out=tmp_path / "dying", **SETTINGS)
@@ -406,7 +406,7 @@ def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_policy_has_the_name_that_it_is_given() -> None:
-    """Several are runs of one method; names in a mapping are not replaced."""
+    """Several policies are runs of one method. Names in a mapping are not replaced."""
     actions = [lambda _: 0, lambda _: 1]
     scores = evaluate(actions, name="BC", variants="Demo", episodes=1, jobs=1)
     assert scores[["policy", "run"]].to_numpy().tolist() == [["BC", 0], ["BC", 1]]

@@ -1,4 +1,4 @@
-"""Evaluations with shifts, beside strength 0 in the same scenes; and on splits, which are kept apart."""
+"""Evaluations with shifts, compared with strength 0 in the same scenes; and splits, which are kept apart."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_strength_0_is_played_beside_shifts_and_is_as_without_them() -> None:
     assert {tuple(group["seed"]) for _, group in shifted.groupby("shift")} == {(0, 1, 2)}
     plain = shifted[shifted["shift"] == ""].reset_index(drop=True)
     pd.testing.assert_frame_equal(plain, evaluate("random", variants="Demo"), check_dtype=False)
-    assert shifted.groupby("seed")["actions"].nunique().eq(1).all()  # who looks at nothing does the same
+    assert shifted.groupby("seed")["actions"].nunique().eq(1).all()  # a policy without observations acts the same
 
 
 @pytest.mark.parametrize("how", [{"jobs": 1}, {"jobs": 2}])
@@ -59,7 +59,7 @@ def test_an_evaluation_grows_by_shifts_and_is_replayed(tmp_path: Path) -> None:
 
 
 def test_other_bodies_stand_beside_the_first_one_and_are_replayed(shell: Shell, tmp_path: Path) -> None:
-    own = f"body:{__name__}:WEDGE"  # which no other test trusts
+    own = f"body:{__name__}:WEDGE"  # no other test names this module
     options = ("--tasks", "MoveToRegion", "--variants", "Demo", "--preset", "State", "--episodes", "2")
     shell("evaluate", "--policy", "random", *options, "--shifts", f"body,{own}", "--out", "out")
     assert Counter(score.shift for score in read(tmp_path / "out")) == dict.fromkeys(
@@ -84,7 +84,7 @@ def test_comparisons_pair_shifts(tmp_path: Path) -> None:
 
 
 def test_reports_show_what_shifts_do(tmp_path: Path) -> None:
-    """By hand: without a shift two scenes score 1, 0.5 and in another task 0; run 1 plays the first alone."""
+    """By hand: without a shift, two scenes score 1 and 0.5, and one of another task 0. Only run 1 plays the first."""
     scenes = {("FindDupe", 0): 1.0, ("FindDupe", 1): 0.5, ("MakeLine", 0): 0.0}
     kept = {0: 1.0, 1: 1.0, 2: 0.8, 3: 0.5, 4: 0.16, 5: 0.0}
     scores = [
@@ -137,7 +137,7 @@ def test_wrong_shifts_are_explained(shifts: str, problem: str, shell: Shell, tmp
 
 
 def test_batched_worlds_refuse_them() -> None:
-    with pytest.raises(SettingsError, match="batched worlds have neither shifts nor wrappers"):
+    with pytest.raises(SettingsError, match="batched worlds support no shifts, wrappers"):
         evaluate("noop", simulator="warp", shifts="camera")
 
 
@@ -145,7 +145,7 @@ CONTINUOUS = {"jitter", "layout", "dynamics"}
 
 
 def test_no_scene_of_dev_is_one_of_test() -> None:
-    """In all environments whose scenes are drawn from a continuum; colours and shapes alone are few."""
+    """In all environments with continuous draws. Variants of only colours or shapes have few different scenes."""
     drawn = {}
     for task, variant in ENVIRONMENTS:
         if CONTINUOUS & set(environment_axes(task, variant)):
@@ -173,7 +173,7 @@ def test_splits_are_not_mixed(tmp_path: Path) -> None:
     for mix in (lambda: report([test, dev], tmp_path / "out"), lambda: compare(test, dev)):
         with pytest.raises(EvaluationError, match=r"different split: test in .*, dev in "):
             mix()
-    with pytest.raises(EvaluationError, match="played on the split dev, and entries are of test"):
+    with pytest.raises(EvaluationError, match="played on the split dev, but entries must be played on test"):
         submit([dev], tmp_path / "entry.json.xz")
     magical_mj.evaluate("noop", out=tmp_path / "grown", split="dev", **SMALL)
     with pytest.raises(SettingsError, match='split was "dev" and is "test"'):

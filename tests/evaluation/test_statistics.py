@@ -1,4 +1,4 @@
-"""Interquartile means, intervals and aggregates against cases worked out by hand, scipy, and the paper's Table 1."""
+"""Interquartile means, intervals and aggregates, compared with manual calculations, scipy, and the paper's Table 1."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_interquartile_mean() -> None:
     cases = [
         ([0.5], 0.5),
         ([0.0, 1.0], 0.5),
-        ([0.0, 0.1, 0.9], (0.0 + 0.1 + 0.9) / 3),  # a quarter of three is no whole value
+        ([0.0, 0.1, 0.9], (0.0 + 0.1 + 0.9) / 3),  # a quarter of three values rounds down to none
         ([1.0, 0.0, 0.2, 0.4], (0.2 + 0.4) / 2),
         ([0.0, 0.1, 0.2, 0.6, 1.0], (0.1 + 0.2 + 0.6) / 3),  # one of five at each end
         ([0.0, 0.0, 0.1, 0.3, 0.5, 0.7, 1.0, 1.0], (0.1 + 0.3 + 0.5 + 0.7) / 4),
@@ -38,7 +38,7 @@ def test_interquartile_mean() -> None:
 
 
 def enumerated(strata: list[list[float]]) -> np.ndarray:
-    """The mean of the strata's means for every way to draw them anew, all equally likely."""
+    """The means of the strata's means for all resamples, which are equally likely."""
     each = [[np.mean(drawn) for drawn in itertools.product(values, repeat=len(values))] for values in strata]
     return np.array([np.mean(means) for means in itertools.product(*each)])
 
@@ -63,7 +63,7 @@ def test_interval_of_one_stratum_is_scipys() -> None:
 
 
 def test_strata_are_drawn_by_themselves() -> None:
-    """Tasks that differ widen no interval: only the spread within each counts."""
+    """Differences between tasks do not widen an interval. Only the spread within each task counts."""
     assert mean_interval([np.array([0.0, 0.0, 0.0]), np.array([1.0, 1.0, 1.0])]) == (0.5, 0.5)
 
 
@@ -72,7 +72,7 @@ def test_one_value_has_no_interval() -> None:
 
 
 def test_summary_of_runs() -> None:
-    """Two tasks with two runs each; run means 0.5 and 1, and 0 and 0.25."""
+    """Two tasks with two runs each. The run means are 0.5 and 1, and 0 and 0.25."""
     summary = summarise(
         [
             [np.array([0.0, 1.0]), np.array([1.0, 1.0])],
@@ -82,21 +82,21 @@ def test_summary_of_runs() -> None:
     assert summary.mean == pytest.approx((0.75 + 0.125) / 2)
     assert summary.std == pytest.approx(np.std([0.5, 1.0, 0.0, 0.25]))
     assert summary.iqm == pytest.approx((0.25 + 0.5) / 2)
-    assert summary.low == pytest.approx((0.5 + 0.0) / 2)  # the worst run of each task twice: 1 draw in 16
+    assert summary.low == pytest.approx((0.5 + 0.0) / 2)  # the worst run of each task twice: 1 resample in 16
     assert summary.high == pytest.approx((1.0 + 0.25) / 2)
 
 
 def test_tasks_have_equal_weight_in_all_statistics_whatever_their_runs() -> None:
-    """Two tasks; a second run of one of them that is like its first must change nothing."""
+    """Two tasks. If one has a second run that equals its first, the result must not change."""
     once = summarise([[np.array([1.0, 0.5])], [np.array([0.0, 0.5])]])
     more = summarise([[np.array([1.0, 0.5])] * 2, [np.array([0.0, 0.5])]])
     assert (more.mean, more.iqm, more.std) == (once.mean, once.iqm, once.std) == (0.5, 0.5, 0.25)
     many = summarise([[np.array([1.0])] * 9, *[[np.array([0.0])]] * 3])
-    assert many.iqm == 0.0  # one task of four is better than 0, and is left out
+    assert many.iqm == 0.0  # one task of four is better than 0, but is left out
 
 
 def test_a_task_with_one_run_keeps_its_interval_beside_others() -> None:
-    """By hand: the runs' means are 0 and 1, and so are the only run's episodes; all four draws are as likely."""
+    """By hand: run means are 0 and 1, as are the episodes of the only run. All four resamples are equally likely."""
     summary = summarise([[np.array([0.0]), np.array([1.0])], [np.array([0.0, 1.0])]])
     assert (summary.low, summary.high, summary.iqm_low, summary.iqm_high) == (0.0, 1.0, 0.0, 1.0)
 
@@ -143,7 +143,7 @@ def test_published_results_are_all_there() -> None:
     assert len(table) == 660
     assert table["policy"].nunique() == 11
     for _, group in table.groupby("policy"):
-        assert set(zip(group["task"], group["variant"], strict=True)) == set(ENVIRONMENTS[:60])  # which are the paper's
+        assert set(zip(group["task"], group["variant"], strict=True)) == set(ENVIRONMENTS[:60])  # those of the paper
     assert len(published_by_environment()) == 660
 
 
@@ -162,7 +162,7 @@ GAIL (MT)                   0.37 0.41  0.33 0.36  0.16 0.25  0.11 0.12  0.28 0.3
 
 
 def test_published_aggregates_are_the_papers_table_1() -> None:
-    """To the rounding of the results that they are made of."""
+    """Equal up to the rounding of the published results."""
     table = published_by_variant().set_index(["policy", "variant"])
     variants = ["Demo", "Jitter", "Layout", "Colour", "Shape"]
     for line in TABLE_1.strip().splitlines():

@@ -23,7 +23,7 @@ def look(observation: Any) -> int:
 
 
 class Acting:
-    """Acts as a function says, or does nothing; calls another one before each episode; and says things of itself."""
+    """Acts by a function (by default no-ops), calls another one before each episode, and has the given attributes."""
 
     def __init__(
         self, act: Callable[[Any], Any] = lambda _: 0, reset: Callable[[Episode], object] = repr, **facts: Any
@@ -36,7 +36,7 @@ class Acting:
 
 
 class Counting:
-    """Acts by what it sees and by how many steps it has made, so that mixed-up episodes would show."""
+    """Its actions depend on the observation and on the number of steps, so that mixed-up episodes are detected."""
 
     def reset(self, episode: Episode) -> None:
         self.steps = episode.seed
@@ -47,7 +47,7 @@ class Counting:
 
 
 class Batch:
-    """`look` for all environments at once."""
+    """Acts like `look`, for all environments at once."""
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
         pass
@@ -60,7 +60,7 @@ class Batch:
 
 
 class Alone:
-    """A policy without its methods for batches."""
+    """Wraps a policy and hides its methods for batches."""
 
     def __init__(self, policy: Any) -> None:
         self._policy = policy
@@ -71,7 +71,7 @@ class Alone:
 
 
 class Stubborn:
-    """Always acts alike; once it is closed, it fails."""
+    """Always takes the same action. After `close`, it fails."""
 
     def __init__(self, action: int = 0) -> None:
         self.action = action
@@ -84,7 +84,7 @@ class Stubborn:
 
 
 class Trouble:
-    """Behaves in the scenes of even seeds, and badly in the others; each badly in its own way."""
+    """Acts normally in the scenes of even seeds. In each other scene, it fails in a different way."""
 
     uses_simulation = True
 
@@ -99,13 +99,13 @@ class Trouble:
                 pass
         if self.seed == 7:
             time.sleep(1000)
-        if self.seed == 9:  # which lets no other thread run
+        if self.seed == 9:  # blocks all other threads
             re.match("(a+)+$", "a" * 60 + "b")
         return {3: 18, 11: None, 13: np.float32(2.0), 15: [1]}.get(self.seed, 1)
 
 
 class Slow:
-    """Does nothing, and takes its time."""
+    """Takes no-op actions slowly."""
 
     uses_simulation = True
 
@@ -115,7 +115,7 @@ class Slow:
 
 
 class Slower:
-    """Does nothing, and takes a second for an episode of MoveToRegion; longer in the scene of seed 1."""
+    """Takes no-op actions, a second for an episode of MoveToRegion, and ten in the scene of seed 1."""
 
     uses_simulation = True
 
@@ -128,7 +128,7 @@ class Slower:
 
 
 class Leaving:
-    """Ends the process, or tries to, in the scene of seed 1."""
+    """Calls `sys.exit` in the scene of seed 1."""
 
     def reset(self, episode: Episode) -> None:
         self.seed = episode.seed
@@ -140,7 +140,7 @@ class Leaving:
 
 
 class Needy:
-    """Cannot be made without being told how."""
+    """Cannot be constructed without an argument."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -150,7 +150,7 @@ class Needy:
 
 
 class Fatal:
-    """Ends its process in the scene of seed 1, unless a file says that this was done before."""
+    """Kills its process in the scene of seed 1, unless a file shows that it has done so before."""
 
     uses_simulation = True
 

@@ -1,4 +1,4 @@
-"""How tests run the command line, in this process or in one of its own; and packages beside ours."""
+"""Functions that run the command line in this or a separate process, and that install other packages."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ COMMANDS = tuple(_commands(get_command(app)))
 
 
 class Shell:
-    """Runs `magical-mj` in this process and keeps what it printed."""
+    """Runs `magical-mj` in this process and captures its output."""
 
     def __init__(self, capture: pytest.CaptureFixture[str]) -> None:
         self.capture = capture
 
     def __call__(self, *arguments: object) -> tuple[int, str, str]:
-        """Exit code, standard output and standard error."""
+        """Runs a command. Returns exit code, standard output and standard error."""
         code = main([str(argument) for argument in arguments])
         printed = self.capture.readouterr()
         return code, printed.out, printed.err
 
     def fails(self, code: int, *arguments: object) -> str:
-        """The one line that the command complains with."""
+        """Runs a command that must fail with this exit code and one line on standard error. Returns the line."""
         actual, out, error = self(*arguments)
         assert (actual, out) == (code, "")
         assert error.startswith("magical-mj: ")
@@ -55,13 +55,13 @@ class Shell:
 
 
 def process(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Runs `magical-mj` in a process of its own, with these environment variables besides the present ones."""
+    """Runs `magical-mj` in a separate process, with additional environment variables."""
     command = [sys.executable, "-m", "magical_mj", *arguments]
     return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, check=False, timeout=120)
 
 
 def opened(path: Path) -> Image.Image:
-    """The picture in a file, RGB."""
+    """The picture in a file as RGB."""
     with Image.open(path) as picture:
         return picture.convert("RGB")
 
@@ -72,7 +72,7 @@ def example(name: str) -> Path:
 
 
 def installed(project: Path, folder: Path) -> Path:
-    """The folder in which a project was installed, as users install it, from a copy of its own."""
+    """Installs a copy of a project with pip, as users do. Returns the folder of the installed packages."""
     site = folder / "site"
     shutil.copytree(project, folder / project.name)
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
@@ -82,7 +82,7 @@ def installed(project: Path, folder: Path) -> Path:
 
 
 def python_beside(site: Path, home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs Python in the folder `home`, with what is installed in `site`."""
+    """Runs Python in the folder `home`, with the packages in `site`."""
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
     command = [sys.executable, *arguments]
@@ -90,6 +90,6 @@ def python_beside(site: Path, home: Path, *arguments: str) -> subprocess.Complet
 
 
 def code_block(page: str, language: str, start: str) -> str:
-    """The block of code on a page that starts like this."""
+    """The first block of code on a page that begins with `start`."""
     blocks = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
     return next(block for block in blocks if block.startswith(start))

@@ -1,4 +1,4 @@
-"""A display under X11 that nobody sees. It needs Xvfb; its keyboard needs xdotool."""
+"""A hidden X11 display. It needs Xvfb; its keyboard needs xdotool."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 
 class Display(NamedTuple):
-    """A display that nobody sees."""
+    """A hidden display."""
 
     name: str
     file: Path
 
     def picture(self) -> NDArray[np.uint8]:
-        """What is on the screen now. Shape (height, width, 3), from the dump that Xvfb keeps (X11/XWDFile.h)."""
+        """The current screen. Shape (height, width, 3). Read from the dump file of Xvfb (X11/XWDFile.h)."""
         data = self.file.read_bytes()
         header = struct.unpack(">25I", data[:100])
         height, row, start = header[5], header[12], header[0] + 12 * header[19]
@@ -29,13 +29,13 @@ class Display(NamedTuple):
         return pixels[:, :, 2::-1]  # stored as blue, green, red
 
     def xdotool(self, *words: str) -> None:
-        """Keys as from a keyboard."""
+        """Runs xdotool, which simulates a keyboard."""
         subprocess.run(["xdotool", *words], env=os.environ | {"DISPLAY": self.name}, check=True, timeout=60)
 
 
 @contextmanager
 def hidden_display(folder: Path) -> Iterator[Display]:
-    """A display whose screen is dumped into a folder, while the block runs."""
+    """A context with a hidden display. Its screen is written to a file in the folder."""
     reading, writing = os.pipe()
     command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
     with subprocess.Popen([*command, "-fbdir", folder], pass_fds=[writing], stderr=subprocess.DEVNULL) as server:

@@ -1,4 +1,4 @@
-"""What the tests of the leaderboard share: evaluations to tamper with, and an entry with all environments."""
+"""Helpers for tests of the leaderboard: tampered evaluations, and an entry with all environments."""
 
 from __future__ import annotations
 
@@ -52,26 +52,26 @@ def scored_failure(rows: list[Row]) -> None:
 
 
 TAMPERED = [
-    (tampered_score, "the score is 0.5, and its actions lead to 1"),
+    (tampered_score, "the score is 0.5, but its actions lead to 1"),
     (swapped_scene, "it was played in the scene "),
-    (other_actions, "the score is 1, and its actions lead to "),
-    (too_short, "it has 39 actions, and episodes have 40"),
+    (other_actions, "the score is 1, but its actions lead to "),
+    (too_short, "it has 39 actions, but episodes have 40"),
     (unknown_letter, "its actions are not all among the 18"),
-    (scored_failure, "the policy failed, and its score is 1 instead of 0"),
+    (scored_failure, "the policy failed, but its score is 1 instead of 0"),
 ]
 
 
 def recorded(
     run: int, task: str, variant: str, seed: int, score: float, actions: str, failure: Any = None
 ) -> EpisodeResult:
-    """An episode that nobody played."""
-    where = {"run": run, "task": task, "variant": variant, "seed": seed}
+    """An episode with made-up results."""
+    scene = {"run": run, "task": task, "variant": variant, "seed": seed}
     played = {"score": score, "steps": len(actions), "actions": actions, "failure": failure, "seconds": 0.0}
-    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **where, **played)
+    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **scene, **played)
 
 
 def whole(runs: int = 5) -> Entry:
-    """An entry with all 60 environments, whose episodes nobody played."""
+    """An entry with made-up episodes in all 60 environments."""
     episodes = [
         recorded(run, task, variant, seed, ((seed + run) % 5) / 4, LETTERS[run])
         for run in range(runs)
@@ -84,6 +84,6 @@ def whole(runs: int = 5) -> Entry:
 
 
 def check(path: Path, **settings: Any) -> tuple[Entry, Findings]:
-    """The entry in a file, and what a check of it finds."""
+    """The entry in a file, and the findings of its check."""
     entry = read_entry(path)
     return entry, check_entries({"": entry}, **settings)[""]

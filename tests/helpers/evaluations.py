@@ -1,4 +1,4 @@
-"""What the tests of evaluations share: small evaluations, hand-made scores, and what must always be the same."""
+"""Helpers for tests of evaluations: small evaluations, their reproducible results, and made-up scores."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TEMPLATE: Final = EpisodeResult(
 
 
 def evaluate(policy: Any, **settings: Any) -> pd.DataFrame:
-    """All that must not depend on how the episodes were played; without pictures, which take time."""
+    """A small evaluation without pictures, which are slow. The result has no durations, so it is reproducible."""
     return magical_mj.evaluate(policy, **{**SMALL, **settings}).drop(columns="seconds")
 
 
@@ -44,7 +44,7 @@ def rows(folder: Path) -> set[tuple[Any, ...]]:
 
 
 def example() -> list[EpisodeResult]:
-    """Two runs of a method, which lacks an environment and fails once, and one of noop, all with four episodes."""
+    """Two runs of a method, which lacks an environment and fails once, and one of noop, with four episodes each."""
     rng = np.random.default_rng(0)
     scores = []
     for run, task, variant in product((0, 1), ("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All")):

@@ -1,4 +1,4 @@
-"""Episodes of rough hands, and how well the physics holds: what `test_physics.py` bounds."""
+"""Episodes of violent random actions, and measures of physical errors in them, with the limits of `test_physics.py`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.variants.rules import draw_dynamics
 
 WORST = {"broken": 0.0, "warnings": 0.0, "outside": 0.01, "overlap": 0.01}
-"""What an episode may hold at most, of what `worst` measures."""
+"""The largest allowed values of `worst` in an episode."""
 STEPS = 100
 KINDS = ("random", "corner", "spin", "steady")
 VARIANTS = [pair for pair in magical_mj.ENVIRONMENTS if pair[1] in ("Demo", "Dynamics", "All")]
@@ -42,7 +42,7 @@ def crowd(rng: np.random.Generator) -> Scene:
 
 
 def episode(number: int) -> tuple[Scene, str]:
-    """The scene of an episode and how it is played."""
+    """The scene of an episode, and the kind of its actions."""
     rng = np.random.default_rng(number)
     kind = KINDS[number % 4]
     if kind in ("corner", "spin"):
@@ -52,7 +52,7 @@ def episode(number: int) -> tuple[Scene, str]:
 
 
 def hands(kind: str, rng: np.random.Generator) -> Iterator[int]:
-    """Actions without end; "corner" steers, and takes the robot's pose at each step."""
+    """Yields actions without end. "corner" steers to a corner, and must be sent the robot's pose at each step."""
     if kind == "corner":
         goal, action = rng.choice([-1.0, 1.0], 2), 0
         while True:
@@ -69,7 +69,7 @@ def hands(kind: str, rng: np.random.Generator) -> Iterator[int]:
 
 
 def play(number: int, settings: PhysicsSettings = SETTINGS) -> tuple[Scene, NDArray[np.float64], int]:
-    """The scene, the poses after each action (steps, 1 + blocks, 3), and how often MuJoCo warned."""
+    """The scene, the poses after each action, shape (steps, 1 + blocks, 3), and the number of MuJoCo's warnings."""
     scene, kind = episode(number)
     world = World(scene)
     model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
@@ -92,16 +92,16 @@ def outlines(shape: c.Shape, poses: NDArray[np.float64]) -> NDArray[np.object_]:
 
 
 def depth(overlap: shapely.Geometry) -> float:
-    """How far two bodies are in each other at most: the least width of the convex hull of each piece that they share.
+    """The penetration depth of two bodies: the smallest width of the convex hull of each part of their intersection.
 
-    It is too much where the piece has a notch, between two arms of a star.
+    If a part has a notch, such as between two arms of a star, this overestimates the depth.
     """
-    pieces = [piece.convex_hull for piece in shapely.get_parts(overlap) if piece.area > 0]
-    return max((float(np.ptp(np.array(hull.exterior.coords) @ DIRECTIONS, axis=0).min()) for hull in pieces), default=0)
+    hulls = [part.convex_hull for part in shapely.get_parts(overlap) if part.area > 0]
+    return max((float(np.ptp(np.array(hull.exterior.coords) @ DIRECTIONS, axis=0).min()) for hull in hulls), default=0)
 
 
 def worst(number: int, settings: PhysicsSettings = SETTINGS) -> dict[str, float]:
-    """What went wrong in an episode: states that are no numbers, warnings, and distances in world units."""
+    """The physical errors in an episode: non-finite states, warnings, and distances in world units."""
     scene, track, warnings = play(number, settings)
     shapes = [outlines(block.shape, track[:, i]) for i, block in enumerate(scene.blocks, 1)]
     robot = np.abs(track[:, 0, :2]).max() + c.ROBOT_RADIUS - c.ARENA_HALF_WIDTH

@@ -1,4 +1,4 @@
-"""What the tests of the learners share: trainings that take a second."""
+"""Helpers for tests of learners: trainings that take a second."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> Tra
 
 
 def from_states(**changes: Any) -> TrainingSettings:
-    """A tiny training from states."""
+    """Settings of a tiny training from states."""
     return tiny(preset="State", **changes)
 
 
@@ -57,12 +57,12 @@ PLAYING = {
 
 
 def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
-    """Settings of a method that plays: four updates of 4 x 4 steps."""
+    """Settings of a method that plays episodes: four updates of 4 x 4 steps."""
     return tiny(method, tasks, **{**PLAYING, **changes})
 
 
 def is_done(folder: Path) -> bool:
-    """Whether the training in this folder has come to its end."""
+    """Whether the training in this folder is finished."""
     if not (folder / POLICY).is_file() or not (folder / CHECKPOINT).is_file():
         return False
     kept = checkpoint.read(folder / CHECKPOINT)
@@ -70,7 +70,7 @@ def is_done(folder: Path) -> bool:
 
 
 def stopped(folder: Path, settings: TrainingSettings | None = None) -> None:
-    """Leaves a training, tiny unless told otherwise, that was stopped after its third update."""
+    """Makes the folder of a training (by default a tiny one) that was stopped after its third update."""
 
     def stop(progress: Progress) -> None:
         if progress.update == 3:
@@ -81,7 +81,7 @@ def stopped(folder: Path, settings: TrainingSettings | None = None) -> None:
 
 
 def made(method: str, changes: dict[str, Any], seed: int = 0) -> Any:
-    """A learner whose training takes a second; also where weights and optimizers differ in their memory layout."""
+    """A learner with a training of a second, even if weights and optimizer states differ in memory layout."""
     changes = {"tasks": "MoveToRegion", **TINY, **PLAYING, "bc.batches": 4, "bc.batch_size": 4, **changes}
     quick = changes.get("preset") != "State"
     return METHODS[method](load_settings(method, seed=seed, quick=quick, **changes))
@@ -92,7 +92,7 @@ def weights(learner: Any) -> torch.Tensor:
 
 
 def check_own_demonstrations(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
-    """It learns from all demonstrations in a folder, six here, and needs some."""
+    """Checks that a method learns from all demonstrations in a folder, and refuses a folder without any."""
     changes = {**changes, "recordings": str(tmp_path), "demonstrations": None}
     with pytest.raises(DemonstrationError, match="there are no demonstrations of MoveToRegion in "):
         made(method, changes).update()
@@ -104,9 +104,9 @@ def check_own_demonstrations(method: str, changes: dict[str, Any], tmp_path: Pat
 
 
 def check_resumes(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
-    """By way of a file, three updates before the end: in the middle of the episodes that are played.
+    """Checks that a training resumes exactly from a file written three updates before its end, in mid-episode.
 
-    Nothing is drawn from global generators; metrics always have the same names, and are numbers.
+    It must not use global random generators. Metrics must always have the same names and be finite numbers.
     """
     whole, resumed = made(method, changes), made(method, changes)
     before = torch.get_rng_state(), np.random.get_state()[1]  # noqa: NPY002
@@ -127,7 +127,7 @@ def check_resumes(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
 
 
 def check_seeds(method: str, changes: dict[str, Any]) -> None:
-    """Equal seeds give equal weights, and others do not."""
+    """Checks that equal seeds give equal weights, and different seeds different ones."""
 
     def trained(seed: int) -> torch.Tensor:
         learner = made(method, changes, seed)
@@ -142,7 +142,7 @@ def check_seeds(method: str, changes: dict[str, Any]) -> None:
 
 
 def compare_exported(actor: torch.nn.Module, file: Path, seen: np.ndarray, head: int = 0) -> None:
-    """The ONNX file prefers the network's actions; each observation is alone in its batch, as in an episode."""
+    """Checks that an ONNX file has the network's outputs. The network gets single observations, as in an episode."""
     actor.eval()
     with torch.inference_mode():
         ours = [actor(as_input(one[None], torch.device("cpu")), torch.tensor([head]))[0].numpy() for one in seen]

@@ -1,11 +1,12 @@
-"""Fingerprints of what a protocol number promises; see docs/protocol.md.
+"""Fingerprints of everything that a protocol number guarantees; see docs/protocol.md.
 
-From the repository's root,
+To regenerate them, raise `PROTOCOL` (or, for the demonstrations, `DEMONSTRATIONS`) in tasks/protocol.py. Then run from
+the repository's root:
 
     python -m tests.helpers.regenerate_protocol --because "blocks are placed before the robot now"
 
-writes them anew, once `PROTOCOL` (or, for the demonstrations, `DEMONSTRATIONS`) in tasks/protocol.py is raised.
-Without a reason it only says what has changed. The reason is kept in the data file; docs/protocol.md needs a line too.
+Without a reason, it only prints the changed parts. The reason is stored in the data file. Add a line to
+docs/protocol.md as well.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, 
 
 DATA: Final = Path(__file__).parents[1] / "data" / "protocol.json"
 EVALUATED: Final = range(100)  # seeds of the evaluation scenes
-FINALS: Final = 40  # final scenes for each initial one, by which scores are compared
-MOVED: Final = 0.4  # share of the blocks that lie elsewhere in a final scene
-PHYSICS: Final = {  # arrays of a compiled model, by what they belong to; not those from which it is only drawn
+FINALS: Final = 40  # final scenes with compared scores, for each initial scene
+MOVED: Final = 0.4  # share of the blocks that are moved in a final scene
+PHYSICS: Final = {  # kind of element -> arrays of a compiled model, without those for drawing
     "opt": "timestep integrator cone jacobian solver iterations tolerance ls_iterations ls_tolerance impratio gravity "
     "density viscosity disableflags enableflags noslip_iterations sleep_tolerance",
     "body": "mass inertia",
@@ -49,17 +50,17 @@ PHYSICS: Final = {  # arrays of a compiled model, by what they belong to; not th
 
 
 def scenes(task: str, variant: str) -> str:
-    """The scenes of seeds 0 to 99."""
+    """The digest of the scenes of seeds 0 to 99."""
     return _digest([sample_scene(task, variant, seed).digest() for seed in EVALUATED])
 
 
 def horizons(task: str) -> dict[str, int]:
-    """The number of actions in an episode, by either set of rules."""
+    """The number of actions in an episode, by each set of rules."""
     return {rules: task_spec(task).horizon(rules) for rules in RULES}
 
 
 def scores(task: str) -> str:
-    """The scores of final scenes in which some of the things lie somewhere else, by either set of rules."""
+    """The digest of the scores of final scenes with some moved bodies, by each set of rules."""
     rng = np.random.Generator(np.random.PCG64(0))
     found = []
     for variant in (name for other, name in ENVIRONMENTS if other == task):
@@ -72,7 +73,7 @@ def scores(task: str) -> str:
 
 
 def physics(task: str) -> str:
-    """The compiled model of a scene of All, the substeps of an action, and what each action writes into `ctrl`."""
+    """The digest of the compiled model of a scene of All, the substeps of an action, and each action's `ctrl`."""
     env = magical_mj.Engine(task, "All", scene=sample_scene(task, "All", 0))
     env.reset()
     model = env.model
@@ -83,7 +84,7 @@ def physics(task: str) -> str:
 
 
 def model_digest(model: mujoco.MjModel) -> str:
-    """A compiled model, apart from what is only drawn."""
+    """The digest of a compiled model, without the parts that are only drawn."""
     touching = (model.geom_contype | model.geom_conaffinity) != 0
     touching[model.pair_geom1] = touching[model.pair_geom2] = True
     found = []
@@ -96,12 +97,12 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 
 def demonstrations(task: str) -> str:
-    """The shipped demonstrations."""
+    """The digest of the shipped demonstrations."""
     return _digest([demo.digest for demo in magical_mj.demos.load(task)])
 
 
 def present() -> dict[str, Any]:
-    """Everything as it is now: what `PROTOCOL` promises, and the demonstrations."""
+    """The current fingerprints of everything that `PROTOCOL` guarantees, and of the demonstrations."""
     return {
         "scenes": {f"{task}-{variant}": scenes(task, variant) for task, variant in ENVIRONMENTS},
         "horizons": {task: horizons(task) for task in TASKS},
@@ -113,14 +114,14 @@ def present() -> dict[str, Any]:
 
 
 def golden() -> dict[str, Any]:
-    """The data file: "numbers" (of protocol and demonstrations), "changes" (the reasons), and what is `present`."""
+    """The data file: "numbers" (of protocol and demonstrations), "changes" (the reasons), and stored fingerprints."""
     return json.loads(DATA.read_text())
 
 
 def main() -> None:
-    """Write the file, or say what has changed and which number must be raised before."""
+    """Write the file, or print the changed parts and the number that must be raised first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--because", default="", help="why it changes, for the record")
+    parser.add_argument("--because", default="", help="the reason for the change, which is stored")
     reason = parser.parse_args().because.strip()
     old, new = golden(), present()
     numbers = {"protocol": PROTOCOL, "demonstrations": DEMONSTRATIONS}

@@ -42,7 +42,7 @@ def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, shell: S
     rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
     submit([folder], tmp_path / "entry.json.xz")
     code, out, error = shell("leaderboard", tmp_path)
-    (seed,) = re.findall(r"--seed (\d+) chooses the same again", out)
+    (seed,) = re.findall(r"--seed (\d+) repeats this sample", out)
     assert "entry.json.xz differs: run 0, MoveToRegion Layout" in error
     assert shell("leaderboard", tmp_path, "--seed", seed)[::2] == (code, error)
     assert "only without --all" in shell.fails(2, "leaderboard", tmp_path, "--all", "--seed", seed)
@@ -53,7 +53,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, shell: S
     code, out, _ = shell("submit", folder, "--out", path)
     assert code == 0
     assert f"expert: {EPISODES} episodes of 1 run," in out
-    assert "the card does not say: description, authors, links, demonstrations.set, demonstrations.per_task" in out
+    assert "the card lacks: description, authors, links, demonstrations.set, demonstrations.per_task" in out
     assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing in the " in out
     (tmp_path / "card.toml").write_text('method = "Mine"')
     options = ("--card", tmp_path / "card.toml", "--policy", "expert")
@@ -83,12 +83,12 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
     code, _, error = shell("leaderboard", entries, "--all", "--out", tmp_path / "pages")
     assert code == 1
-    assert "twin.json.xz is not shown: it has the name of the method in good.json.xz" in error
+    assert "twin.json.xz is not shown: good.json.xz has a method of the same name" in error
     assert "cut.json.xz is cut short" in error
     assert "folder.json.xz is not a plain file" in error
-    assert "half.json.xz is no entry" in error
+    assert "half.json.xz is not an entry" in error
     assert "lie.json.xz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
-    assert "entries that are not what they claim, and are not on the page: 5" in error
+    assert "entries that failed the checks and are not on the page: 5" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
     assert "| expert | paper | no observations |" in text
     assert "Liar" not in text
@@ -164,7 +164,7 @@ def test_other_settings_are_named(folder: Path) -> None:
             assert sentence.startswith(f"{name}: {value} is recorded, but it must be ")
         (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": value}))
         findings = verify(folder, jobs=1)
-        problem = f"cannot be replayed: it follows protocol {value}, and this version plays {PROTOCOL}"
+        problem = f"cannot be replayed: it follows protocol {value}, but this version plays {PROTOCOL}"
         assert findings.unfit == [f"{EPISODES} episodes {problem}"]
         assert findings.episodes == 0
     (folder / SETTINGS).write_text(json.dumps({**settings, "policies": [1]}))

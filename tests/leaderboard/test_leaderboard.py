@@ -90,7 +90,7 @@ def test_shifts_are_a_track_of_their_own() -> None:
 @pytest.mark.parametrize(("variant", "shift"), [("Demo", "camera:6"), ("Demo", "mine:Fog:3"), ("All", "camera:3")])
 def test_other_shifts_are_not_in_entries(variant: str, shift: str) -> None:
     rows = [dataclasses.replace(row, shift=shift) for row in whole(runs=1).episodes if row.variant == variant]
-    with pytest.raises(EvaluationError, match="which is no environment"):
+    with pytest.raises(EvaluationError, match="which is not an environment"):
         unpacked(packed(replace(whole(), episodes=rows)))
 
 

@@ -44,7 +44,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     [
         (["train", "bd", "--tasks", "FindDupe"], "unknown method 'bd'. Did you mean 'bc'?"),
         (["train", "bc", "--tasks", "FindDupe,MakeLine"], "needs --multi-task"),
-        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set must be NAME=VALUE"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' stores no values"),
         (

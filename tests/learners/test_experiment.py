@@ -113,7 +113,7 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
         ({'["bc"]': '["bc", "goals"]', 'preset = "State"\n': ""}, "goals are inferred from states"),
         ({"demonstrations = 2": "demonstrations = 26"}, "there are 25"),
         ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "has no device 'abacus'"),
-        ({}, "report.md is not of an earlier report"),
+        ({}, "report.md does not belong to an earlier report"),
     ],
 )
 def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], says: str, tmp_path: Path) -> None:

@@ -358,7 +358,7 @@ def check_replays(result: EpisodeResult) -> None:
         assert (again.score, difference) == (1.0, None)
     ((_, _, difference),) = replay([("", replace(result, actions=result.actions[::-1]))], jobs=1)
     assert difference is not None
-    assert "the score is 1, and its actions lead to" in difference
+    assert "the score is 1, but its actions lead to" in difference
 
 
 def test_what_lacks_the_trajectory_is_refused_by_name(in_order: Any) -> None:

@@ -1,4 +1,4 @@
-"""How the draws of the variants are distributed; the bounds are wide, the seeds fixed, so nothing is left to luck."""
+"""The distributions of the variants' draws. The seeds are fixed and the bounds wide, so no test fails by chance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, environment_axes, sam
 from magical_mj.variants.rules import DYNAMICS_RANGES
 
 SIZE_SLACK = 1e-12
-"""Of the rounding of a region's edges."""
+"""For the rounding of a region's edges."""
 
 
 drawn = cache(sample_scene)
@@ -96,7 +96,7 @@ def test_dynamics_are_uniform_in_their_ranges() -> None:
 
 
 def assert_uniform(values: Iterable[Any], options: Iterable[Any]) -> None:
-    """Each of the options occurs, nothing else does, and all about equally often (five standard deviations)."""
+    """Only the options occur, and all about equally often (within five standard deviations)."""
     counts = Counter(values)
     assert set(counts) == set(options)
     expected = counts.total() / len(counts)
@@ -176,7 +176,7 @@ def test_clusters_have_every_colour_and_shape_in_random_order(task: str) -> None
 
 
 def test_shapes_that_do_not_fit_the_demo_poses_are_drawn_again() -> None:
-    """In ClusterColour two neighbours cannot both be stars, in ClusterShape a square would be in the wall."""
+    """In ClusterColour, two neighbours cannot both be stars; in ClusterShape, a square would be in the wall."""
     assert_uniform((scene.blocks[4].shape for scene in scenes("ClusterShape", "Shape", 600)), set(SHAPES) - {"square"})
     pairs = {(scene.blocks[2].shape, scene.blocks[5].shape) for scene in scenes("ClusterColour", "Shape", 300)}
     assert pairs == {(a, b) for a in SHAPES for b in SHAPES} - {("star", "star"), ("star", "pentagon")}

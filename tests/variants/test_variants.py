@@ -1,4 +1,4 @@
-"""What every sampled scene must be, over all 60 environments, and what is refused."""
+"""Invariants of all sampled scenes in all 60 environments, and invalid arguments."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FixColour       Demo Jitter Layout Colour Shape CountPlus Dynamics All
 ClusterColour   Demo Jitter Layout Colour Shape CountPlus Dynamics All
 ClusterShape    Demo Jitter Layout Colour Shape CountPlus Dynamics All
 """
-"""The paper's table of what exists; here, and nowhere else, it is written out by hand."""
+"""The paper's table of environments, written by hand. It is the only copy."""
 
 
 def scenes(task: str, variant: str, number: int) -> list[Scene]:
@@ -50,7 +50,7 @@ def test_the_first_environments_are_those_of_the_paper() -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_scene_is_legal_and_of_its_task(task: str) -> None:
-    """Inside the walls, nothing touching; only blocks that belong in a region touch one, and just that one."""
+    """All inside the walls, without contacts. Only blocks that belong in a region touch one, and only that one."""
     demo = task_spec(task).demo
     belong = any(region.contains(block) for region in demo.regions for block in demo.blocks)
     for scene in (scene for name, variant in ENVIRONMENTS if name == task for scene in scenes(task, variant, 30)):
@@ -71,7 +71,7 @@ def test_every_scene_is_legal_and_of_its_task(task: str) -> None:
 
 
 def _aspects(scene: Scene) -> dict[str, object]:
-    """The scene taken apart by what an axis may change."""
+    """The parts of a scene that the axes change."""
     return {
         "poses": (scene.robot.pose, [b.pose for b in scene.blocks], [replace(r, colour="red") for r in scene.regions]),
         "colour": ([b.colour for b in scene.blocks], [r.colour for r in scene.regions]),
@@ -94,7 +94,7 @@ def test_a_variant_changes_what_it_declares_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_each_axis_has_random_numbers_of_its_own(task: str) -> None:
-    """So the scene of All is that of the parts: a draw added to one axis never moves another."""
+    """So the scene of All consists of the scenes of its axes. Another draw in one axis never changes the others."""
     for seed in range(5):
         everything = sample_scene(task, "All", seed)
         assert everything.dynamics == sample_scene(task, "Dynamics", seed).dynamics

@@ -258,7 +258,7 @@ def test_an_ipv6_address_is_played_at() -> None:
         (["--web", "--wanted", "3"], "--wanted needs --collect"),
         (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
         (["FindDupe", "--web", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
-        (["FindDupe", "--web", "--collect", "study"], "the server chooses what is played"),
+        (["FindDupe", "--web", "--collect", "study"], "the server chooses the environments"),
         (["--web", "--seed", "5"], "--seed has an effect only with TASK"),
         (["--web", "--origin", "https://[bad"], "such as https://study.example.org"),
         (["--web", "--port", "99999"], "port"),
@@ -272,7 +272,7 @@ def test_a_host_or_port_that_cannot_be_had_is_said(shell: Shell) -> None:
     assert "give another --host" in shell.fails(1, "play", "--web", "--host", "127..0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         error = shell.fails(1, "play", "--web", "--port", taken.getsockname()[1])
-    assert "cannot listen there" in error
+    assert "cannot listen at this address" in error
     assert "--port 0" in error
 
 
@@ -409,5 +409,5 @@ def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
 
 
 def test_a_model_that_is_not_there_is_said(shell: Shell) -> None:
-    assert "there is no file nothing.xml" in shell.fails(2, "inspect", "nothing.xml")
+    assert "the file nothing.xml does not exist" in shell.fails(2, "inspect", "nothing.xml")
     assert "only with TASK" in shell.fails(2, "inspect", "nothing.xml", "--seed", 2)

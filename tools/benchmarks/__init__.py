@@ -1,1 +1,1 @@
-"""How fast the environments are beside MuJoCo alone, which does the same simulation and draws the same pictures."""
+"""Benchmarks: the speed of the environments compared with MuJoCo alone for the same simulation and pictures."""

@@ -1,6 +1,6 @@
 """`python -m tools.benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
 
-From the checkout's folder. Single environments are measured in processor time, vectors and batched worlds in wall time.
+Run it from the checkout. Single environments are measured in processor time, vectors and batched worlds in wall time.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 
 RESETS: Final = ("reset, same structure", "reset, new structure")
 HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", "32 worlds", *RESETS)
-NAMES: Final = 2  # columns that hold no numbers
+NAMES: Final = 2  # the number of columns with text
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 WORLDS: Final = "256,1024,4096,16384"
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
 Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
 Steps = Annotated[
-    int, typer.Option(min=1, help="Least number of steps in each environment; whole episodes are played.")
+    int, typer.Option(min=1, help="The least number of steps in each environment; only whole episodes are played.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds of processor time.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, with times in seconds of processor time.")]
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
 NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
-Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
+Device = Annotated[str, typer.Option(help="With --batched: the device, cuda, cuda:1 or cpu.")]
 Profile = Annotated[bool, typer.Option("--profile", help="With --batched: print the time of each kernel.")]
 
 
@@ -61,12 +61,12 @@ def bench(
     num_envs: NumEnvs = WORLDS,
     device: Device = "cuda",
 ) -> None:
-    """Measure steps per second of processor time, with resets, beside the bare MuJoCo loop; and the time of resets."""
+    """Measure steps per second of processor time with resets, compared with a bare MuJoCo loop, and times of resets."""
     check_fits(context, batched, "with --batched", "num_envs", "device", "profile")
     check_fits(context, not batched, "without --batched", "steps", "renderer", "as_json")
     names = listed(presets, PRESETS)
     for name in names:
-        preset_named(name)  # raises if it is unknown
+        preset_named(name)  # raises an error if it is unknown
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
     if batched:
         _print_batched(chosen, _counts(num_envs), device, profile)
@@ -90,12 +90,12 @@ def bench(
 
 def _counts(text: str) -> list[int]:
     if not re.fullmatch(r"[1-9]\d*(,[1-9]\d*)*", text):
-        raise typer.BadParameter(f"--num-envs takes numbers of at least 1, separated by commas, not {text!r}.")
+        raise typer.BadParameter(f"--num-envs must be positive numbers, separated by commas, not {text!r}.")
     return [int(part) for part in text.split(",")]
 
 
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
-    """Prints some lines for each environment and number of worlds as soon as it is measured."""
+    """Measures each environment with each number of worlds, and prints the lines of each at once."""
     check_extra("batched worlds", "gpu")
     from magical_mj.batched.physics import check_device
     from tools.benchmarks.batched import measure_batched, single_rate
@@ -111,12 +111,12 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
 
 
 def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
-    """What was measured; the launches by part, or with `profile` by kernel."""
+    """The lines of a measurement, with the launches of each part, or with `profile` those of each kernel."""
     from tools.benchmarks.batched import by_part
 
     times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
     yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.worlds} worlds: {speed.rate:,.0f} steps/s"
-    yield f"  {speed.rate / single:.3g} times as many as single environments make here on all cores"
+    yield f"  {speed.rate / single:.3g} times as many as single environments on all cores of this machine"
     yield f"  {speed.world_bytes / 1000:.0f} kB a world"
     yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
     launches = sum(kernel.launches for kernel in speed.kernels)
@@ -133,7 +133,7 @@ def _milliseconds(speed: Measurement, cause: Cause) -> str:
 
 
 def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
-    """The table, and below it what it was measured on. Resets: median (95th percentile), in milliseconds."""
+    """The table, and below it the machine. Resets: median (95th percentile), in milliseconds."""
     rows = [
         (
             f"{speed.task} {speed.variant}",
@@ -152,7 +152,7 @@ def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
 
 
 def summary(measurements: Sequence[Measurement], renderer: str) -> str:
-    """The mean share, the machine, the memory of this process, and the speed of the dm_env door."""
+    """The mean share, the machine, the memory of this process, and the speed of the dm_env interface."""
     from tools.benchmarks.single import composer_share
 
     here, peak, composer = machine(), memory(), composer_share()
@@ -194,7 +194,7 @@ def machine() -> dict[str, str | int]:
 
 
 def memory() -> float | None:
-    """The peak memory of this process, in MB; None where the system does not tell, as Windows."""
+    """The peak memory of this process in MB. None on systems that do not report it, such as Windows."""
     try:
         import resource
     except ModuleNotFoundError:

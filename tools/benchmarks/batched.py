@@ -1,8 +1,9 @@
-"""Measures batched worlds: steps per second, the time of each part, memory, and single environments to compare with.
+"""Measures batched worlds: steps per second, the time of each part, memory, and single environments for comparison.
 
-Times are wall clock, since the work is an accelerator's. What a step consists of are its kernel launches: how long each
-takes and how much memory it is given. On an accelerator, events on the stream are timed; on the CPU device, where a
-launch returns when it is done, the wall clock. Launches from a captured graph, and those of PyTorch, are not counted.
+Times are wall clock, since an accelerator does the work. The profile of a step is the duration of each kernel launch,
+and the size of its arrays. On an accelerator, durations are those between events on the stream. On the CPU device, a
+launch returns when it is finished, so they are wall clock. Launches from a captured graph and launches of PyTorch do
+not count.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from magical_mj.utils.parallel import cores, map_unordered
 from tools.benchmarks.single import plans
 
 WARM_UP: Final = 3
-"""Steps before the clock starts: kernels are compiled, the graph is captured."""
+"""Steps before the measurement. In them, kernels are compiled and the graph is captured."""
 WATCHED: Final = 20
-"""Steps of an episode whose launches are recorded; how many the solver needs differs from step to step."""
+"""The number of steps with recorded launches. The solver's launches differ from step to step."""
 SINGLE_EPISODES: Final = 3
-"""Episodes of the single environment on each core."""
+"""The number of episodes of the single environment on each core."""
 
 
 @dataclass
@@ -41,11 +42,11 @@ class Kernel:
     """All launches of one kernel, or their mean over some steps.
 
     Attributes:
-        part: the module that it is from, such as "solver".
-        name: the function's.
-        launches: how many.
-        seconds: all of them together.
-        bytes: of all arrays that they were given, as if each were read or written once as a whole.
+        part: the module of the kernel, such as "solver".
+        name: the name of its function.
+        launches: the number of launches.
+        seconds: their total duration.
+        bytes: the total size of their arrays, as if each were read or written once as a whole.
     """
 
     part: str
@@ -57,7 +58,7 @@ class Kernel:
 
 @contextmanager
 def recorded_launches(device: str) -> Iterator[list[Kernel]]:
-    """Records what is launched within; the list is filled at its end, the longest first."""
+    """A context that records kernel launches. The list is filled at its end, with the longest kernel first."""
     marks: list[tuple[Any, Any, Any, int]] = []
     originals = {name: getattr(wp, name) for name in ("launch", "launch_tiled")}
     signature = inspect.signature(originals["launch"])
@@ -65,7 +66,7 @@ def recorded_launches(device: str) -> Iterator[list[Kernel]]:
     def recording(launch: Any) -> Any:
         def recorded(*args: Any, **kwargs: Any) -> Any:
             arguments = signature.bind_partial(*args, **kwargs).arguments
-            if np.prod(arguments["dim"]) == 0:  # nothing to do: Warp launches nothing
+            if np.prod(arguments["dim"]) == 0:  # Warp launches no kernel
                 return launch(*args, **kwargs)
             begin = _mark(device)
             result = launch(*args, **kwargs)
@@ -88,7 +89,7 @@ def recorded_launches(device: str) -> Iterator[list[Kernel]]:
 
 
 def _mark(device: str) -> Any:
-    """A moment: an event on the device's stream, or a time in seconds."""
+    """A time mark: an event on the device's stream, or on the CPU device a time in seconds."""
     return wp.record_event(wp.Event(device, enable_timing=True)) if wp.get_device(device).is_cuda else perf_counter()
 
 
@@ -104,7 +105,7 @@ def _summed(marks: Iterable[tuple[Any, Any, Any, int]]) -> list[Kernel]:
 
 
 def size(value: Any) -> int:
-    """Bytes of an array, or of those in a struct or a data class."""
+    """The size in bytes of an array, or of all arrays in a struct or data class."""
     if isinstance(value, wp.array):
         return value.capacity
     return sum(array.capacity for array in getattr(value, "__dict__", {}).values() if isinstance(array, wp.array))
@@ -133,9 +134,9 @@ class BatchedMeasurement:
         physics_seconds: time of one control step of all worlds.
         observation_seconds: time of their observations.
         reset_seconds: time of a reset of all worlds.
-        kernels: of one control step with its observations, launched one by one: the mean of some steps; see `launches`.
-        bytes: of all arrays that they are given, a world's share.
-        world_bytes: memory of one world's simulation.
+        kernels: the launches of one control step with its observations, without a graph: the mean of some steps.
+        bytes: the size of all arrays of these launches, per world.
+        world_bytes: the memory of the simulation, per world.
     """
 
     task: str
@@ -164,7 +165,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
 
         def play() -> None:
             for row in actions:
-                env.step(row)  # whose observations are not kept: those of a whole episode would fill the accelerator
+                env.step(row)  # observations are not kept: those of a whole episode would fill the memory
 
         seconds = _seconds(device, play)
         return BatchedMeasurement(
@@ -183,7 +184,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
 
 
 def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
-    """The launches of a control step with its observations, on average over these actions."""
+    """The launches of a control step with its observations, averaged over these actions."""
     with recorded_launches(env.device) as recorded:
         for row in actions:
             env.physics.step(row, graph=False)
@@ -208,7 +209,7 @@ def _seconds(device: str, work: Callable[[], object]) -> float:
 
 
 def single_rate(task: str, variant: str, preset: str) -> float:
-    """Steps per second of the single environments, one process on each core, all at once."""
+    """The total steps per second of single environments in simultaneous processes, one per core."""
     return sum(map_unordered(_single, [(task, variant, preset)] * cores()))
 
 

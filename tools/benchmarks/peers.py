@@ -1,11 +1,11 @@
-"""The speed of other benchmarks beside ours, in one process and in alternation: ``make peers``.
+"""Compares the speed of other benchmarks with ours, in one process: ``make peers``.
 
-Each is stepped with random actions, resets included, in short turns that follow each other, so that other load affects
-all equally. Times are processor time over all threads, and a step's is the least of its turns. What cannot be made here
-is named with its error.
+Each environment is stepped with random actions, including resets, in short alternating turns, so that other load
+affects all equally. Times are processor time over all threads. The time of a step is the smallest of all turns. If an
+environment cannot be made, the table shows the error.
 
-Meta-World is left out: version 3.1.1 excludes the MuJoCo that ours needs, and 3.0.0 fails in it, since it writes 11
-numbers for each equality constraint, which have 12 there.
+Meta-World is missing: version 3.1.1 excludes the MuJoCo version that ours needs. Version 3.0.0 fails with it, because
+it writes 11 numbers for each equality constraint, but that version has 12.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ORIGINAL: Final = {"iterations": 10, "substeps": 10, "dt": 1 / 80}
 
 
 def stepper(env: gymnasium.Env[Any, Any]) -> Step:
-    """Takes a random step in an environment, which starts anew when an episode has ended."""
+    """A function that takes a random step in an environment, and resets it after the end of an episode."""
     env.action_space.seed(0)
     env.reset(seed=0)
 
@@ -55,7 +55,7 @@ def ours(task: str, variant: str, preset: str, renderer: str | None = None) -> S
 
 
 def pusht(observations: str) -> Step:
-    """gym-pusht, whose default picture has 96 x 96 pixels."""
+    """gym-pusht with its default picture of 96 x 96 pixels."""
     import_module("gym_pusht")
     return stepper(gymnasium.make("gym_pusht/PushT-v0", obs_type=observations))
 
@@ -74,7 +74,7 @@ def atari() -> Step:
 
 
 def envpool_atari() -> Step:
-    """The same in EnvPool, one world and one thread; its steps are C++."""
+    """The same in EnvPool with one world and one thread. Its steps are C++ code."""
     env = import_module("envpool").make_gymnasium("Pong-v5", num_envs=1, num_threads=1)
     env.reset()
     action = np.zeros(1, np.int32)
@@ -82,7 +82,7 @@ def envpool_atari() -> Step:
 
 
 def original_engine() -> Step:
-    """The physics engine of the original MAGICAL alone: eight boxes, and one that is driven about; no pictures."""
+    """Only the physics engine of the original MAGICAL: eight boxes and a driven one, without pictures."""
     pymunk = import_module("pymunk")
     space = pymunk.Space()
     space.iterations = ORIGINAL["iterations"]
@@ -143,7 +143,7 @@ def main(picture: Annotated[str, typer.Option(help="Draw a bar chart into this f
         try:
             steps[name] = make()
             steps[name]()  # the first step may compile, or open a window
-        except Exception as error:  # noqa: BLE001 - whatever other packages raise
+        except Exception as error:  # noqa: BLE001 - other packages may raise anything
             failures[name] = f"{type(error).__name__}: {error}".splitlines()[0]
     best: dict[str, float] = {}
     for name, seconds in turns(steps):

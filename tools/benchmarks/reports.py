@@ -1,4 +1,4 @@
-"""How long a report of many episodes takes, and how much memory: ``python tools/benchmarks/reports.py [EPISODES]``."""
+"""Measures the time and memory of a report of many episodes: ``python tools/benchmarks/reports.py [EPISODES]``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LENGTH = 80  # actions of an episode
 
 
 def write(path: Path, episodes: int) -> None:
-    """Writes the scores of as many methods as it takes, with five runs of a hundred episodes in each environment."""
+    """Writes `episodes` scores of several methods with five runs of a hundred episodes in each environment."""
     rng = np.random.default_rng(0)
     row = {"seconds": 0.5, "rules": "paper", "preset": "LoRes4E", "version": "0.1.0", "mujoco": "3.17.0", "gl": "egl"}
     with path.open("w") as file:
@@ -38,7 +38,7 @@ def write(path: Path, episodes: int) -> None:
 
 
 def main(episodes: Annotated[int, typer.Argument(min=1)] = 100_000) -> None:
-    """Prints how long a report of so many episodes takes, and the largest memory."""
+    """Prints the duration of a report of this many episodes, and its peak memory."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder) / SCORES, episodes)
         wall, processor = time.perf_counter(), time.process_time()

@@ -1,8 +1,8 @@
-"""Measures single environments: steps including resets, alternating with a bare MuJoCo loop, and then resets alone.
+"""Measures single environments: steps with resets, in alternation with a bare MuJoCo loop, and then only resets.
 
-Times are seconds of this process's processor time, over all its threads, since wall time says more about what else the
-machine does: under load it gave shares of the bare loop between 58 and 100 %, where processor time gives 78 to 89. Only
-vectors, whose point is that they use all cores, are measured in wall time.
+Times are processor time in seconds, over all threads of this process. Wall time depends on other load: under load, it
+gave shares of the bare loop between 58 and 100 %, but processor time gives 78 to 89. Vectors are measured in wall time,
+because their purpose is to use all cores.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError
 
 Cause = Literal["rewritten", "compiled"]
-"""What a reset does: rewrite the numbers of a model with the same structure, or get a model of another structure."""
+"""The work of a reset: rewrite the numbers of a model with the same structure, or get a model of another structure."""
 
 TURN: Final = 20
 """The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
@@ -38,7 +38,7 @@ COMPOSER_TURNS: Final = 20
 WORLDS: Final = 32
 """The number of worlds of a vector."""
 RESETS: Final = 40
-"""Resets that are measured alone."""
+"""The number of resets that are measured without steps."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Measurement:
         steps: the number of steps, in whole episodes.
         seconds: the time of these steps and of the resets between them.
         bare_seconds: the time of the same number of steps of the bare loop.
-        resets: the times of the resets that were measured alone.
+        resets: the times of the resets that were measured without steps.
         vector_rate: steps per second of wall time of `WORLDS` worlds on all cores.
     """
 
@@ -74,16 +74,16 @@ class Measurement:
 
     @property
     def share(self) -> float:
-        """The rate as a share of the bare loop's."""
+        """The rate relative to that of the bare loop."""
         return self.rate / self.bare_rate
 
     def reset_quantile(self, cause: Cause, share: float) -> float | None:
-        """The quantile of the times of resets of one cause, in seconds; None if there were none."""
+        """The quantile of the times of resets of one cause in seconds. None if there were no such resets."""
         return float(np.quantile(self.resets[cause], share)) if self.resets[cause] else None
 
 
 def measure(task: str, variant: str, preset: str, steps: int, renderer: str | None = None) -> Measurement:
-    """Plays random episodes in the scenes of seeds 0, 1, 2... until at least `steps` steps are done."""
+    """Plays random episodes in the scenes of seeds 0, 1, 2... until it has taken at least `steps` steps."""
     done, seconds, bare_seconds = 0, 0.0, 0.0
     with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
         env.reset(seed=0)  # the first frame starts the renderer
@@ -100,7 +100,7 @@ def measure(task: str, variant: str, preset: str, steps: int, renderer: str | No
 
 
 def vector_rate(task: str, variant: str, preset: str, steps: int, renderer: str | None) -> float:
-    """Steps per second of wall time of `WORLDS` worlds, each of which takes its share of the steps."""
+    """Steps per second of wall time of `WORLDS` worlds, which share the steps equally."""
     settings = {"variant": variant, "preset": preset, "renderer": renderer}
     rows = np.random.default_rng(0).integers(len(ACTIONS), size=(max(1, steps // WORLDS), WORLDS))
     with closing(magical_mj.make_vec(task, WORLDS, **settings)) as envs:
@@ -112,9 +112,9 @@ def vector_rate(task: str, variant: str, preset: str, steps: int, renderer: str 
 
 
 def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset, renderer: str | None) -> tuple[float, float]:
-    """Seconds of an episode with its reset, and of its steps in the bare loop.
+    """The time of an episode with its reset, and of the same steps in the bare loop, in seconds.
 
-    The bare loop is made after the first turn, since in normal use nothing happens between a reset and its first steps.
+    The bare loop is made after the first turn, because in normal use, steps follow a reset directly.
     """
 
     def play(actions: list[int]) -> None:
@@ -134,21 +134,21 @@ def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset, render
 
 
 def _seconds(take: Callable[[list[int]], None], actions: list[int]) -> float:
-    """How long it takes to take these actions."""
+    """The time in seconds to take these actions."""
     start = process_time()
     take(actions)
     return process_time() - start
 
 
 def plans(env: MagicalEnv) -> Iterator[list[int]]:
-    """Random actions for one episode after another."""
+    """Yields random actions for each episode."""
     rng = np.random.default_rng(0)
     while True:
         yield rng.integers(len(ACTIONS), size=env.engine.horizon).tolist()
 
 
 def _reset_times(task: str, variant: str, preset: str, renderer: str | None) -> dict[Cause, list[float]]:
-    """Seconds of each reset, with the first picture, in the scenes of seeds 0, 1, 2..."""
+    """The time in seconds of each reset with its first picture, in the scenes of seeds 0, 1, 2..."""
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
     with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
         for seed in range(RESETS):
@@ -161,9 +161,9 @@ def _reset_times(task: str, variant: str, preset: str, renderer: str | None) -> 
 
 @cache
 def composer_share() -> float | None:
-    """Steps per second of `magical_mj.load` without pictures as a share of the bare loop's; None without dm_control.
+    """The speed of `magical_mj.load` without pictures relative to the bare loop. None without dm_control.
 
-    The fastest of several turns counts, of either.
+    For both, the fastest of several turns counts.
     """
     try:
         env = magical_mj.load("MoveToRegion", seed=0, observations=())
@@ -186,9 +186,9 @@ def composer_share() -> float | None:
 
 
 class BareLoop:
-    """Steps the model of a scene, and draws the views of a preset with the same renderer as the environment.
+    """Steps the model of a scene, and draws the views of a preset with the environment's renderer.
 
-    There are no resets, hooks, checks, scores, stacked frames or wrappers.
+    It has no resets, hooks, checks, scores, stacked frames or wrappers.
     """
 
     def __init__(self, scene: Scene, preset: Preset, renderer: str | None = None) -> None:
@@ -196,14 +196,14 @@ class BareLoop:
         self.model = copy(world_model(world.structure))
         self.data = mujoco.MjData(self.model)
         world.rewrite(self.model, self.data)
-        mujoco.mj_resetData(self.model, self.data)  # to the scene
+        mujoco.mj_resetData(self.model, self.data)  # puts the bodies at the scene's poses
         self._shown = [view for view, _ in preset.frames]
         self._size = preset.image_size
         self._views = Views(self.model, renderer)
         self._draw()  # the first picture includes initialisation
 
     def run(self, actions: Iterable[int]) -> None:
-        """Takes these actions."""
+        """Takes these actions and draws the views after each."""
         for action in actions:
             self.data.ctrl[:] = control_signal(action)
             mujoco.mj_step(self.model, self.data, SUBSTEPS)

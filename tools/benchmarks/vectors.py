@@ -1,6 +1,6 @@
-"""Steps per second of wall time of a vector, alone and beside busy processes: ``python -m tools.benchmarks.vectors``.
+"""Measures steps per second (wall time) of a vector, with and without load: ``python -m tools.benchmarks.vectors``.
 
-How many of the cores it was given says whether others' work or its own waiting makes it slow.
+The number of cores that it used shows whether the load or its own waiting makes it slow.
 """
 
 from __future__ import annotations
@@ -29,27 +29,30 @@ def main(
     preset: str = "LoRes4E",
     renderer: str = "software",
     worlds: int = 32,
-    busy: Annotated[int, typer.Option(help="Processes that keep a core busy beside it.")] = cores(),
+    busy: Annotated[int, typer.Option(help="The number of other processes that keep a core busy.")] = cores(),
     rounds: int = 5,
 ) -> None:
-    """Prints the median and the least of rounds that alternate: one thread, and all cores; alone, and beside others."""
+    """Prints the median and the minimum of alternating rounds: with one thread and all cores, with and without load."""
     rates: dict[tuple[int, int], list[tuple[float, float]]] = {}
     settings = {"variant": variant, "preset": preset, "renderer": renderer}
     for _ in range(rounds):
         for load in (0, busy):
             for threads in (1, cores()):
-                with closing(magical_mj.make_vec(task, worlds, threads=threads, **settings)) as envs, busy_beside(load):
+                with (
+                    closing(magical_mj.make_vec(task, worlds, threads=threads, **settings)) as envs,
+                    busy_processes(load),
+                ):
                     rates.setdefault((load, threads), []).append(rate(envs))
     for (load, threads), measured in rates.items():
-        beside = f"beside {load} busy processes" if load else "alone"
-        steps, given = map(median, zip(*measured, strict=True))
+        others = f"with {load} other busy processes" if load else "without load"
+        steps, used = map(median, zip(*measured, strict=True))
         typer.echo(
-            f"{threads} threads, {beside}: {steps:,.0f} steps/s on {given:.2f} cores, at least {min(measured)[0]:,.0f}"
+            f"{threads} threads, {others}: {steps:,.0f} steps/s on {used:.2f} cores, at least {min(measured)[0]:,.0f}"
         )
 
 
 def rate(envs: VectorEnv) -> tuple[float, float]:
-    """Steps per second of all worlds, of random actions for `TURN` seconds, and how many cores that took."""
+    """Takes random actions for `TURN` seconds. Returns the total steps per second, and the number of cores used."""
     rng = np.random.default_rng(0)
     envs.reset(seed=0)
     count, start, before = 0, perf_counter(), process_time()
@@ -60,8 +63,8 @@ def rate(envs: VectorEnv) -> tuple[float, float]:
 
 
 @contextmanager
-def busy_beside(count: int) -> Iterator[None]:
-    """So many processes that do nothing but compute."""
+def busy_processes(count: int) -> Iterator[None]:
+    """A context in which `count` other processes keep a core busy."""
     processes = [get_context("spawn").Process(target=spin, daemon=True) for _ in range(count)]
     for process in processes:
         process.start()

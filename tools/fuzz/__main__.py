@@ -1,10 +1,10 @@
-"""Tries to break the package: hostile values, files, command lines and clients, drawn at random, until time is over.
+"""Fuzzes the package with random hostile values, files, command lines and clients for a given time.
 
     python tools/fuzz [--minutes 60] [--cases 100] [--kinds calls,scenes] [--case KIND:NUMBER]
 
-A find is whatever a user's mistake must not lead to: an exception other than `MagicalError`, a process that dies or
-hangs, a file that was there and is changed, a message without words, and damage that nobody notices. Cases are drawn
-from their numbers, so `--case` repeats one. Each find is printed once, and makes the exit code 1.
+A finding is a result that no user's mistake may have: an exception other than `MagicalError`, a process that crashes or
+hangs, a changed user's file, an empty error message, or undetected damage. A case depends only on its number, so
+`--case` repeats one. Each finding is printed once. If there are any, the exit code is 1.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Final
 
 KINDS: Final = ("calls", "scenes", "states", "hands", "files", "commands", "clients")
-SLICE: Final = 180.0  # seconds for each kind in turn, in a process of its own
+SLICE: Final = 180.0  # seconds for each kind in turn, in a separate process
 
 
 class Campaign:
-    """What was tried so far, and what was found."""
+    """Runs cases and counts them, those that were refused with a clear error, and the findings."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -33,8 +33,8 @@ class Campaign:
         self.refused: Counter[str] = Counter()
         self.finds: Counter[str] = Counter()
 
-    def go_on(self, kind: str, seconds: float, most: int) -> None:
-        """Tries more cases of a kind for some seconds, in a process of its own, until there are so many."""
+    def proceed(self, kind: str, seconds: float, most: int) -> None:
+        """Runs more cases of a kind in a separate process, for some seconds or until there were `most` cases."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self.tried[kind] < most:
             numbers = f"{self.tried[kind]}:{most}"
@@ -42,7 +42,7 @@ class Campaign:
             self.watch(kind, [*command, numbers, str(end - time.monotonic()), str(self._folder)])
 
     def watch(self, kind: str, command: list[str]) -> None:
-        """Reads what a process tells of its cases, until it ends or dies."""
+        """Reads the results of a process's cases until it ends or crashes."""
         with (
             (self._folder / f"{kind}.stderr").open("w+") as errors,
             subprocess.Popen(
@@ -51,23 +51,23 @@ class Campaign:
         ):
             assert process.stdout is not None  # noqa: S101  for the type checker
             for line in process.stdout:
-                self._told(kind, json.loads(line))
+                self._count(kind, json.loads(line))
             if process.wait() != 0:
                 errors.seek(0)
                 said = [line.strip() for line in errors if line.strip()][-40:]
                 ours = [line for line in said if "magical_mj" in line][:3] or said[-3:]
                 what = f"the process ends with {process.returncode}"
-                self._told(kind, {"result": "find", "what": what, "said": " | ".join(ours)})
+                self._count(kind, {"result": "find", "what": what, "said": " | ".join(ours)})
 
-    def _told(self, kind: str, told: dict[str, str]) -> None:
+    def _count(self, kind: str, outcome: dict[str, str]) -> None:
         number = self.tried[kind]
         self.tried[kind] += 1
-        self.refused[kind] += told["result"] == "refused"
-        if told["result"] == "find":
-            find = f"{kind}: {told['what']}"
+        self.refused[kind] += outcome["result"] == "refused"
+        if outcome["result"] == "find":
+            find = f"{kind}: {outcome['what']}"
             self.finds[find] += 1
             if self.finds[find] == 1:
-                print(f"FOUND {find} ({told['said'][:300]!a}); again: --case {kind}:{number}", flush=True)
+                print(f"FOUND {find} ({outcome['said'][:300]!a}); to repeat it: --case {kind}:{number}", flush=True)
 
 
 def _variables() -> dict[str, str]:
@@ -75,32 +75,32 @@ def _variables() -> dict[str, str]:
 
 
 def main() -> int:
-    """See the module."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--cases", type=int, default=10**9, help="of each kind at most")
+    parser.add_argument("--cases", type=int, default=10**9, help="the most cases of each kind")
     parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--case", help="repeat one, such as files:12, and show everything")
+    parser.add_argument("--case", help="repeat a case, such as files:12, and show its output")
     arguments = parser.parse_args()
     kinds = arguments.kinds.split(",")
     kind, _, number = (arguments.case or f"{kinds[0]}:0").partition(":")
     if not {kind, *kinds} <= set(KINDS) or not number.isdecimal():
-        parser.error(f"there are the kinds {', '.join(KINDS)}, and cases such as {KINDS[0]}:12")
+        parser.error(f"the kinds are {', '.join(KINDS)}; a case is such as {KINDS[0]}:12")
     with tempfile.TemporaryDirectory() as name:
         if arguments.case:
             numbers = f"{number}:{int(number) + 1}"
             command = [sys.executable, str(Path(__file__).parent / "cases.py"), kind, numbers, "0", name, "--loud"]
             return subprocess.run(command, check=False, env=_variables()).returncode
-        folder = Path(name) / "deep" / "enough"  # for commands that are given ../..: what others keep is no case
+        folder = Path(name) / "deep" / "enough"  # commands may get the path ../.., and must not find other files
         folder.mkdir(parents=True)
         campaign, end = Campaign(folder), time.monotonic() + 60 * arguments.minutes
         while time.monotonic() < end and any(campaign.tried[kind] < arguments.cases for kind in kinds):
             for kind in kinds:
-                campaign.go_on(kind, min(SLICE, end - time.monotonic()), arguments.cases)
+                campaign.proceed(kind, min(SLICE, end - time.monotonic()), arguments.cases)
             counts = ", ".join(f"{kind} {campaign.tried[kind]}" for kind in campaign.tried)
-            print(f"tried so far: {counts}; finds: {len(campaign.finds)}", flush=True)
+            print(f"tried so far: {counts}; findings: {len(campaign.finds)}", flush=True)
     for kind, tried in campaign.tried.items():
-        print(f"{kind}: {tried} cases, of which {campaign.refused[kind]} were refused with a clear error")
+        print(f"{kind}: {tried} cases; {campaign.refused[kind]} were refused with a clear error")
     for find, times in campaign.finds.most_common():
         print(f"{times} x {find}")
     return 1 if campaign.finds else 0

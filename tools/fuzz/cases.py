@@ -1,4 +1,4 @@
-"""The cases of each kind. Run by `python tools/fuzz`, which reads a line of JSON for each case from standard output.
+"""The cases of each kind. `python tools/fuzz` runs this, and reads a line of JSON for each case from standard output.
 
 python tools/fuzz/cases.py KIND FIRST:END SECONDS FOLDER [--loud]
 """
@@ -30,7 +30,7 @@ from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.utils.errors import MagicalError
 
-sys.path.append(str(Path(__file__).parents[2]))  # Python puts only this folder there
+sys.path.append(str(Path(__file__).parents[2]))  # Python adds only the folder of this file
 from tests.helpers.hostile import WORST, worst
 
 PATIENCE: Final = 300.0  # seconds for one case
@@ -38,7 +38,7 @@ Case = Callable[[random.Random, Path], None]
 
 
 def scenes(rng: random.Random, folder: Path) -> None:
-    """A scene's JSON with a few changes: refused, or drawn, played, written and exported."""
+    """A scene's JSON with a few changes must be refused, or be valid for drawing, playing, writing and exporting."""
     task, variant = rng.choice(magical_mj.ENVIRONMENTS)
     first = magical_mj.sample_scene(task, variant, rng.randrange(1000))
     tree = spoilt_tree(json.loads(first.to_json()), rng) if rng.random() < 0.97 else json_value(rng)
@@ -53,27 +53,27 @@ def scenes(rng: random.Random, folder: Path) -> None:
             env.step(rng.randrange(len(ACTIONS)))
         now = env.scene
         if magical_mj.Scene.from_json(now.to_json()) != now:
-            raise FindError("a scene is not what its JSON says")
+            raise FindError("a scene differs from its JSON")
         magical_mj.export_mjcf(env, folder / "scene.xml")
     finally:
         env.close()
 
 
 def hands(rng: random.Random, _folder: Path) -> None:
-    """An episode of rough hands, in which nothing may break, leave the arena, or get into another thing."""
+    """In an episode of violent random actions, no body may break, leave the arena, or penetrate another one."""
     number = rng.randrange(10**6)
     for name, size in worst(number).items():
         if size > TAIL * WORST[name]:
-            raise FindError(f"{name} is {size:g} in the episode {number} of rough hands")
+            raise FindError(f"{name} is {size:g} in the episode {number} of violent actions")
 
 
 def calls(rng: random.Random, _folder: Path) -> None:
-    """A public function with a hostile argument or two."""
+    """A public function with one or two hostile arguments."""
     name = rng.choice(list(CALLS))
     call, arguments = CALLS[name]
     given = dict(arguments)
-    open_to_all = [key for key, usual in arguments.items() if not isinstance(usual, bool)]  # anything is true or false
-    for key in rng.sample(open_to_all, k=min(len(open_to_all), rng.choice((1, 1, 2)))):
+    others = [key for key, usual in arguments.items() if not isinstance(usual, bool)]  # any object is a valid bool
+    for key in rng.sample(others, k=min(len(others), rng.choice((1, 1, 2)))):
         given[key] = value(rng)
     env = call(**given)
     if hasattr(env, "reset"):
@@ -90,7 +90,7 @@ def _episode(preset: str, seed: Any, options: Any, action: Any) -> None:
 
 
 def gymnasium_env(preset: str, **settings: Any) -> Any:
-    """One of the environments with Gymnasium's own checks."""
+    """An environment with Gymnasium's own checks."""
     import gymnasium
 
     return gymnasium.make(magical_mj.env_id("FindDupe", "All", preset), **settings)
@@ -177,7 +177,8 @@ CALLS: Final[dict[str, tuple[Callable[..., Any], dict[str, Any]]]] = {
 }
 
 TAIL: Final = 3
-"""Times what is seen in the 2,000 episodes of docs/physics.md: of others, few have more, at most .027."""
+"""The limit, as a multiple of the worst values in the 2,000 episodes of docs/physics.md. Few other episodes exceed
+these, by .027 at most."""
 
 KINDS: Final[dict[str, Case]] = {
     "calls": calls,
@@ -191,44 +192,45 @@ KINDS: Final[dict[str, Case]] = {
 
 
 def result(kind: str, number: int, folder: Path, *, loud: bool) -> dict[str, str]:
-    """Tries a case: whether it was fine, or refused with a clear error, or what was found."""
+    """Runs a case. Its result is "fine", "refused" (with a clear error) or "find"."""
     rng = random.Random(f"{kind} {number}")  # noqa: S311  no secret
-    place = Path(tempfile.mkdtemp(dir=folder))
+    directory = Path(tempfile.mkdtemp(dir=folder))
     before = Path.cwd()
-    os.chdir(place)
+    os.chdir(directory)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore" if not loud else "default")
-            KINDS[kind](rng, place)
+            KINDS[kind](rng, directory)
     except (MagicalError, GymnasiumError) as error:
-        told = {"result": "refused" if str(error).strip() else "find", "what": type(error).__name__, "said": str(error)}
-    except Exception as error:  # noqa: BLE001  these are the finds
+        kind_of_result = "refused" if str(error).strip() else "find"
+        outcome = {"result": kind_of_result, "what": type(error).__name__, "said": str(error)}
+    except Exception as error:  # noqa: BLE001  any other error is a finding
         if loud:
             traceback.print_exc()
         frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "tools/fuzz" not in frame.filename]
         ours = [frame for frame in frames if "/magical_mj/" in frame.filename] or frames
         where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno} in {ours[-1].name}" if ours else ""
         what = str(error)[:80] if isinstance(error, FindError) else f"{type(error).__name__}{where}"
-        told = {"result": "find", "what": what, "said": str(error)}
+        outcome = {"result": "find", "what": what, "said": str(error)}
     else:
-        told = {"result": "fine", "what": "", "said": ""}
+        outcome = {"result": "fine", "what": "", "said": ""}
     finally:
         os.chdir(before)
-        shutil.rmtree(place, ignore_errors=True)
-    return told
+        shutil.rmtree(directory, ignore_errors=True)
+    return outcome
 
 
 def main(kind: str, numbers: str, seconds: str, folder: str, *rest: str) -> None:
-    """Tries the cases of these numbers, as many as fit into the time, at least one; tells of each on a line."""
+    """Runs the cases with these numbers until the time is over, at least one. Prints a line of JSON for each."""
     end = time.monotonic() + float(seconds)
     out: TextIO = os.fdopen(os.dup(1), "w")
     with contextlib.redirect_stdout(sys.stderr):
-        os.dup2(2, 1)  # whatever else is printed, by whatever library, is no line for the reader
+        os.dup2(2, 1)  # output of libraries must not mix with the results
         for number in range(*map(int, numbers.split(":"))):
-            faulthandler.dump_traceback_later(PATIENCE, exit=True)  # and tells where it hangs
-            told = result(kind, number, Path(folder), loud="--loud" in rest)
+            faulthandler.dump_traceback_later(PATIENCE, exit=True)  # shows the call that hangs
+            outcome = result(kind, number, Path(folder), loud="--loud" in rest)
             faulthandler.cancel_dump_traceback_later()
-            print(json.dumps(told), file=out, flush=True)
+            print(json.dumps(outcome), file=out, flush=True)
             if time.monotonic() > end:
                 return
 

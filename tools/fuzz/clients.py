@@ -1,4 +1,4 @@
-"""What other projects do with an environment: wrappers, vectors, copies, threads, and states in any order."""
+"""Uses of an environment by other projects: wrappers, vectors, copies, threads, and states in any order."""
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ ARGUMENTS: Final[dict[Any, tuple[Any, ...]]] = {
 
 
 def states(rng: random.Random, _folder: Path) -> None:
-    """A state in which some numbers are odd: refused, or gone on from; afterwards all is as before."""
+    """A state with some odd numbers must be refused, or the episode must continue from it.
+
+    Afterwards, a valid state must be restored exactly.
+    """
     task, variant = rng.choice(magical_mj.ENVIRONMENTS)
     env = magical_mj.Engine(task, variant, seed=rng.randrange(100))
     for _ in range(rng.randrange(20)):
@@ -57,32 +60,32 @@ def states(rng: random.Random, _folder: Path) -> None:
     good = env.get_state()
     numbers = good.simulation.copy()
     for _ in range(rng.choice((1, 1, 3, 20))):
-        place = rng.randrange(len(numbers))
-        numbers[place] = rng.choice(
-            (numbers[place] * 10.0 ** rng.randint(-3, 12), 1e308, -1e308, 1e11, 1e9, 5.0, -1.0, np.nan, rng.gauss(0, 3))
+        index = rng.randrange(len(numbers))
+        numbers[index] = rng.choice(
+            (numbers[index] * 10.0 ** rng.randint(-3, 12), 1e308, -1e308, 1e11, 1e9, 5.0, -1.0, np.nan, rng.gauss(0, 3))
         )
     changes: dict[str, Any] = {"simulation": numbers}
     if rng.random() < 0.3:
         changes = {rng.choice(("scene", "steps", "frames")): value(rng)}
     try:
         env.set_state(dataclasses.replace(good, **changes))
-        trees = env.model.ntree  # what moves may wake what sleeps
+        trees = env.model.ntree  # not compared: moving bodies may wake sleeping ones
         if "simulation" in changes and not np.array_equal(env.get_state().simulation[:-trees], numbers[:-trees]):
-            raise FindError("a state was taken, and another one is there")
+            raise FindError("a state was accepted, but the simulation has another one")
         for _ in range(3):
             if env.step(rng.randrange(len(ACTIONS))):
                 env.reset()
         if not np.isfinite(env.data.qpos).all():
-            raise FindError("a state led to numbers that are not finite, and nobody was told")
+            raise FindError("a state led to numbers that are not finite, without an error")
     except MagicalError:
         pass
     env.set_state(good)
     if env.get_state() != good:
-        raise FindError("after a bad state a good one is not restored to the bit")
+        raise FindError("after a bad state, a good one is not restored exactly")
 
 
 def clients(rng: random.Random, folder: Path) -> None:
-    """One of the ways in which environments are used elsewhere."""
+    """One of the uses of environments by other projects, chosen at random."""
     rng.choice((_wrapped, _wrapped, _operations, _operations, _operations, _vector, _baselines, _recorded))(rng, folder)
 
 
@@ -91,7 +94,7 @@ def _name(rng: random.Random) -> str:
 
 
 def _wrapped(rng: random.Random, _folder: Path) -> None:
-    """Gymnasium's wrappers in any order; what they refuse themselves is their affair."""
+    """Gymnasium's wrappers in any order. Errors of the wrappers themselves are ignored."""
     env: Any = gymnasium.make(_name(rng), render_mode="rgb_array", render_size=32)
     for kind in rng.sample(WRAPPERS, k=rng.randrange(1, 5)):
         try:
@@ -109,13 +112,13 @@ def _wrapped(rng: random.Random, _folder: Path) -> None:
             *_, terminated, truncated, info = env.step(env.action_space.sample())
             if terminated or truncated:
                 if not 0.0 <= info["eval_score"] == env.unwrapped.score() <= 1.0:
-                    raise FindError("the last step does not tell the score")
+                    raise FindError("the last step does not report the score")
                 break
     env.close()
 
 
 def _operations(rng: random.Random, _folder: Path) -> None:
-    """Steps, states, copies and pictures in any order; in the end everything is as after the same actions alone."""
+    """Steps, states, copies and pictures in any order. The final state must be that after the same actions alone."""
     task, variant = rng.choice(magical_mj.ENVIRONMENTS)
     env = magical_mj.Engine(task, variant)
     seed, done, kept = rng.randrange(100), [], {}
@@ -156,17 +159,17 @@ def _operations(rng: random.Random, _folder: Path) -> None:
 
 def _check_same(env: magical_mj.Engine, alone: magical_mj.Engine, name: str) -> None:
     if alone.get_state() != env.get_state():
-        raise FindError(f"{name} is not where the same actions alone lead")
+        raise FindError(f"{name} has another state than after the same actions alone")
     if not np.array_equal(alone.render("allo", 32), env.render("allo", 32)):
-        raise FindError(f"{name} does not look like after the same actions alone")
+        raise FindError(f"{name} has another picture than after the same actions alone")
 
 
-def _pickled(thing: Any) -> Any:
-    return pickle.loads(pickle.dumps(thing))  # noqa: S301  our own
+def _pickled(value: Any) -> Any:
+    return pickle.loads(pickle.dumps(value))  # noqa: S301  our own
 
 
 def _vector(rng: random.Random, _folder: Path) -> None:
-    """Vectors with each way of starting again, compared with one environment."""
+    """Vectors with each autoreset mode, compared with a single environment."""
     name, count = _name(rng), rng.randrange(1, 4)
     mode = rng.choice(list(gymnasium.vector.AutoresetMode))
     form = "async" if rng.random() < 0.05 else "sync"
@@ -212,7 +215,7 @@ def _baselines(rng: random.Random, _folder: Path) -> None:
 
 
 def _recorded(rng: random.Random, _folder: Path) -> None:
-    """Resets with options that other libraries pass, and states that go to another process's environment and back."""
+    """Resets with options that other libraries pass, and states that are pickled and sent to another environment."""
     name = _name(rng)
     env: Any = gymnasium.make(name)
     env.reset(seed=rng.randrange(100), options=rng.choice((None, {}, {"render": True}, {1: 2}, {"scene": None})))
@@ -224,6 +227,6 @@ def _recorded(rng: random.Random, _folder: Path) -> None:
     action = env.action_space.sample()
     one, two = env.step(action)[0], other.step(action)[0]
     if not all(np.array_equal(*pair) for pair in _parts(one, two)):
-        raise FindError("a state that was sent elsewhere goes on otherwise")
+        raise FindError("after a state was sent to another environment, it continues differently")
     env.close()
     other.close()

@@ -1,4 +1,4 @@
-"""Damaged files given to every command that reads them, and command lines that nobody should type."""
+"""Damaged files for every command that reads them, and invalid command lines."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ READERS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
 }
 GROWS: Final = ("scores/scores.jsonl",)
 SETTINGS: Final = "scores/run.json"
-"""Which an evaluation that goes on, and plays more than is said there, writes anew."""
+"""A file that a resumed evaluation rewrites if it plays more."""
 COMMANDS: Final[tuple[tuple[str, ...], ...]] = (
     *(("list", "--ids"), ("view", "FindDupe", "All", "--seed", "3", "--size", "32", "--out", "a.png")),
     ("rollout", "MoveToRegion", "Demo", "--policy", "random", "--episodes", "1", "--preset", "State", "--seed", "1"),
@@ -73,16 +73,16 @@ COMMANDS: Final[tuple[tuple[str, ...], ...]] = (
     *(SHORT, *(command for readers in READERS.values() for command in readers)),
 )
 SLOW: Final = ("all", "1e9", "None")
-"""What would be legal, and take hours."""
+"""Words that would be legal, but take hours."""
 
 
 @cache
 def stock(folder: Path) -> Path:
-    """A folder with a sound file of each kind."""
+    """A folder with a valid file of each kind."""
     stock = folder / "stock"
     if stock.exists():
         return stock
-    shutil.rmtree(folder / "making", ignore_errors=True)  # of a process that died
+    shutil.rmtree(folder / "making", ignore_errors=True)  # left by a process that crashed
     with contextlib.chdir(_folder(folder / "making")), contextlib.redirect_stdout(io.StringIO()):
         for name in ("demos", "entries"):
             _folder(Path(name))
@@ -96,7 +96,7 @@ def stock(folder: Path) -> Path:
         Path("experiment.toml").write_text(EXPERIMENT)
         for command in (SHORT, ("submit", "scores", "--out", "entries/a.json.xz"), TRAIN):
             if main(list(command)) != 0:
-                raise RuntimeError(f"cannot make the stock: {command}")
+                raise RuntimeError(f"cannot make the valid files: {command}")
     (folder / "making").rename(stock)
     return stock
 
@@ -107,7 +107,7 @@ def _folder(path: Path) -> Path:
 
 
 def damaged_files(rng: random.Random, folder: Path) -> None:
-    """One file is damaged, and a command reads it: it says so or copes, and changes no file of the user's."""
+    """A command reads a damaged file. It must report the damage or work, and change no file of the user."""
     shutil.copytree(stock(folder.parent), folder, dirs_exist_ok=True)
     name = rng.choice(list(READERS))
     path = Path(name)
@@ -116,13 +116,13 @@ def damaged_files(rng: random.Random, folder: Path) -> None:
     command = rng.choice(READERS[name])
     code = run(command, allowed=name.startswith("run/"))
     if code == 0 and name.endswith((".npz", ".json.xz")) and _content(path) != _content_of(sound, path.suffix):
-        raise FindError(f"nobody noticed that {name} says something else now: {' '.join(command)}")
+        raise FindError(f"undetected change of {name}: {' '.join(command)}")
     if code != 0:
         raise MagicalError("refused by the command line")
 
 
 def _damaged(path: Path, data: bytes, rng: random.Random) -> bytes:
-    """The file with something wrong in it; where it has a structure, that may be whole."""
+    """The file with random damage. Its bytes are damaged, or its values in a valid structure."""
     if rng.random() < 0.4:
         return spoilt_bytes(data, rng)
     if path.suffix == ".xz":
@@ -136,8 +136,8 @@ def _damaged(path: Path, data: bytes, rng: random.Random) -> bytes:
         return _other_arrays(data, rng)
     if path.suffix in (".toml", ".csv"):
         words = data.decode().split(" " if path.suffix == ".toml" else ",")
-        place = rng.randrange(len(words))
-        words[place] = rng.choice(
+        index = rng.randrange(len(words))
+        words[index] = rng.choice(
             (json.dumps(json_value(rng)), "", "nan", "-" + "1" * 30, "true", '"x"', "[]", "{}", "\n")
         )
         return (" " if path.suffix == ".toml" else ",").join(words).encode("utf-8", "replace")
@@ -145,7 +145,7 @@ def _damaged(path: Path, data: bytes, rng: random.Random) -> bytes:
 
 
 def _other_arrays(data: bytes, rng: random.Random) -> bytes:
-    """A demonstration with other arrays, of which the digest tells nothing, or which says that it is right."""
+    """A demonstration with another array, and with the old digest or a forged one."""
     with np.load(io.BytesIO(data)) as archive:
         arrays = {name: archive[name] for name in archive.files}
     name = rng.choice(list(arrays))
@@ -162,7 +162,7 @@ def _other_arrays(data: bytes, rng: random.Random) -> bytes:
     ]
     arrays[name] = rng.choice(kinds)
     header = json.loads(bytes(arrays["header"].tobytes())) if name != "header" else None
-    if header is not None and rng.random() < 0.8:  # somebody who knows how
+    if header is not None and rng.random() < 0.8:  # a forger who knows the format
         if rng.random() < 0.5:
             header = spoilt_tree(header, rng)
         with contextlib.suppress(Exception):
@@ -179,33 +179,33 @@ def _content(path: Path) -> Any:
 
 
 def _content_of(data: bytes, suffix: str) -> Any:
-    """What the bytes say, whatever their packing."""
+    """The content of a file, independent of its compression."""
     if suffix == ".xz":
         return json.loads(lzma.decompress(data))
     with np.load(io.BytesIO(data)) as archive:
         header = json.loads(archive["header"].tobytes())
-        return None if header.get("digest") else header  # a digest that fits was forged with knowledge
+        return None if header.get("digest") else header  # a digest that matches was forged, which no reader can detect
 
 
 def hostile_command(rng: random.Random, folder: Path) -> None:
-    """A command line with some words that do not belong there."""
+    """A command line with some random words."""
     shutil.copytree(stock(folder.parent), folder, dirs_exist_ok=True)
     words = list(rng.choice(COMMANDS))
     for _ in range(rng.choice((1, 1, 2, 3))):
-        place, how = rng.randrange(len(words)), rng.random()
+        index, how = rng.randrange(len(words)), rng.random()
         text = rng.choice([text for text in TEXTS if text not in SLOW])
         if how < 0.5:
-            words[place] = text
+            words[index] = text
         elif how < 0.65:
-            words.insert(place, text)
+            words.insert(index, text)
         elif how < 0.8:
-            del words[place]
+            del words[index]
         else:
-            words.insert(place, rng.choice([word for command in COMMANDS for word in command]))
+            words.insert(index, rng.choice([word for command in COMMANDS for word in command]))
         words = words or ["list"]
     if words[0] == "play" or "--web" in words:
         words = [word for word in words if word != "--web"]
-        words += ["--size", "32", "--nonsense"]  # a window would wait for somebody
+        words += ["--size", "32", "--nonsense"]  # a window would wait for a player
     if words[0] in ("train", "experiment") and "bc.batches=1" not in words and words[0] == "train":
         words += ["--set", "bc.batches=1", "--set", "evaluations=0"]
     if "demo" not in words:
@@ -215,7 +215,10 @@ def hostile_command(rng: random.Random, folder: Path) -> None:
 
 
 def run(command: Any, *, allowed: bool) -> int:
-    """Runs a command in this process and looks at how it ends, what it says, and what becomes of the files."""
+    """Runs a command in this process, and checks its exit code, its messages, and the files in the folder.
+
+    If `allowed`, it may change files.
+    """
     before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
     out, error = io.StringIO(), io.StringIO()
     try:
@@ -225,11 +228,11 @@ def run(command: Any, *, allowed: bool) -> int:
         raise FindError(f"{type(stop).__name__} from {command[0]}") from stop
     said = error.getvalue()
     if code not in (0, 1, 2, 130) or "Traceback" in said:
-        raise FindError(f"{command[0]} ends with {code} and says {said[-300:]}")
+        raise FindError(f"{command[0]} ends with {code} and prints {said[-300:]}")
     if code != 0 and not said.strip():
-        raise FindError(f"{command[0]} ends with {code} and says nothing")
+        raise FindError(f"{command[0]} ends with {code} without a message")
     if code != 0 and "magical-mj" not in said:
-        raise FindError(f"{command[0]} ends with {code} and says {said[-300:]}")
+        raise FindError(f"{command[0]} ends with {code} and prints {said[-300:]}")
     for path, content in before.items():
         now = path.read_bytes() if path.exists() else None
         if now == content or allowed:
@@ -241,7 +244,7 @@ def run(command: Any, *, allowed: bool) -> int:
 
 
 def _says_more(now: bytes, before: bytes) -> bool:
-    """Whether the settings of an evaluation are those before, with more of what is played."""
+    """Whether the settings of an evaluation are those before, perhaps with more policies, environments or episodes."""
     new, old = json.loads(now), json.loads(before)
 
     def is_kept(name: str) -> bool:

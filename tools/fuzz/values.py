@@ -1,4 +1,4 @@
-"""What nobody expects: values of all kinds, JSON that is nearly right, and files with something wrong in them."""
+"""Unexpected inputs: values of all types, JSON that is nearly valid, and damaged files."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ TOKENS: Final = (b"NaN", b"-1", b"1e999", b"null", b"true", b'"', b"{", b"]", b"
 
 
 class FindError(Exception):
-    """Something that must not be."""
+    """A finding: a result that must not happen."""
 
 
 def value(rng: random.Random) -> Any:
-    """Anything at all."""
+    """A random value of any type."""
     pool = rng.choice((JSON, OTHERS, NUMBERS, TEXTS))
     value = rng.choice(pool)
     wrap = rng.random()
@@ -50,7 +50,7 @@ def value(rng: random.Random) -> Any:
 
 
 def json_value(rng: random.Random) -> Any:
-    """Anything that JSON can say."""
+    """A random value that JSON can express."""
     deep: Any = rng.choice(JSON)
     if rng.random() < 0.05:
         for _ in range(rng.choice((3, 100, 300))):
@@ -59,15 +59,15 @@ def json_value(rng: random.Random) -> Any:
 
 
 def spoilt_tree(tree: Any, rng: random.Random) -> Any:
-    """JSON with a few changes somewhere: another value, a field more or less, twice the same, a number somewhat off."""
+    """JSON with a few random changes: other values, missing or additional fields, repeated items, changed numbers."""
     tree = copy.deepcopy(tree)
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        places = list(_places(tree))
-        if not places:
+        items = list(_items(tree))
+        if not items:
             return tree
-        holder, key = rng.choice(places)
+        holder, key = rng.choice(items)
         old, how = holder[key], rng.random()
-        if isinstance(old, float | int) and abs(old) < 1e300 and how < 0.5:  # greater ones are no floats
+        if isinstance(old, float | int) and abs(old) < 1e300 and how < 0.5:  # larger integers do not fit a float
             holder[key] = rng.choice(
                 (old * 10 ** rng.randint(-9, 9), -old, old + rng.gauss(0, 1), round(old, 1), old + 1)
             )
@@ -82,30 +82,31 @@ def spoilt_tree(tree: Any, rng: random.Random) -> Any:
     return tree
 
 
-def _places(tree: Any) -> Any:
+def _items(tree: Any) -> Any:
+    """Yields (container, key) for every value in nested lists and dicts."""
     items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     for key, item in list(items):
         yield tree, key
-        yield from _places(item)
+        yield from _items(item)
 
 
 def spoilt_bytes(data: bytes, rng: random.Random) -> bytes:
-    """A file with something wrong in it."""
+    """A file's bytes with random damage."""
     if not data or rng.random() < 0.05:
         return rng.choice(
             (b"", b"\0" * 100, b"PK\x03\x04", b"\x1f\x8b\x08", b"{}", b"[]\n", b"null", rng.randbytes(300))
         )
     for _ in range(rng.choice((1, 1, 2, 8))):
-        place, how = rng.randrange(len(data) + 1), rng.random()
+        index, how = rng.randrange(len(data) + 1), rng.random()
         if how < 0.25:
-            data = data[:place]
+            data = data[:index]
         elif how < 0.5:
-            data = data[:place] + bytes([rng.randrange(256)]) + data[place + 1 :]
+            data = data[:index] + bytes([rng.randrange(256)]) + data[index + 1 :]
         elif how < 0.7:
-            data = data[:place] + rng.choice(TOKENS) + data[place:]
+            data = data[:index] + rng.choice(TOKENS) + data[index:]
         elif how < 0.85:
-            data = data[:place] + data[place + rng.choice((1, 4, 50)) :]
+            data = data[:index] + data[index + rng.choice((1, 4, 50)) :]
         else:
             length = rng.choice((1, 20, 400))
-            data = data[:place] + data[place : place + length] + data[place:]
+            data = data[:index] + data[index : index + length] + data[index:]
     return data

@@ -1,4 +1,4 @@
-"""How near batched worlds stay to MuJoCo's own: from states in mid-episode, and over whole episodes played open loop.
+"""Measures the deviation of batched worlds from MuJoCo: from states in mid-episode, and over open-loop episodes.
 
 python tools/research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
 python tools/research/batched_fidelity.py replays [--tasks FindDupe,...] [--count 25] [--device cpu] [--human ARCHIVE]
@@ -21,16 +21,16 @@ from magical_mj.batched.scenes import Capacity, WorldScenes
 from magical_mj.scene import Scene
 
 BATCH = 60
-"""Worlds at a time: Warp's CPU device takes 60 to 190 ms for an action of one."""
+"""The number of worlds in a batch. Warp's CPU device takes 60 to 190 ms for an action of one world."""
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
-    """x, y, angle of the robot and of each block."""
+    """x, y, angle of the robot and of each block. Shape (1 + blocks, 3)."""
     return np.array([scene.robot.pose, *(block.pose for block in scene.blocks)])
 
 
 def held(rng: np.random.Generator, steps: int) -> list[int]:
-    """Random actions, each held for a few steps, so that the robot gets somewhere."""
+    """Random actions, each held for a few steps, so that the robot moves far."""
     actions: list[int] = []
     while len(actions) < steps:
         actions += [int(rng.integers(18))] * int(rng.integers(2, 7))
@@ -38,7 +38,7 @@ def held(rng: np.random.Generator, steps: int) -> list[int]:
 
 
 def take_over(physics: Physics, world: int, data: mujoco.MjData) -> None:
-    """Puts a world into the state of a simulation of the scene that it holds, in the middle of an episode."""
+    """Copies the state of a simulation to a world with the same scene."""
     state, slots = physics.get_state(), 3 * physics.blocks
     own = len(data.qpos) - (physics.model.nq - slots)  # coordinates of the scene's blocks
     for name in ("qpos", "qvel", "qacc_warmstart"):
@@ -50,7 +50,7 @@ def take_over(physics: Physics, world: int, data: mujoco.MjData) -> None:
 
 
 def compare(states: int, steps: int, device: str) -> None:
-    """Prints how far the worst body of a world is off after each action, over states of all environments."""
+    """Prints the distance error of the worst body after one and after all actions, over states of all environments."""
     rng = np.random.default_rng(0)
     rows: list[tuple[str, NDArray[np.float64]]] = []
     pairs = magical_mj.ENVIRONMENTS
@@ -86,7 +86,7 @@ def compare(states: int, steps: int, device: str) -> None:
 def sequences(
     tasks: Sequence[str], human: Path | None, count: int
 ) -> Iterator[tuple[str, str, Scene, NDArray[np.int64]]]:
-    """Who, task, scene and actions of what is replayed."""
+    """Yields demonstrator, task, scene and actions of the sequences to replay."""
     for task in tasks:
         for demo in magical_mj.demos.load(task)[:count]:
             yield "expert", task, demo.scene, demo.actions.astype(np.int64)
@@ -99,7 +99,7 @@ def sequences(
 
 
 def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) -> None:
-    """Prints mean scores of sequences replayed here and in batched worlds, by task."""
+    """Prints the mean scores of sequences replayed in MuJoCo and in batched worlds, by task."""
     groups: dict[tuple[str, str], list[tuple[Scene, NDArray[np.int64]]]] = {}
     for who, task, scene, actions in sequences(tasks, human, count):
         groups.setdefault((who, task), []).append((scene, actions))
@@ -125,18 +125,18 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
 
 
 def main() -> None:
-    """The command line."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("actions", "replays"))
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--tasks", default=",".join(magical_mj.TASKS), help="of the replays")
+    parser.add_argument("--tasks", default=",".join(magical_mj.TASKS), help="the tasks of the replays")
     parser.add_argument("--human", type=Path, help="an archive of people's sequences, task/number/actions")
     parser.add_argument("--count", type=int, default=25, help="sequences of each task, of experts and of people")
     chosen = parser.parse_args()
     if chosen.human is not None and not chosen.human.is_file():
-        parser.error(f"there is no {chosen.human}")
+        parser.error(f"{chosen.human} does not exist")
     if chosen.what == "actions":
         compare(chosen.states, chosen.steps, chosen.device)
     else:

@@ -1,12 +1,12 @@
-"""Behavioural cloning from states, per body and across bodies: the tables in docs/bodies.md.
+"""Behavioural cloning from states with each body, tested on all bodies: the tables in docs/bodies.md.
 
     python -m tools.research.bc_bodies [--tasks SweepToTop,MoveToRegion] [--updates 3000] [--episodes 50]
 
-A network of 2 x 256 learns from the demonstrations of one body, and plays every body. In SweepToTop it learns speed
-and turn, from the 16 entries of the state that all bodies have, of 50 shipped demonstrations in TestLayout, and is
-tested in other scenes of it; a gripper's grip stays closed. In the other tasks it learns which of the 18 actions is
-taken, of which sticks ignore what they say about fingers, from 25 demonstrations by the expert in Demo, and is tested
-in Jitter.
+A network of 2 x 256 learns from the demonstrations of one body, and plays every body. In SweepToTop, it learns speed
+and turn from the 16 entries of the state that all bodies have, with 50 shipped demonstrations in TestLayout. It is
+tested in other scenes of TestLayout, and a gripper stays closed. In the other tasks, it learns to choose one of the 18
+actions from 25 demonstrations of the expert in Demo, and is tested in Jitter. Sticks ignore the fingers' part of an
+action.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from magical_mj.tasks.sweep_to_top import state_vector
 
 SWEEP = "SweepToTop"
 SCALES = torch.tensor([1.0, 12.0])
-"""Of speed and turn, so that both have about the same size."""
+"""The factors of speed and turn, so that both targets have about the same size."""
 
 Policy = Callable[[NDArray[np.float32], str], Any]
 """The action for a state vector and a body."""
 
 
 def demonstrations(task: str, body: str) -> list[demos.Demonstration]:
-    """What a body shows."""
+    """The demonstrations with a body."""
     if task == SWEEP:
         return demos.load(SWEEP, body=body)
     return [demos.demonstrate(task, "Demo", 10_000 + number, body=body) for number in range(25)]
 
 
 def fitted(states: Tensor, outputs: int, loss: Callable[[Tensor, Tensor], Tensor], updates: int) -> nn.Module:
-    """A network that takes states as they are; `loss` is of its outputs in some of the rows."""
+    """Trains a network on states that are not normalised. `loss` takes the outputs and the numbers of their rows."""
     torch.manual_seed(0)
     size = states.shape[1]
     network = nn.Sequential(nn.Linear(size, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, outputs))
@@ -78,7 +78,7 @@ def train(task: str, body: str, updates: int) -> Policy:
 
 @torch.no_grad()
 def play(policy: Policy, task: str, body: str, episodes: int) -> float:
-    """The mean score of a policy with a body."""
+    """The mean score of a policy that plays with a body."""
     scores = []
     with closing(Engine(task, "Layout" if task == SWEEP else "Jitter", seed=0, body=body)) as engine:
         for seed in range(episodes):
@@ -92,7 +92,7 @@ def play(policy: Policy, task: str, body: str, episodes: int) -> float:
 
 
 def main() -> None:
-    """Prints the tables: whose demonstrations, then the mean score of each body."""
+    """Prints the tables: a row for the body of the demonstrations, with the mean score of each tested body."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--tasks", default="SweepToTop,MoveToRegion,FixColour,MoveToCorner")
     parser.add_argument("--updates", type=int, default=3_000)

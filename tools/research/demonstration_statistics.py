@@ -1,12 +1,13 @@
-"""Compares sets of demonstrations: how they were made, and what a learner makes of them.
+"""Compares sets of demonstrations: their statistics, and the scores of a policy that is trained on them.
 
     python tools/research/demonstration_statistics.py [FOLDER ...] [--people human_replays.npz] [--learn] [--tasks A,B]
 
-The shipped set comes first, then folders of demonstrations, then episodes of people in the original simulation: a file
-of arrays ``<Task>/<number>/{actions, poses, fingers, score}``, poses of shape (steps + 1, 1 + blocks, 3), robot first.
+The columns are the shipped set, the folders of demonstrations, and episodes of people in the original simulation. The
+latter are a file of arrays ``<Task>/<number>/{actions, poses, fingers, score}``. Poses have the shape
+(steps + 1, 1 + blocks, 3), with the robot first.
 
-The table of statistics takes seconds. ``--learn`` adds a second one: behavioural cloning from states, from 10
-demonstrations of each task, played in our world. A training and its episodes take about a minute of one core.
+The table of statistics takes seconds. ``--learn`` adds a table of behavioural cloning from states with 10
+demonstrations of each task, evaluated in our simulation. A training and its episodes take about a minute of one core.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from magical_mj.scene.constants import CONTROL_RATE
 Demonstrations = list[Demonstration]
 Floats = NDArray[np.float64]
 
-CELL: Final = 0.1  # world units, side of the cells that are counted
+CELL: Final = 0.1  # the side of the counted cells in world units
 CLOSED: Final = np.array([action.gripper == Gripper.CLOSE for action in ACTIONS])
 LEARNT_FROM: Final = 10  # demonstrations
 
@@ -39,7 +40,7 @@ def people(path: Path, task: str) -> Demonstrations:
     scene = sample_scene(task, "Demo", 0)
     world, size = World(scene), 3 * len(scene.blocks) + len(JOINTS)
     columns = np.arange(float(size))
-    places, fingers = world.poses(columns).astype(int), world.fingers(columns).astype(int)
+    planar, fingers = world.poses(columns).astype(int), world.fingers(columns).astype(int)
     found = []
     with np.load(path) as data:
         for key in sorted(name.removesuffix("/actions") for name in data if name.endswith("/actions")):
@@ -47,7 +48,7 @@ def people(path: Path, task: str) -> Demonstrations:
                 continue
             poses = data[f"{key}/poses"]
             qpos = np.zeros((len(poses), size))
-            qpos[:, places] = poses
+            qpos[:, planar] = poses
             qpos[:, fingers] = data[f"{key}/fingers"]
             qvel = np.diff(qpos, axis=0, prepend=qpos[:1]) * CONTROL_RATE
             actions, score = data[f"{key}/actions"].astype(np.uint8), float(data[f"{key}/score"])
@@ -60,7 +61,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def _path(demo: Demonstration) -> Floats:
-    """The places of the robot. Shape (steps + 1, 2)."""
+    """The positions of the robot. Shape (steps + 1, 2)."""
     world = World(demo.scene)
     return np.array([world.poses(qpos)[0, :2] for qpos in demo.qpos])
 
@@ -90,11 +91,11 @@ STATISTICS: Final[Mapping[str, Callable[[Demonstrations], float]]] = {
     ),
     "cells visited": lambda chosen: _mean(len(np.unique(_path(demo) // CELL, axis=0)) for demo in chosen),
 }
-"""What is computed from the demonstrations of a task."""
+"""Name -> statistic of the demonstrations of a task."""
 
 
 def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[float, float, float]:
-    """Mean scores in Demo and in Jitter after behavioural cloning from states, and the loss on held-out episodes."""
+    """Mean scores in Demo and Jitter after behavioural cloning from states, and the loss on held-out episodes."""
     import torch
     from torch.nn.functional import cross_entropy
 
@@ -131,9 +132,9 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
     parser.add_argument("--people", type=Path, help="recorded episodes of people")
     parser.add_argument("--tasks", default=",".join(TASKS))
-    parser.add_argument("--learn", action="store_true", help="train and play, too")
+    parser.add_argument("--learn", action="store_true", help="also train and evaluate policies")
     parser.add_argument("--seeds", type=int, default=5, help="trainings for each task")
-    parser.add_argument("--episodes", type=int, default=100, help="after each training, in Demo and in Jitter")
+    parser.add_argument("--episodes", type=int, default=100, help="episodes after each training, in Demo and in Jitter")
     arguments = parser.parse_args()
     tasks = arguments.tasks.split(",")
     sets = {"shipped": {task: demos.load(task) for task in tasks}}

@@ -1,18 +1,18 @@
-"""Fits the physics to recordings of the original simulation: which `PhysicsSettings` make ours move like them?
+"""Fits the `PhysicsSettings` to recordings of the original simulation.
 
-    python tools/research/fit_physics.py FOLDER                    # how far off the present settings are
-    python tools/research/fit_physics.py FOLDER --minutes 20       # search for better ones (needs nevergrad)
+    python tools/research/fit_physics.py FOLDER                    # print the errors of the current settings
+    python tools/research/fit_physics.py FOLDER --minutes 20       # search for better settings (needs nevergrad)
 
-FOLDER holds `probes.npz` and `human_replays.npz`: short roll-outs, and human action sequences with the poses that
-the original went through. What is minimised is a sum of three terms, each about 1 for a good fit:
+FOLDER holds `probes.npz` and `human_replays.npz`: short rollouts, and human action sequences with the poses that they
+led to in the original. The loss is a sum of three terms, each about 1 for a good fit:
 
-- probes: error over aim, averaged over the families, at the end of a roll-out and on the way;
-- windows: pieces of ten steps in which a human moves a block, begun from the recorded state, in 0.02 units;
-- starts: the first 80 steps of each human sequence, in 0.05 units;
+- probes: error divided by aim, averaged over families of rollouts, for the end of a rollout and for its mean;
+- windows: the error over ten steps from a recorded state, when a human moves a block, in 0.02 units;
+- starts: the error over the first 80 steps of each human sequence, in 0.05 units.
 
-Every second probe of a family and every second human sequence is kept out of the search; both halves are printed, so
-that a gain on the searched half alone shows. Final scores are printed but not searched for: each is nearly 0 or 1,
-and chance decides.
+The search does not use every second probe of a family and every second human sequence. It prints the loss of both
+halves, so that overfitting is visible. It prints final scores but does not optimise them: each is nearly 0 or 1, and
+depends on chance.
 """
 
 from __future__ import annotations
@@ -62,25 +62,25 @@ SPACE: Final[dict[str, tuple[float, float]]] = {
     "loaded_backward": (0.35, 0.6),
     "loaded_turn": (1.7, 2.5),
 }
-"""What is searched, and between which bounds, on a logarithmic scale."""
+"""Setting -> the bounds of its search, on a logarithmic scale."""
 SPACE_SOFT: Final[dict[str, tuple[float, float]]] = {
     "contact_impedance": (0.0005, 0.02),
     "finger_impedance": (0.001, 0.05),
     "motor_impedance": (0.02, 0.3),
 }
-"""The same for what is searched as its difference from 1."""
+"""The same for settings near 1. The search varies the difference from 1 between these bounds."""
 WINDOW: Final = 10
 TASKS_WITH_BLOCKS: Final = [task for task in REPLAY_AIMS if demo_scene(task).blocks]
 
 
 def is_kept_out(name: str, cases: Mapping[str, Case]) -> bool:
-    """Every second case of a family or task."""
+    """Whether the search must not use a case, which is every second case of a family or task."""
     family = name.split("/", maxsplit=1)[0] + "/"
     return sorted(case for case in cases if case.startswith(family)).index(name) % 2 == 1
 
 
 def windows(case: Case) -> list[int]:
-    """Where pieces of `WINDOW` steps begin in which a block moves, and before which all moved evenly."""
+    """The first steps of windows in which a block moves, and before which all velocities were constant."""
     poses, fingers = case["poses"].astype(float), case["fingers"].astype(float)
     bend, bent = np.abs(np.diff(poses, 2, axis=0)), np.abs(np.diff(fingers, 2, axis=0))
     found, step = [], 2
@@ -95,7 +95,7 @@ def windows(case: Case) -> list[int]:
 
 
 def window_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[float]:
-    """Of each window, the mean error of the worst body; 0.1 rad count like 0.01 units."""
+    """The mean error of the worst body in each window. 0.1 rad count like 0.01 units."""
     worlds = {task: Rollouts(demo_scene(task), settings) for task in TASKS_WITH_BLOCKS}
     errors = []
     for name, case in cases.items():
@@ -113,7 +113,7 @@ def window_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[
 
 
 def start_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[float]:
-    """Of each sequence, the mean distance of the worst body in its first 80 steps, clipped at 0.2."""
+    """The mean distance of the worst body in the first 80 steps of each sequence. Distances are clipped at 0.2."""
     tracks = replays(chosen(cases, lambda name: name.split("/")[0] in TASKS_WITH_BLOCKS), settings, 80)
     errors = []
     for name, track in tracks.items():
@@ -123,7 +123,7 @@ def start_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[f
 
 
 def terms(folder: Path, settings: PhysicsSettings, kept_out: bool) -> dict[str, float]:
-    """What is minimised, on the searched half of the recordings or on the half kept out."""
+    """The terms of the loss, on the half of the recordings that the search uses, or on the other half."""
     probes, sequences = (recordings(folder / name) for name in ("probes.npz", "human_replays.npz"))
     sequences = chosen(sequences, lambda name: is_kept_out(name, sequences) == kept_out)
     errors = family_errors(chosen(probes, lambda name: is_kept_out(name, probes) == kept_out), settings)
@@ -143,7 +143,7 @@ def coded(settings: PhysicsSettings) -> Array:
 
 
 def decoded(point: Array) -> PhysicsSettings:
-    """The settings that `coded` turned into numbers."""
+    """The inverse of `coded`."""
     low, high = np.log([*SPACE.values(), *SPACE_SOFT.values()]).T
     values = np.exp(low + np.clip(point, 0, 1) * (high - low)).tolist()
     changes = dict(zip(SPACE, values, strict=False))
@@ -152,7 +152,7 @@ def decoded(point: Array) -> PhysicsSettings:
 
 
 def search(folder: Path, minutes: float, seed: int) -> PhysicsSettings:
-    """The best settings that CMA-ES finds, from the present ones on."""
+    """The best settings that CMA-ES finds, starting from the current ones."""
     try:
         import nevergrad
     except ImportError:
@@ -183,12 +183,12 @@ def changes_of(settings: PhysicsSettings) -> dict[str, float]:
 
 
 def words(row: Mapping[str, float]) -> str:
-    """Names and figures in one line."""
+    """Names and values in one line."""
     return "  ".join(f"{name} {value:.3f}" for name, value in row.items())
 
 
 def report(folder: Path, settings: PhysicsSettings) -> None:
-    """Prints the table: here, aim, reference."""
+    """Prints errors and aims of the probes, scores, aims and reference scores of the tasks, and the loss terms."""
     probes, sequences = (recordings(folder / name) for name in ("probes.npz", "human_replays.npz"))
     for family, (mean, end, angle) in family_errors(probes, settings).items():
         aim = AIMS[family]
@@ -205,11 +205,11 @@ def report(folder: Path, settings: PhysicsSettings) -> None:
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="with probes.npz and human_replays.npz")
-    parser.add_argument("--minutes", type=float, default=0.0, help="how long to search (default: only report)")
-    parser.add_argument("--seed", type=int, default=0, help="of the search")
+    parser.add_argument("--minutes", type=float, default=0.0, help="duration of the search (default: only report)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the search")
     options = parser.parse_args()
     for name in ("probes.npz", "human_replays.npz"):
         if not (options.folder / name).is_file():

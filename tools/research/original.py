@@ -1,16 +1,18 @@
-"""The original's world, rebuilt on the 2-D engine that it ran on: how much of a difference to it is chance?
+"""The original simulation, rebuilt on its 2-D engine, to find how much of our deviation from it is chance.
 
     pip install pymunk==5.6.0
     python tools/research/original.py FOLDER
 
-FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. Printed is how far the rebuilt world is from the
-probes, as it is and with hinges for the pins of its fingers; how far ours is from it in roll-outs that nobody
-recorded; and what the recorded human actions score in it and in ours: from the very start that was recorded, and from
-`COPIES` starts that differ from it by `NUDGE`.
+FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. It prints three tables:
 
-The measures are those of `magical_mj.scene.constants`. One was not written down anywhere and was found by comparing
-roll-outs: a finger hangs on a pin joint of length zero that puts its error right within one step. Such a joint only
-acts along the line between its two points, and these coincide; so where it pulls is decided by rounding.
+- the deviation of the rebuilt simulation from the probes, with its pin joints for the fingers, and with hinges instead;
+- the deviation of ours from the rebuilt one in new rollouts;
+- the scores of the recorded human actions in both, from the recorded start and from `COPIES` starts that differ from
+  it by `NUDGE`.
+
+The dimensions are those of `magical_mj.scene.constants`. One fact was documented nowhere, and was found by comparing
+rollouts: a finger is attached by a pin joint of length zero that corrects its whole error within one step. Such a joint
+acts only along the line between its two points. Since these coincide, rounding decides the direction of its force.
 """
 
 from __future__ import annotations
@@ -35,23 +37,23 @@ from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored
 
 COPIES: Final = 8
 NUDGE: Final = 1e-7
-"""Standard deviation of the changes of a start, in world units and radians."""
+"""The standard deviation of the changes of a start, in world units and radians."""
 SAME: Final = 1e-4
-"""World units by which roll-outs may differ and still be called the same."""
+"""The largest difference of rollouts that count as equal, in world units."""
 UNSEEN: Final = 60
-"""Roll-outs of each kind that nobody recorded."""
+"""The number of new rollouts of each kind."""
 TASKS: Final = ("FindDupe", "MatchRegions", "MakeLine")
-"""Those in which chance has a say."""
-BLOCK, BODY, FINGER, WALL = 0.5, 0.5, 5.0, 0.8  # friction; of two shapes that touch, the product counts
-ROBOT_GROUP: Final = 1  # shapes of one group pass through each other
+"""The tasks in which scores depend on chance."""
+BLOCK, BODY, FINGER, WALL = 0.5, 0.5, 5.0, 0.8  # friction; a contact has the product of both
+ROBOT_GROUP: Final = 1  # shapes of the same group do not collide
 
 
 class Original:
-    """A scene at rest, of which one action sequence can be rolled out.
+    """A scene at rest for the rollout of one action sequence.
 
     Args:
         scene: the start.
-        hinged: hang the fingers on hinges instead of pins.
+        hinged: attach the fingers by hinges instead of pins.
     """
 
     def __init__(self, scene: Scene, *, hinged: bool = False) -> None:
@@ -75,7 +77,7 @@ class Original:
         return body
 
     def _servo(self, master: pymunk.Body, body: pymunk.Body, force: float, torque: float, turn: float) -> None:
-        """Forces of any direction up to a cap, and torques, that give `body` the velocity of `master`."""
+        """Adds joints with capped force and torque that give `body` the velocity of `master`."""
         slide, gear = pymunk.PivotJoint(master, body, (0, 0), (0, 0)), pymunk.GearJoint(master, body, 0, 1)
         slide.max_bias, slide.max_force = 0, force
         gear.error_bias, gear.max_bias, gear.max_force = 0, turn, torque
@@ -88,7 +90,11 @@ class Original:
         if block.shape == "circle":
             self._shape(pymunk.Circle(body, c.BLOCK_SIZE), BLOCK)
         elif block.shape == "star":
-            ends = [(-1, 0), (0, 1), *((tip - 1, tip + 1) for tip in range(2, 10, 2))]  # the top tip in two halves
+            ends = [
+                (-1, 0),
+                (0, 1),
+                *((tip - 1, tip + 1) for tip in range(2, 10, 2)),
+            ]  # the top tip consists of two halves
             for first, last in ends:
                 corners = [outline[index] for index in range(first, last + 1)]
                 self._shape(pymunk.Poly(body, [*corners, (0, 0)]), BLOCK)
@@ -101,7 +107,7 @@ class Original:
         self._master = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
         self._space.add(self._master)
         self._servo(self._master, self._robot, c.DRIVE_FORCE, c.TURN_TORQUE, c.SPEED_TURN)
-        for _ in range(2):  # the pupils, which hang on weak springs
+        for _ in range(2):  # the pupils, which are attached by weak springs
             pupil = self._body(0.1, 0.002, (robot.x, robot.y), robot.angle)
             spring = pymunk.DampedRotarySpring(self._robot, pupil, 0, 0.1, 0.003)
             spring.max_force = 0.001
@@ -111,8 +117,8 @@ class Original:
 
     def _add_finger(self, sign: int, inertia: float, robot: Robot) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
         root = sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]
-        place, angle = self._robot.local_to_world(root), robot.fingers[sign > 0]
-        finger = self._body(c.FINGER_MASS, inertia, place, robot.angle + angle)
+        position, angle = self._robot.local_to_world(root), robot.fingers[sign > 0]
+        finger = self._body(c.FINGER_MASS, inertia, position, robot.angle + angle)
         pin = (pymunk.PivotJoint if self._hinged else pymunk.PinJoint)(self._robot, finger, root, (0, 0))
         limit = pymunk.RotaryLimitJoint(self._robot, finger, *sorted((0.0, -sign * c.FINGER_OPEN)))
         pin.error_bias = limit.error_bias = 0
@@ -154,7 +160,7 @@ class Original:
 
 
 def nudged(scene: Scene, seed: int) -> Scene:
-    """A start that differs by `NUDGE`; seed 0: not at all."""
+    """The scene with poses that differ randomly by `NUDGE`. Seed 0 gives the scene itself."""
     size = NUDGE if seed else 0.0
     change = np.random.default_rng(seed).normal(0, size, (1 + len(scene.blocks), 3))
     poses = (np.array([scene.robot.pose, *(block.pose for block in scene.blocks)]) + change).tolist()
@@ -162,7 +168,7 @@ def nudged(scene: Scene, seed: int) -> Scene:
 
 
 def gripping(rng: np.random.Generator) -> tuple[Scene, list[int]]:
-    """A block between the fingers, which close and drag it back and forth, or turn with it both ways."""
+    """A random scene with a block between the fingers, and actions that grip it and drag it or turn with it."""
     x, ahead, y = rng.uniform(-0.015, 0.015), 0.33 + rng.uniform(-0.015, 0.015), rng.uniform(-0.6, -0.2)
     block = Block(rng.choice(c.SHAPES), "red", x, y + ahead, rng.choice([0.0, rng.uniform(-0.5, 0.5)]))
     pairs = [((10, 11, 2), (6, 8, 3)), ((12, 15, 0), (7, 7, 3)), ((15, 12, 0), (7, 7, 3))]
@@ -172,13 +178,13 @@ def gripping(rng: np.random.Generator) -> tuple[Scene, list[int]]:
 
 
 def pushing(rng: np.random.Generator) -> tuple[Scene, list[int]]:
-    """A block somewhere ahead, into which the robot drives."""
-    place = rng.uniform(-0.14, 0.14), -0.2 + rng.uniform(-0.02, 0.02), rng.uniform(-0.6, 0.6)
-    return Scene(Robot(0.0, -0.7, 0.0), (Block(rng.choice(c.SHAPES), "red", *place),)), [1] * 12 + [0] * 4
+    """A random scene with a block ahead of the robot, and actions that push it."""
+    pose = rng.uniform(-0.14, 0.14), -0.2 + rng.uniform(-0.02, 0.02), rng.uniform(-0.6, 0.6)
+    return Scene(Robot(0.0, -0.7, 0.0), (Block(rng.choice(c.SHAPES), "red", *pose),)), [1] * 12 + [0] * 4
 
 
 def unseen() -> Iterator[str]:
-    """A table of how far bodies are from where they are in the rebuilt world: there, but nudged, and in ours."""
+    """A table of distances from the rebuilt simulation in new rollouts: of itself with nudged starts, and of ours."""
     yield "| Roll-outs | rebuilt, nudged | ours |\n| --- | --- | --- |"
     for draw in (gripping, pushing):
         rng, rows = np.random.default_rng(0), []
@@ -193,7 +199,7 @@ def unseen() -> Iterator[str]:
 
 
 def probes(cases: Mapping[str, Case]) -> Iterator[str]:
-    """A table of the families: how far off the body is that is furthest off."""
+    """A table of the error of the worst body in each family of probes."""
     rows: dict[str, list[tuple[float, ...]]] = {}
     for name, case in cases.items():
         pinned, hinged = (
@@ -211,7 +217,7 @@ def probes(cases: Mapping[str, Case]) -> Iterator[str]:
 
 
 def scores(cases: Mapping[str, Case]) -> Iterator[str]:
-    """A table of the tasks: mean final scores."""
+    """A table of the mean final scores in each task."""
     yield "| Task | recorded | rebuilt | nudged | kept | ours | nudged | kept |\n|" + " --- |" * 8
     for task in TASKS:
         names = [name for name in cases if name.startswith(task + "/")]
@@ -231,9 +237,9 @@ def _score(world: type[Original | Rollouts], name: str, case: Case, seed: int) -
 
 
 def main() -> None:
-    """The command."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="where probes.npz and human_replays.npz are")
+    parser.add_argument("folder", type=Path, help="the folder with probes.npz and human_replays.npz")
     folder = parser.parse_args().folder
     for table in (
         probes(recordings(folder / "probes.npz")),

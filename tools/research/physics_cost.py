@@ -1,9 +1,9 @@
-"""Prints what other settings of MuJoCo's solver would cost, and how far off they would be.
+"""Prints the cost and the errors of other settings of MuJoCo's solver.
 
     python tools/research/physics_cost.py
 
 Costs are milliseconds per action with ten blocks: apart, at rest in a heap, and in a heap that the robot pushes. Each
-action is timed as often as `REPEATS` says, and the fastest counts, for other programs only ever make it slower.
+action is timed `REPEATS` times, and the fastest counts, because other programs can only slow it down.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ EDITS: Final[dict[str, tuple[str, str]]] = {
     "CG": ('solver="Newton"', 'solver="CG"'),
     "PGS, 10 iterations": ('solver="Newton" jacobian="sparse" iterations="20"', 'solver="PGS" iterations="10"'),
 }
-"""Name -> what is replaced in the model's text, and by what."""
+"""Name -> (old, new) text in the model."""
 
 
-def ten(places: Sequence[tuple[float, float]], turn: float) -> Scene:
-    """Ten blocks, and the robot below."""
-    blocks = (Block(SHAPES[i % 4], "red", x, y, turn * i) for i, (x, y) in enumerate(places))
+def ten(positions: Sequence[tuple[float, float]], turn: float) -> Scene:
+    """A scene with ten blocks, and the robot below. Each block is rotated by `turn` (rad) more than the one before."""
+    blocks = (Block(SHAPES[i % 4], "red", x, y, turn * i) for i, (x, y) in enumerate(positions))
     return Scene(Robot(0.0, -0.55, 0.0), tuple(blocks))
 
 
@@ -52,7 +52,7 @@ PUSH: Final = (10,) * 6 + (4,) * 6 + (10,) * 12 + (13,) * 6
 
 
 def cost(scene: Scene, actions: Sequence[int]) -> tuple[float, float]:
-    """Milliseconds per action, and the mean number of contacts, those of feet and wheels with the floor included."""
+    """Milliseconds per action, and the mean number of contacts, including those of feet and wheels with the floor."""
     world, times, contacts = Rollouts(scene), np.full((REPEATS, len(actions)), np.inf), 0
     for repeat in range(REPEATS):
         world.roll(())
@@ -65,13 +65,13 @@ def cost(scene: Scene, actions: Sequence[int]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """The command."""
+    """Prints the tables."""
     cases = recordings(PROBES)
     print("| solver | apart | at rest | pushed | " + " | ".join(rollouts.AIMS) + " |")
     print("| --- |" + " --- |" * (3 + len(rollouts.AIMS)))
     for name, (old, new) in EDITS.items():
         if old not in world_mjcf(HEAP):
-            raise ValueError(f"the model no longer has the words {old!r}, which {name!r} replaces")
+            raise ValueError(f"the model no longer contains {old!r}, which {name!r} must replace")
         rollouts.world_mjcf = lambda *args, old=old, new=new, **more: world_mjcf(*args, **more).replace(old, new, 1)
         costs = [f"{cost(*case)[0]:.2f}" for case in ((APART, REST), (HEAP, REST), (HEAP, PUSH))]
         errors = [f"{mean:.3f} / {end:.3f}" for mean, end, _ in family_errors(cases).values()]

@@ -1,4 +1,4 @@
-"""Draws docs/physics.png: a dozen roll-outs of the original, and beside each of them ours. `make docs` runs this."""
+"""Draws docs/physics.png: a dozen rollouts of the original, each next to ours. `make docs` runs this."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ INK, PALE, TRACE, REFERENCE = "#333333", "#cfcfcf", "#1f6fb4", "#d62728"
 
 
 def parts(shapes: list[str], poses: Array, fingers: Array) -> list[Outline]:
-    """The outlines of the robot, of the four segments of its fingers, and of the blocks."""
+    """The outlines of the four finger segments, the robot, and the blocks."""
     segments = []
     for sign, angle in ((-1, fingers[0]), (1, fingers[1])):
         for outline in finger_outlines():
@@ -48,7 +48,7 @@ def parts(shapes: list[str], poses: Array, fingers: Array) -> list[Outline]:
 
 
 class Panel:
-    """A square part of the world."""
+    """A picture of a square part of the arena."""
 
     def __init__(self, centre: Array, half: float) -> None:
         side = PANEL * OVERSAMPLING
@@ -58,14 +58,14 @@ class Panel:
         self.line(c.ARENA_HALF_WIDTH * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]), "black", 2, closed=True)
 
     def line(self, points: Array, colour: str, width: float, *, closed: bool = False) -> None:
-        """A polyline in world units."""
+        """Draws a polyline with points in world units."""
         pixels = (points - self._corner) * [self._scale, -self._scale]
         if closed:
             pixels = np.vstack([pixels, pixels[:1]])
         self._draw.line([tuple(p) for p in pixels.tolist()], fill=colour, width=round(width * OVERSAMPLING))
 
     def motion(self, shapes: list[str], track: Array, fingers: Array) -> None:
-        """Start and some steps between in grey, the end in black, and the ways of all centres."""
+        """Draws the start and some steps in grey, the end in black, and the paths of all centres."""
         steps = range(0, len(track) - 1, max(1, len(track) // 4))
         for step in (*steps, len(track) - 1):
             last = step == len(track) - 1
@@ -75,14 +75,14 @@ class Panel:
             self.line(track[:, body, :2], TRACE, 1.6)
 
     def finished(self) -> Image.Image:
-        """The panel in its final size, in a frame."""
+        """The picture in its final size, with a frame."""
         image = self.image.resize((PANEL, PANEL), Image.Resampling.LANCZOS)
         ImageDraw.Draw(image).rectangle((0, 0, PANEL - 1, PANEL - 1), outline="#999999")
         return image
 
 
 def pair(case: Case) -> tuple[Image.Image, Image.Image]:
-    """The original, and ours with the end of the original in red."""
+    """Pictures of the original, and of ours with the end of the original in red."""
     scene, theirs = probe_scene(case), probe_poses(case).astype(float)
     ours, our_fingers = Rollouts(scene).roll(case["actions"].tolist())
     shapes = [block.shape for block in scene.blocks]
@@ -97,7 +97,7 @@ def pair(case: Case) -> tuple[Image.Image, Image.Image]:
 
 
 def picture(cases: Mapping[str, Case]) -> Image.Image:
-    """All pairs, with what they show and how far apart the two are."""
+    """All pairs, with descriptions and distances."""
     width, height = 2 * PANEL + GAP, PANEL + LABEL + GAP
     sheet = Image.new("RGB", (COLUMNS * (width + GAP), height * -(-len(CASES) // COLUMNS) + LABEL + GAP), "white")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)

@@ -1,4 +1,4 @@
-"""Roll-outs of our physics beside recordings of the original: short probes, and human action sequences."""
+"""Rollouts of our physics compared with recordings of the original: short probes, and human action sequences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magical_mj.scene import Block, Robot, Scene
 
 Array = NDArray[np.float64]
 Case = Mapping[str, NDArray[Any]]
-"""One recording: `actions`, and at each action step and before the first the poses of everything."""
+"""One recording: `actions`, and the poses of all bodies at the start and after each action."""
 
 AIMS: Final = {
     "drive": (0.010, 0.015),
@@ -28,7 +28,7 @@ AIMS: Final = {
     "spin": (0.050, 0.080),
     "wall": (0.020, 0.030),
 }
-"""Family of probes -> what the mean position error should be below: over the roll-out, and at its end."""
+"""Family of probes -> limits of the mean position error: the mean over a rollout, and the error at its end."""
 REPLAY_AIMS: Final = {
     "MoveToRegion": 1.0,
     "MoveToCorner": 0.95,
@@ -52,7 +52,7 @@ def recordings(path: Path) -> dict[str, dict[str, NDArray[Any]]]:
 
 
 class Rollouts:
-    """A compiled scene, from whose start action sequences are rolled out."""
+    """A compiled scene for rollouts of action sequences."""
 
     def __init__(self, scene: Scene, settings: PhysicsSettings = SETTINGS) -> None:
         self.world = World(scene)
@@ -61,12 +61,12 @@ class Rollouts:
         self._controls = controls(settings=settings)
 
     def roll(self, actions: Iterable[int]) -> tuple[Array, Array]:
-        """`go` from the start of the scene."""
+        """Resets to the start of the scene, then calls `go`."""
         mujoco.mj_resetData(self.model, self.data)
         return self.go(actions)
 
     def place(self, poses: Array, fingers: Array, velocity: Array, finger_velocity: Array, last: int) -> None:
-        """Everything as a recording has it at some moment, moving as it did after the action `last`."""
+        """Sets the poses and velocities of a recorded moment after the action `last`."""
         mujoco.mj_resetData(self.model, self.data)
         data, signal = self.data, self._controls[last]
         planar = self.world.poses(np.arange(self.model.nq))
@@ -81,7 +81,11 @@ class Rollouts:
         data.qpos[joint["castor"]] = -velocity[0, 2] * TIMESTEP
 
     def go(self, actions: Iterable[int]) -> tuple[Array, Array]:
-        """From here, poses (steps + 1, 1 + blocks, 3), the robot first, and finger angles (steps + 1, 2)."""
+        """Takes actions from the current state.
+
+        Returns:
+            The poses, shape (steps + 1, 1 + blocks, 3) with the robot first, and the finger angles, (steps + 1, 2).
+        """
         states = [self.data.qpos.copy()]
         for action in actions:
             self.act(action)
@@ -89,13 +93,13 @@ class Rollouts:
         return np.array([self.world.poses(s) for s in states]), np.array([self.world.fingers(s) for s in states])
 
     def act(self, action: int) -> None:
-        """One action."""
+        """Takes one action."""
         self.data.ctrl[:] = self._controls[action]
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
 
 
 def probe_scene(case: Case) -> Scene:
-    """The start of a probe."""
+    """The initial scene of a probe."""
     shapes, starts = case.get("shapes", ()), case["blocks"][0].tolist() if "blocks" in case else ()
     blocks = tuple(Block(str(shape), "red", *pose) for shape, pose in zip(shapes, starts, strict=True))  # type: ignore[arg-type]
     return Scene(Robot(*case["robot"][0].tolist()), blocks)
@@ -107,13 +111,13 @@ def probe_poses(case: Case) -> Array:
 
 
 def distances(one: Array, other: Array) -> Array:
-    """Of the body that is furthest off, at each step of two roll-outs."""
+    """The distance of the worst body at each step of two rollouts. Shape (steps + 1,)."""
     apart = one - other
     return np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
 
 
 def probe_errors(case: Case, settings: PhysicsSettings = SETTINGS) -> tuple[float, float, float]:
-    """Of the body that is furthest off: mean distance, distance at the end, and mean error of the angle."""
+    """The mean distance of the worst body, its distance at the end, and the mean angle error of the worst body."""
     track, _ = Rollouts(probe_scene(case), settings).roll(case["actions"].tolist())
     recorded = probe_poses(case)
     distance = distances(track, recorded)
@@ -131,12 +135,12 @@ def family_errors(cases: Mapping[str, Case], settings: PhysicsSettings = SETTING
 
 @functools.cache
 def demo_scene(task: str) -> Scene:
-    """Where human action sequences begin."""
+    """The initial scene of the human action sequences."""
     return sample_scene(task, "Demo", seed=0)
 
 
 def replays(cases: Mapping[str, Case], settings: PhysicsSettings, steps: int | None = None) -> dict[str, Array]:
-    """The poses that the first actions of human sequences lead through, for the tasks of `REPLAY_AIMS`."""
+    """The poses during the first `steps` actions of human sequences, for the tasks of `REPLAY_AIMS`."""
     by_task: dict[str, Rollouts] = {}
     tracks = {}
     for name, case in cases.items():
@@ -165,5 +169,5 @@ def task_means(rows: Mapping[str, float | Sequence[float]]) -> dict[str, Any]:
 
 
 def chosen(cases: Mapping[str, Case], keep: Callable[[str], bool]) -> dict[str, Case]:
-    """The cases whose name `keep` accepts."""
+    """The cases with names for which `keep` returns true."""
     return {name: case for name, case in cases.items() if keep(name)}

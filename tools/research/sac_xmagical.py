@@ -4,9 +4,10 @@
     python -m tools.research.sac_xmagical --plot docs/bodies-sac.png --out FOLDER    draws the curves of its runs
 
 The settings are XIRL's (Zakka et al. 2021): three stacked states, 5,000 random steps, a discount of 0.99, learning
-rates of 1e-4, a learnt temperature from 0.1, and an evaluation of 50 episodes by the mean action every 5,000 steps. On
-one core its networks of 2 x 1024 with batches of 1024 would take a day, so networks are 2 x 256 and batches 256
-(`--width`, `--batch`). A run goes on where it was stopped. FOLDER/curve.csv holds steps, mean score and mean return.
+rates of 1e-4, a learnt temperature from 0.1, and an evaluation of 50 episodes with the mean action every 5,000 steps.
+Its networks of 2 x 1024 with batches of 1024 would take a day on one core, so the defaults are networks of 2 x 256 and
+batches of 256 (`--width`, `--batch`). A stopped run is continued. FOLDER/curve.csv holds steps, mean score and mean
+return.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import magical_mj  # noqa: F401 - registers the ids
 
 EVERY, EPISODES, RANDOM_STEPS, STACK = 5_000, 50, 5_000, 3
 FIRST_TEST_SEED = 10_042
-"""Of the scenes of evaluations: XIRL takes other seeds than in training, too."""
+"""The first seed of evaluations. As in XIRL, it differs from the seeds of training."""
 
 
 def make(body: str, reward: str) -> gymnasium.Env[np.ndarray, np.ndarray]:
@@ -36,7 +37,7 @@ def make(body: str, reward: str) -> gymnasium.Env[np.ndarray, np.ndarray]:
 
 
 def evaluate(model: SAC, body: str, reward: str) -> tuple[float, float]:
-    """The mean score and the mean return of the mean action."""
+    """The mean score and the mean return of the policy's mean action."""
     scores, returns = [], []
     env = make(body, reward)
     for episode in range(EPISODES):
@@ -65,7 +66,7 @@ def plot(picture: Path, runs: Path) -> None:
 
 
 def main() -> None:
-    """Trains, and writes a line of the curve after every evaluation."""
+    """Trains a policy, and writes a line of the curve after every evaluation. With --plot, draws the curves instead."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--body", default="longstick")
     parser.add_argument("--reward", default="sparse")

@@ -1,10 +1,10 @@
-"""The suite xmagical beside measurements of the original simulation: free motion, rest, pushes, scores and draws.
+"""Compares the suite xmagical with measurements of the original: free motion, rest, pushes, scores and draws.
 
     python -m tools.research.xmagical [tests/data/xmagical_probes.json]
 
-prints the largest deviation of each kind, and its bound. The measurements are numbers that x-magical (c8d812e, pymunk
-5.6.0) returned; the file says what each column is. After the first contact both simulations are chaotic, so random
-sequences are compared until then.
+It prints the largest deviation of each kind, and its bound. The measurements are numbers that x-magical (c8d812e,
+pymunk 5.6.0) returned; the file describes the columns. Since both simulations are chaotic after the first contact,
+random sequences are compared until then.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ ACTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "close8_open": (0, 0, 1),
 }
 PARKED: Final = ((-0.95, 0.9, 0.0), (-0.7, 0.9, 0.0), (-0.95, 0.6, 0.0))
-"""Where debris was during free motion."""
+"""The poses of the debris during free motion."""
 FREE: Final = 10
-"""Steps of free motion that are compared."""
+"""The number of compared steps of free motion."""
 
 
 class Deviation(NamedTuple):
@@ -65,7 +65,7 @@ def start(
     debris: Sequence[Sequence[float]] | None = None,
     fingers: Sequence[float] = (FINGER_OPEN, -FINGER_OPEN),
 ) -> Engine:
-    """An engine in which the robot and the debris are in these places."""
+    """An engine with the robot and the debris at these poses."""
     scene = replace(DEMO, robot=replace(DEMO.robot, body=body, fingers=tuple(fingers)))
     return Engine("SweepToTop", scene=scene.moved(robot, debris), body=body)
 
@@ -76,7 +76,7 @@ def poses(scene: Scene) -> NDArray[np.float64]:
 
 
 def free_motion(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
-    """Driving, turning, stopping and fingers, in the first steps."""
+    """The deviations of driving, turning, stopping and fingers in the first steps."""
     name = body.capitalize()
     for kind, action in ACTIONS.items():
         rows = probes["response"][name].get(kind, [])[: FREE + 4 if "zero" in kind else FREE]
@@ -89,7 +89,7 @@ def free_motion(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
             elif kind == "close8_open" and step >= 8:
                 command = [0, 0, -1]
             engine.step(command[: 3 if body == "gripper" else 2])
-            if touches(engine):  # the long stick wedges itself between two walls
+            if touches(engine):  # the long stick gets stuck between two walls
                 break
             robot = engine.scene.robot
             error = np.abs(np.array([*robot.pose, *robot.fingers][: 3 + len(row[6:])]) - [*row[:3], *row[6:]])
@@ -99,7 +99,7 @@ def free_motion(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
 
 
 def turn_rates(probes: Mapping[str, Any], body: str) -> Deviation:
-    """The steady rate of nine commands (rad/s)."""
+    """The deviation of the steady turn rate (rad/s) over nine commands."""
     worst = 0.0
     for command, rate in probes["turn_rate"][body.capitalize()]:
         engine = start(body, (0.0, 0.0, 0.0), PARKED)
@@ -112,11 +112,11 @@ def turn_rates(probes: Mapping[str, Any], body: str) -> Deviation:
 
 
 RESTS: Final = {"shortstick": (1.0509, -1.0509), "mediumstick": (1.0509, -1.0509), "longstick": (1.0509, -1.0509)}
-"""y at rest against the top and the bottom wall; of the gripper, which faces the top, see `resting`."""
+"""y at rest against the top and the bottom wall. `resting` has the values of the gripper, which faces the top."""
 
 
 def resting(body: str) -> Deviation:
-    """Where the robot rests against walls, with the debris parked aside."""
+    """The deviation of the robot's rest positions at the walls, with the debris at the sides."""
     top, bottom = RESTS.get(body, (0.7552, -0.9050))
     worst = 0.0
     aside = [(x, 0.0, 0.0) for x in (-0.98, 0.0, 0.98)]
@@ -129,7 +129,10 @@ def resting(body: str) -> Deviation:
 
 
 def pushes(probes: Mapping[str, Any], body: str) -> tuple[Deviation, Deviation]:
-    """A straight drive in Demo: the debris, and the robot, which the original squeezes into it for a step."""
+    """The deviations of debris and robot in a straight drive in Demo.
+
+    In the original, the robot penetrates the debris for a step.
+    """
     engine, debris, robot = start(body), np.zeros(2), np.zeros(2)
     for row in probes["response"][body.capitalize()]["push_demo_forward"]:
         engine.step([1, 0, 0][: 3 if body == "gripper" else 2])
@@ -143,7 +146,7 @@ def pushes(probes: Mapping[str, Any], body: str) -> tuple[Deviation, Deviation]:
 
 
 def sequences(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
-    """Random sequences, compared every 5 steps before the robot first touches anything."""
+    """The deviations in random sequences, every 5 steps until the robot's first contact."""
     for sequence in probes["random_sequences"][body.capitalize()]:
         begin = sequence["start"]
         engine = start(body, begin["robot"], begin["debris"], begin.get("fingers", (FINGER_OPEN, -FINGER_OPEN)))
@@ -181,7 +184,7 @@ def scores(probes: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def drawn(probes: Mapping[str, Any]) -> int:
-    """How many of the original's draws differ from ours by `original_scene`."""
+    """The number of the original's draws that differ from those of `original_scene`."""
     caps = ("robot_pos", "robot_rot", "robot_finger", "shape_trans", "shape_rot")
     wrong = 0
     for variant, rows in probes["reset_draws"].items():

@@ -1,7 +1,7 @@
-"""What evaluations planned to play, and how that differs from the official protocol.
+"""Which episodes evaluations planned, and how their settings differ from the official protocol.
 
-Both follow from ``run.json``. Where it is missing, every environment is expected to have all seeds from the lowest to
-the highest one in ``scores.jsonl``; an entry of the leaderboard is expected to have those of its protocol.
+Both are read from ``run.json``. If that file is missing, every environment is expected to have all seeds from the
+lowest to the highest in ``scores.jsonl``. A leaderboard entry is expected to have the seeds of the protocol.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Settings = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Gap:
-    """Episodes of a run in an environment that were planned and are missing. `environment` includes the shift."""
+    """An environment in which a run lacks planned episodes. `environment` includes the shift."""
 
     policy: str
     run: int
@@ -49,13 +49,13 @@ class Gap:
 
 @dataclass(frozen=True)
 class Provenance:
-    """How the episodes of a report came about.
+    """How the episodes of a report were produced.
 
     Attributes:
-        gaps: the runs and environments in which planned episodes are missing.
-        deviations: differences from the official protocol, in a few words each. Shifts and variants are not among
-            them, since tables show them.
-        facts: the recorded numbers of protocols, such as "protocol 1".
+        gaps: runs and environments with missing episodes.
+        deviations: differences from the official protocol, in a few words each. Shifts and variants do not count as
+            differences, since the tables show them.
+        facts: the recorded protocol numbers, such as "protocol 1".
     """
 
     gaps: tuple[Gap, ...]
@@ -64,7 +64,7 @@ class Provenance:
 
 
 def provenance(folders: Sequence[Path], scores: pd.DataFrame) -> Provenance:
-    """How the episodes in these folders came about; `scores` has a row for each."""
+    """How the episodes in these folders were produced. `scores` has a row for each episode."""
     settings = {folder: {} if is_entry(folder) else recorded_settings(folder) for folder in folders}
     plan: dict[Group, set[range]] = defaultdict(set)
     for folder in folders:
@@ -76,7 +76,7 @@ def provenance(folders: Sequence[Path], scores: pd.DataFrame) -> Provenance:
 
 
 def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator[tuple[Group, range]]:
-    """The seeds of each run in each environment, by the settings, or else by the scores of this folder."""
+    """The planned seeds of each run in each environment: from the settings, or without settings from the scores."""
     if settings:
         first = SPLITS.get(settings["split"], 0) + settings["first_seed"]
         seeds = range(first, first + settings["episodes"])
@@ -89,7 +89,7 @@ def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator
 
 
 def _groups(settings: Settings, played: Set[tuple[str, str]]) -> Iterator[Group]:
-    """What was to be played; `played` are tasks with shifts in which there are episodes."""
+    """The runs and environments that the settings plan. `played` holds the (task, shift) pairs that have episodes."""
     policies = [
         (method_name(name, settings["body"], settings["wrap"]), run)
         for name, run, _ in recorded_policies(dict(settings))
@@ -101,7 +101,7 @@ def _groups(settings: Settings, played: Set[tuple[str, str]]) -> Iterator[Group]
 
 
 def _can_have(task: str, shift: str) -> bool:
-    """Whether a task is played with a shift, as far as that is known without running a user's code."""
+    """Whether a task supports a shift. False for tasks and shifts of users, since their code is not run here."""
     if not shift:
         return True
     if task not in KNOWN or not all(named_in(part) in (*SHIFTS, *BODIES) for part in shift.split("+")):
@@ -114,7 +114,7 @@ def _can_have(task: str, shift: str) -> bool:
 
 
 def _merged(seeds: Set[range]) -> list[range]:
-    """The same seeds as ranges that do not overlap: several folders may hold parts of a run."""
+    """The same seeds as ranges that do not overlap. Ranges overlap if several folders hold parts of a run."""
     merged: list[range] = []
     for part in sorted(seeds, key=lambda part: part.start):
         if merged and part.start <= merged[-1].stop:
@@ -157,7 +157,7 @@ def _deviations(
         if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
             yield text.format(", ".join(map(str, others)))
     if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
-        yield f"tasks that are not of the benchmark: {', '.join(own)}"
+        yield f"tasks from outside the benchmark: {', '.join(own)}"
 
 
 def _facts(known: Sequence[Settings]) -> Iterator[str]:
@@ -167,7 +167,7 @@ def _facts(known: Sequence[Settings]) -> Iterator[str]:
 
 
 def played_shifts(scores: pd.DataFrame) -> str:
-    """The shifts that were played, such as "camera:1-5, light:2"; empty if none was."""
+    """The shifts that were played, such as "camera:1-5, light:2". Empty without shifts."""
     strengths: dict[str, list[int]] = defaultdict(list)
     names: list[str] = []
     for label in filter(None, map(str, scores["shift"].cat.categories)):

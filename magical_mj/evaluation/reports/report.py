@@ -1,4 +1,4 @@
-"""Reports: figures, tables and a page that shows them, made from the files of evaluations only."""
+"""Reports: a page with tables and figures. Everything in it is computed from the files of evaluations."""
 
 from __future__ import annotations
 
@@ -68,22 +68,28 @@ NO_ENVIRONMENT: Final = "#e4e4e4"
 
 
 def check_free(out: Path, others: Sequence[str] = ()) -> bool:
-    """Whether a folder, which need not exist, holds an earlier report.
+    """Whether a folder holds an earlier report. The folder may be missing.
+
+    Args:
+        out: the folder.
+        others: names of further files that the caller will write there.
 
     Raises:
-        EvaluationError: if there is none, but files with the names of ours, or of `others` that will be made beside.
+        EvaluationError: if the folder holds no report, but a file with the name of one that would be written.
     """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
         return True
     for name in (PAGE, *FIGURES, *FILES, *others):
         if (out / name).exists():
-            raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
+            raise EvaluationError(
+                f"{out / name} does not belong to an earlier report: move it, or choose another folder"
+            )
     return False
 
 
 def begin(out: Path, others: Sequence[str] = ()) -> bool:
-    """Begins the page, if there is none: by it, the files of a report that was interrupted are known as ours.
+    """Writes the first lines of the page unless it exists. They mark the folder as a report even if the rest fails.
 
     Arguments, result and errors are those of `check_free`, but the folder must exist.
     """
@@ -102,23 +108,23 @@ def report(
     rules: Rules | None = None,
     links: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
-    """Writes the tables (Markdown, CSV) and figures of some evaluations.
+    """Writes the tables (Markdown, CSV) and figures of one or several evaluations.
 
     Args:
         folders: the folders of the evaluations, or entries of the leaderboard.
         out: the folder for the report; files of an earlier report are replaced.
         with_published: show the paper's results as well.
         mixed_presets: allow policies with different observations in one report.
-        rules: by which all episodes are scored; those that were scored by others are replayed.
+        rules: score all episodes by these rules. Episodes that were scored by others are replayed.
         links: description -> file in `out`, for links on the page.
 
     Returns:
         The path of the page, in Markdown.
 
     Raises:
-        SettingsError: if a single folder is given instead of several.
-        EvaluationError: if a folder is not an evaluation, two of them cannot be combined, or `out` holds files with
-            the names of the report's that are not of an earlier one.
+        SettingsError: if `folders` is a single path instead of a list.
+        EvaluationError: if a folder is not an evaluation, if two of them cannot be combined, or if `out` holds files
+            with the same names that do not belong to an earlier report.
         MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
@@ -126,7 +132,7 @@ def report(
 
 
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
-    """The part of `report` that writes the files; see there."""
+    """Writes the files of `report` from data that were read already. Returns the path of the page."""
     out = files.to_path(out)
     _load_matplotlib()
     shifts = by_shift(data.scores)
@@ -164,7 +170,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     for name, text in texts.items():
         files.write(out / name, text, overwrite=True)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # method names may be in any script
         for name, figure in draw.items():
             drawing = figure()
             for suffix in ("png", "pdf"):
@@ -174,10 +180,10 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
 
 
 def _load_matplotlib() -> None:
-    """Imports matplotlib as if MPLBACKEND were not set, and then takes the backend that it names, if there is one.
+    """Imports matplotlib without MPLBACKEND, then selects the backend that it names if that backend exists.
 
-    Processes that a notebook starts with another Python inherit the notebook's backend, without which matplotlib
-    refuses to be imported. Our figures use no backend.
+    A notebook sets MPLBACKEND for its child processes. If a child's Python lacks that backend, importing matplotlib
+    fails, although these figures need no backend.
     """
     backend = os.environ.pop("MPLBACKEND", None)
     try:
@@ -191,12 +197,12 @@ def _load_matplotlib() -> None:
 
 
 def _sentences(*parts: str) -> str:
-    """The parts that are not empty as sentences, without the last full stop."""
+    """The nonempty parts, joined as sentences without the last full stop."""
     return ". ".join(filter(None, parts))
 
 
 def _settings(data: Results) -> str:
-    """What was played, in a paragraph."""
+    """A paragraph about the episodes: their number, environments, seeds, shifts, rules, observations and versions."""
     scores = data.scores
     presets = ", ".join(map(escape.markdown_code, scores["preset"].dropna().unique()))
     count = scores["policy"].nunique()
@@ -217,7 +223,10 @@ def _settings(data: Results) -> str:
 
 
 def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]:
-    """The episodes for videos: the best and the worst of each policy and task (the first of equals), if they differ."""
+    """The episodes for videos: the best and the worst of each policy and task. Of equal scores, the first counts.
+
+    If all scores of a policy and task are equal, there is only a best one.
+    """
     best: dict[tuple[str, str], EpisodeResult] = {}
     worst: dict[tuple[str, str], EpisodeResult] = {}
     for score in scores:
@@ -232,7 +241,7 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
 
 
 def heat_map(results: Results) -> Figure:
-    """For each method, its mean score in every environment; grey where there is no such environment."""
+    """A panel for each method with its mean score in every environment. Pairs without an environment are grey."""
     policies, height = results.policies, PANEL[1] if len(results.tasks) > 1 else ONE_TASK
     figure, panels = panels_of(len(policies), PANELS_PER_ROW, (PANEL[0], height))
     image: Any = None
@@ -265,7 +274,7 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
 
 
 def bars(results: Results) -> Figure:
-    """For each method, its mean score over tasks in the demo and in each test variant, with 95 % intervals."""
+    """Bars for each method: the mean score over tasks in the demo and in each test variant, with 95 % intervals."""
     from matplotlib.figure import Figure
 
     rows = math.ceil(len(results.policies) / BARS_PER_ROW)
@@ -287,7 +296,7 @@ def bars(results: Results) -> Figure:
 
 
 def _write_below(figure: Figure, *lines: str) -> None:
-    """Small text below all panels, broken into lines that fit."""
+    """Writes small text below all panels, wrapped to the width of the figure."""
     width = int(figure.get_figwidth() / LETTER)
     text = "\n".join(textwrap.fill(line, width) for line in lines if line)
     if text:
@@ -303,30 +312,30 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
         rows = results.variants[results.variants["variant"] == variant].set_index("policy").reindex(policies)
         means, low, high = (rows[name].to_numpy(float) for name in ("mean", "low", "high"))
         ends = np.stack([means - low, high - means]).clip(min=0)
-        places = np.arange(len(policies)) + (index - (len(VARIANTS) - 1) / 2) * width
-        drawn = axes.bar(places, means, width * 0.92, color=colour, label=variant)
+        centres = np.arange(len(policies)) + (index - (len(VARIANTS) - 1) / 2) * width
+        drawn = axes.bar(centres, means, width * 0.92, color=colour, label=variant)
         for bar, end, row in zip(drawn, ends[1], rows.itertuples(), strict=True):
             if isinstance(row.missing, str) and row.missing:
                 bar.set(hatch="////", edgecolor="white", linewidth=0)
-                place = bar.get_x() + bar.get_width() / 2, bar.get_height() + np.nan_to_num(end) + 0.015
+                point = bar.get_x() + bar.get_width() / 2, bar.get_height() + np.nan_to_num(end) + 0.015
                 text: dict[str, Any] = {"ha": "center", "va": "bottom", "rotation": 90, "fontsize": 6, "color": "#444"}
-                axes.annotate(share(row), place, annotation_clip=False, **text)  # above bars of 1.0, too
+                axes.annotate(share(row), point, annotation_clip=False, **text)  # unclipped: bars of 1.0 reach the top
         known = ~np.isnan(ends).any(axis=0)
         lines: dict[str, Any] = {"fmt": "none", "ecolor": "#444", "elinewidth": 0.8, "capsize": 1.5}
-        axes.errorbar(places[known], means[known], ends[:, known], **lines)
+        axes.errorbar(centres[known], means[known], ends[:, known], **lines)
     published = set(results.variants[results.variants["published"]]["policy"])
     names = [escape.mathtext(marked(name, name in published)).replace(", ", ",\n") for name in policies]
     axes.set_xticks(range(len(policies)), names)
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.55, columns - 0.45)
-    axes.set_ylim(0, 1.2 if results.variants["missing"].ne("").any() else 1.02)  # labels stand above bars of 1.0
+    axes.set_ylim(0, 1.2 if results.variants["missing"].ne("").any() else 1.02)  # room for labels above bars of 1.0
     axes.set_yticks(np.linspace(0, 1, 6))
     axes.set_ylabel("mean score over tasks")
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float = 0.0) -> Any:
-    """A figure, and the array of its axes, of which the first `count` are shown. `size` and `legend` are in inches."""
+    """A figure and the array of its axes. The first `count` axes are visible. `size` and `legend` are in inches."""
     from matplotlib.figure import Figure
 
     columns = min(per_row, count)
@@ -341,7 +350,7 @@ def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float
 def shift_curves(shifts: pd.DataFrame, mark: str) -> Figure:
     """The score of each method over the strength of each shift, with the interval of its difference from strength 0.
 
-    `mark` is written below them.
+    `mark` is a note that is written below the panels.
     """
     single = shifts[shifts["strength"].notna()]
     axes_of_shifts = list(dict.fromkeys(single["axis"]))

@@ -1,6 +1,6 @@
 """The data of a report: scores from one or several folders, their statistics, and comparisons of two policies.
 
-Scores are read line by line into columns, so that a million episodes fit into memory; their actions are left out.
+Scores are read line by line into columns, so that a million episodes fit into memory. Actions are not kept.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
 """What identifies an episode."""
 KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
 NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl")
-"""The columns of texts, which are categories; a last one, `folder`, says where an episode stands."""
+"""The text columns, stored as categories. One more, `folder`, holds the folder of each episode."""
 SAME: Final = [*KEY, *KINDS, "score", "actions"]
-"""What two records of one episode must agree in."""
+"""The columns in which two records of one episode must agree."""
 
 ALIKE: Final = {
-    "rules": "their scores do not compare; report --rules scores all by the same again",
-    "worlds": "scores of batched worlds are approximate, and reported by themselves",
-    "split": "results are those on test, and dev stands by itself",
+    "rules": "such scores cannot be compared; report --rules scores all episodes again by the same rules",
+    "worlds": "scores of batched worlds are approximate: report them separately",
+    "split": "results are scores on test: report those on dev separately",
 }
-"""What scores must have in common, and why."""
+"""The columns that must be the same for all scores, and why."""
 PUBLISHED_RULES: Final = "released"
-"""The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
-by the paper's formula an agent that does nothing has 0.25."""
+"""The paper's results were scored by the authors' code, in its simulator. Evidence: AL scores 0.00 on ClusterShape's
+demo, but by the paper's formula an agent that does nothing scores 0.25."""
 PUBLISHED_RUNS: Final = 5
 PUBLISHED_EPISODES: Final = 100
 """The number of episodes of each run in each environment."""
 ALL: Final = "all of them"
-"""The row of a comparison that is about all variants."""
+"""The name of a comparison's row over all variants."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class Results:
 
     Attributes:
         scores: a row for each episode; see `gather`.
-        environments: a row for each policy and environment that was played without shifts; `published` says whether it
-            is a published result, `rules` how it was scored.
-        variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
-        lacks_published: whether the paper's results were wanted, and it has none in these tasks.
-        provenance: what was planned, and how it differs from the official protocol.
+        environments: a row for each policy and environment that was played without shifts. `published` is true for the
+            paper's results; `rules` are the rules of the scores.
+        variants: a row for each policy and variant, over tasks; `missing` names the tasks without episodes.
+        lacks_published: whether the paper's results were requested, but the paper has none in these tasks.
+        provenance: the planned episodes, and the differences from the official protocol.
     """
 
     scores: pd.DataFrame
@@ -74,13 +74,13 @@ class Results:
 
     @property
     def mark(self) -> str:
-        """A sentence for every table and figure of results that are not official; empty if they are."""
+        """A note for tables and figures: how the results differ from the official protocol. Empty if they do not."""
         differs = "; ".join(self.provenance.deviations)
         return f"Not by the official protocol: {differs}" if differs else ""
 
     @property
     def policies(self) -> list[str]:
-        """The methods in their order, the published ones last."""
+        """The methods in the order of tables, the published ones last."""
         return list(dict.fromkeys(self.environments["policy"]))
 
     @property
@@ -90,11 +90,11 @@ class Results:
 
 
 def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None) -> pd.DataFrame:
-    """The scores of all folders, a row for each episode, in a fixed order; arguments are those of `report`.
+    """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
 
     Returns:
-        A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions`, a checksum. What several
-        folders hold is there once. Methods that were played in a wrapper are called after it, too.
+        A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions` (a checksum). An episode that
+        is in several folders has one row. The name of a method includes its wrapper.
 
     Raises:
         EvaluationError: if there are no folders, one is not an evaluation, two hold the same episode with different
@@ -105,7 +105,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
     check_trainings(folders)
     scores = _read(folders, rules)
     check_alike(scores)
-    scores = scores.drop_duplicates(SAME)  # a folder that was copied, or added to, agrees with the other
+    scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes
     twice = scores[scores.duplicated(KEY, keep=False)]
     if len(twice):
         first, second = twice.iloc[0], twice.iloc[1]
@@ -171,7 +171,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
 
 
 def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
-    """Raises an `EvaluationError`, which ends in the consequence, unless a column is the same for all scores.
+    """Raises an `EvaluationError` unless a column is the same for all scores. Its message ends with `consequence`.
 
     None matches anything.
     """
@@ -182,9 +182,9 @@ def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
 
 
 def check_alike(scores: pd.DataFrame) -> None:
-    """Raises an `EvaluationError` for `ALIKE`, and if a seed's scene has two digests: such scores do not compare.
+    """Raises an `EvaluationError` if a column of `ALIKE` differs, or if the scenes of a seed have different digests.
 
-    Scenes whose digest was not recorded match any.
+    A missing digest matches any other.
     """
     for what, consequence in ALIKE.items():
         check_same(scores, what, consequence)
@@ -195,7 +195,7 @@ def check_alike(scores: pd.DataFrame) -> None:
         first, second = differing.iloc[:2].itertuples()
         raise EvaluationError(
             f"different scenes in {first.task} {first.variant}, seed {first.seed}: {first.scene} in {first.folder}, "
-            f"{second.scene} in {second.folder}; they follow different protocols, and their scores do not compare: "
+            f"{second.scene} in {second.folder}; they follow different protocols, so their scores cannot be compared: "
             "evaluate both with one version"
         )
 
@@ -206,13 +206,16 @@ def results(
     mixed_presets: bool = False,
     rules: Rules | None = None,
 ) -> Results:
-    """The data of a report on these folders, as `gather`. Published methods must not have the names of others."""
+    """The data of a report on these folders. Arguments and errors are those of `gather`.
+
+    With `with_published`, a method that has the name of a published one is an `EvaluationError`.
+    """
     import pandas as pd
 
     scores = gather(folders, mixed_presets, rules)
     plain = scores[scores["shift"] == ""]
     if plain.empty:
-        raise EvaluationError("all episodes are shifted: evaluate --resume plays the others, too")
+        raise EvaluationError("all episodes are shifted: evaluate --resume plays those without shifts")
     tasks = in_order(plain["task"])
     shows_published = with_published and bool(set(tasks) & set(TASKS))
     own = list(scores["policy"].cat.categories)
@@ -237,13 +240,20 @@ def results(
 
 
 def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
-    """The tasks over which means are taken: an only one, or the benchmark's, or if there are none, users' own."""
+    """The tasks over which means are taken.
+
+    If only one task was played, or none of the benchmark's, these are the played tasks. Otherwise, they are the
+    benchmark's.
+    """
     played = in_order(tasks)
     return list(TASKS) if len(played) > 1 and set(played) & set(TASKS) else played
 
 
 def expected_environments(environments: pd.DataFrame) -> list[Pair]:
-    """The environments of the tasks over which means are taken; of users' own tasks, those that were played."""
+    """All environments of the benchmark's tasks over which means are taken.
+
+    If there are no such tasks, the environments that were played.
+    """
     own = environments[~environments["published"]]
     counted = counted_tasks(own["task"])
     benchmark = [pair for pair in ENVIRONMENTS if pair[0] in counted]
@@ -258,7 +268,7 @@ def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
 
 
 def _missing(environments: pd.DataFrame, variants: pd.DataFrame) -> list[str]:
-    """For each row of `variants`, the names of the tasks that it lacks, separated by commas."""
+    """For each row of `variants`, the names of the tasks without episodes, separated by commas."""
     own = environments.loc[~environments["published"], ["policy", "task", "variant"]]
     played = set(own.itertuples(index=False, name=None))
     pairs = expected_environments(environments)
@@ -295,7 +305,7 @@ def published_by_variant(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
     rows = []
     for (policy, variant), group in published_by_environment(tasks).groupby(["policy", "variant"], sort=False):
         means, stds = group["mean"].to_numpy(float), group["std"].to_numpy(float)
-        spread = float(np.sqrt((stds**2).mean() + means.var()))  # of all run means: within tasks and between them
+        spread = float(np.sqrt((stds**2).mean() + means.var()))  # variance within tasks plus variance between them
         episodes = PUBLISHED_RUNS * PUBLISHED_EPISODES * len(group)
         counts = {"tasks": len(group), "runs": PUBLISHED_RUNS, "episodes": episodes}
         rows.append({"policy": policy, "variant": variant, "mean": means.mean(), "std": spread, **counts})
@@ -327,18 +337,18 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 
     Args:
         first: the folder of an evaluation, or ``DIR:POLICY`` if it holds several policies.
-        second: likewise.
+        second: the other policy, in the same form.
 
     Returns:
-        A row for each variant, and each shift of it, and one for all that is not shifted: the mean scores (`first`,
+        A row for each variant and shift, and one over all variants without shifts. Columns: the mean scores (`first`,
         `second`), their `difference` and its 95 % interval (`low`, `high`), in how many scenes the first was `better`
-        or `worse`, of how many `scenes` in how many `environments`, and how many other scenes only one of them has
-        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`, and the `split`.
+        or `worse`, the numbers of common `scenes` and `environments`, and the number of scenes that only one of them
+        has played (`unpaired`). Its `attrs` hold the names of the `policies` and the `split`.
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
-        EvaluationError: if they were scored by different rules or in different kinds of worlds, their seeds' scenes
-            differ, or they have no scene in common.
+        EvaluationError: if they were scored by different rules or in different kinds of worlds, if the scenes of a
+            seed differ, or if they have no scene in common.
     """
     check_extra("comparisons", "eval")
     import pandas as pd
@@ -365,7 +375,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 
 
 def _comparison(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
-    """A row of a comparison, from the mean scores in all scenes and in those that both have played."""
+    """A row of a comparison. `both` has the mean scores in all scenes, `paired` those in the common scenes."""
     difference = paired["first"] - paired["second"]
     return {
         "variant": variant,

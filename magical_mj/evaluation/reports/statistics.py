@@ -1,16 +1,16 @@
-"""From scores to means, spreads, interquartile means and intervals.
+"""Means, spreads, interquartile means and confidence intervals of scores.
 
-The unit of the paper's statistics is the mean score of one run (one trained policy) in one environment. Its spreads
-are standard deviations of such run means (ddof = 0), within an environment over runs, and within a variant over tasks
-and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
+The unit of the paper's statistics is the run mean: the mean score of one run (one trained policy) in one environment.
+A spread is the standard deviation of run means (ddof = 0): within an environment over runs, and within a variant over
+tasks and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
 
 Intervals come from a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. If a
-task has only one run, its episodes are resampled instead; that interval covers the randomness of the episodes but not
+task has only one run, its episodes are resampled instead. That interval covers the randomness of the episodes but not
 that of training.
 
-All tasks have equal weight. If some have more runs than others, the interquartile mean is taken of the tasks' means.
+All tasks have equal weight. If some tasks have more runs than others, the interquartile mean is that of the task means.
 
-Shifts are compared with strength 0, the distractor-free control: the same policies in the same scenes without them.
+Shifts are compared with strength 0, the control: the same policies in the same scenes without the shift.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ Floats = NDArray[np.float64]
 RESAMPLES: Final = 2000
 CONFIDENCE: Final = 0.95
 AT_ONCE: Final = 50_000_000
-"""The largest number of resampled values that are held at a time; each takes 16 bytes."""
+"""The largest number of resampled values in memory at a time. Each takes 16 bytes."""
 
 
 class Summary(NamedTuple):
-    """The statistics of some run means, with the bounds of the two means' intervals; NaN where there are too few."""
+    """The mean and the interquartile mean of run means with their intervals. NaN where there are too few runs."""
 
     mean: float
     std: float
@@ -57,7 +57,7 @@ def interquartile_mean(values: Floats, axis: int = -1) -> Any:
 
 
 def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
-    """The statistics over tasks, all of equal weight: for each task, for each run, the scores of its episodes."""
+    """The statistics over tasks, which have equal weight. `tasks[i][j]` are the episode scores of run j in task i."""
     means, strata = _means_and_strata(tasks)
     mean = float(_mean_of_means(*means))
     variance = np.mean([np.square(values - mean).mean() for values in means])
@@ -74,15 +74,18 @@ def robust_mean(tasks: Sequence[Sequence[Floats]]) -> tuple[float, float, float]
 
 
 def _means_and_strata(tasks: Sequence[Sequence[Floats]]) -> tuple[list[Floats], list[Floats]]:
-    """For each task, the means of its runs, and what is resampled: these, or the scores of an only run."""
+    """For each task, the run means and the values that are resampled.
+
+    The latter are the run means, or if there is only one run, its episode scores.
+    """
     means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
     return means, [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
 
 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """The percentile interval of a statistic; each stratum is resampled separately. NaN if one has a single value.
+    """The percentile interval of a statistic. Each stratum is resampled separately. NaN if one has a single value.
 
-    The statistic is a function of the strata along an axis: ``statistic(*strata, axis=-1)``.
+    The statistic is called as ``statistic(*strata, axis=-1)``.
     """
     from scipy.stats import bootstrap as scipy_bootstrap
 
@@ -108,12 +111,12 @@ def mean_interval(strata: Sequence[Floats]) -> tuple[float, float]:
 
 
 def paired_means(pairs: pd.DataFrame, first: str, second: str) -> dict[str, Any]:
-    """The mean scores of two sides in the same scenes; all environments have equal weight.
+    """Compares the mean scores of two policies in the same scenes. All environments have equal weight.
 
     Args:
-        pairs: a row for each scene with the two scores; its index says the environment, and as `seed` the scene.
-        first: the column of one side.
-        second: that of the other.
+        pairs: a row for each scene with the two scores. The index holds the environment, and the scene as `seed`.
+        first: the column of one policy.
+        second: the column of the other policy.
 
     Returns:
         Both means, the `difference` of the first from the second and its 95 % interval (`low`, `high`), which resamples
@@ -146,25 +149,30 @@ def _iqm_of_values(*strata: Floats, axis: int = -1) -> Any:
 def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> float:
     """Spearman's rank correlation of two methods' mean scores, over the environments that both have.
 
-    Environment -> a mean score, or the mean scores of several runs, of either. In [-1, 1]; NaN if one of the methods
-    has the same score everywhere, or there are fewer than two environments.
+    Args:
+        first: environment -> a mean score, or the mean scores of several runs.
+        second: the same for the other method.
+
+    Returns:
+        A number in [-1, 1]. NaN if one of the methods has the same score everywhere, or if there are fewer than two
+        common environments.
     """
     from scipy.stats import spearmanr
 
     pairs = [(np.mean(first[key]), np.mean(second[key])) for key in first if key in second]
-    means = np.round(pairs, 9)  # so that means of the same scores in another order are equal
+    means = np.round(pairs, 9)  # means of the same scores in another order must be equal
     if len(means) < 2 or (np.ptp(means, axis=0) == 0).any():
         return float("nan")
     return float(spearmanr(means[:, 0], means[:, 1]).statistic)
 
 
 def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
-    """The statistics of each policy in each environment, one row each: over runs. `scores` has a row per episode."""
+    """The statistics over runs, a row for each policy and environment. `scores` has a row per episode."""
     return _by(["policy", "task", "variant"], scores).drop(columns="tasks")
 
 
 def by_variant(scores: pd.DataFrame) -> pd.DataFrame:
-    """The statistics of each policy in each variant, one row each: over the tasks that were played."""
+    """The statistics over the played tasks, a row for each policy and variant."""
     return _by(["policy", "variant"], scores).drop(columns="failures")
 
 
@@ -187,16 +195,16 @@ def _by(keys: list[str], scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
-    """How each policy does under each shift, and without it in the same scenes.
+    """The scores of each policy under each shift and without it in the same scenes.
 
     Args:
         scores: a row for each episode; see `magical_mj.evaluation.reports.results.gather`.
 
     Returns:
-        A row for each policy and shift: the `axis` and its `strength` (NaN of several, and of bodies), the mean score
-        with the shift (`mean`) and without it (`without`), the `difference` and its 95 % interval (`low`, `high`), and
-        the numbers of `scenes` and `environments`. The interval resamples the scenes of each environment. Scores of
-        several runs in one scene are averaged first; all environments have equal weight.
+        A row for each policy and shift: the `axis` and its `strength` (NaN for combined shifts and for bodies), the
+        mean score with the shift (`mean`) and without it (`without`), the `difference` and its 95 % interval (`low`,
+        `high`), and the numbers of `scenes` and `environments`. The interval resamples the scenes of each environment.
+        Scores of several runs in one scene are averaged first. All environments have equal weight.
     """
     import pandas as pd
 
@@ -227,7 +235,7 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def curve(rows: pd.DataFrame) -> dict[int, float]:
-    """The mean score at each strength that was played, from the rows of one policy and axis; 0 is without the shift."""
+    """The mean score at each played strength, from the rows of one policy and axis. Strength 0 is without the shift."""
     points = {int(row.strength): float(row.mean) for row in rows.itertuples()}
     return {0: float(rows["without"].iloc[0]), **dict(sorted(points.items()))}
 
@@ -240,6 +248,6 @@ def area(points: dict[int, float]) -> float:
 
 
 def half_lost(points: dict[int, float]) -> int | None:
-    """The first strength at which at most half of the score at strength 0 is left; None if there is none."""
+    """The first strength at which the score is at most half of that at strength 0. None if it never is."""
     lost = [strength for strength, score in points.items() if strength and score <= points[0] / 2 + SCORE_TOLERANCE]
     return min(lost) if lost and points[0] > SCORE_TOLERANCE else None

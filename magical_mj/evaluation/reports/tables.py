@@ -1,4 +1,4 @@
-"""The tables of a report, the notes below them, and tables as text: Markdown and CSV."""
+"""The tables of a report and the notes below them, as Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Group = tuple[str, Rows]
 class Table:
     """A table of strings with a caption, and notes below it.
 
-    Its groups are pairs of heading and rows; the heading is "" in a table without headings.
+    Its groups are pairs of heading and rows. In a table without headings, the heading is "".
     """
 
     name: str
@@ -98,7 +98,7 @@ def result_tables(results: Results) -> list[Table]:
 
 
 def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], task: str | None = None) -> Rows:
-    """A row for each method in the frame, with the text of its row for each variant."""
+    """A row for each method in the frame, with a cell for each variant. `text` formats a row of the frame as a cell."""
     cells: dict[str, dict[str, Any]] = defaultdict(dict)
     for row in frame.itertuples():
         cells[str(row.policy)][str(row.variant)] = row
@@ -130,14 +130,14 @@ def _mean_and_std(row: Any) -> str:
 
 
 def share(row: Any) -> str:
-    """The number of the variant's tasks in a mean, such as "(1/8)"; empty if it covers all of them."""
+    """How many of the variant's tasks a mean covers, such as "(1/8)". Empty if it covers all of them."""
     if not getattr(row, "missing", ""):
         return ""
     return f"({row.tasks}/{row.tasks + row.missing.count(',') + 1})"
 
 
 def notes(results: Results) -> Iterator[str]:
-    """What readers must know of the results, a sentence or a few each."""
+    """Notes that readers need to interpret the results, of one sentence or a few."""
     ours = results.variants[~results.variants["published"]]
     if "batched" in results.scores["worlds"].cat.categories:
         yield f"{APPROXIMATE}: {UNOFFICIAL}."
@@ -145,7 +145,7 @@ def notes(results: Results) -> Iterator[str]:
         yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
     played = results.environments.loc[~results.environments["published"], "task"]
     if own := [task for task in results.tasks if task not in counted_tasks(played)]:
-        yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
+        yield f"Tasks from outside the benchmark, which the means over tasks do not include: {', '.join(own)}."
     expected = {variant for _, variant in expected_environments(results.environments)}
     existing = [variant for variant in VARIANTS if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
@@ -168,7 +168,10 @@ def notes(results: Results) -> Iterator[str]:
 
 
 def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
-    """Which tasks and variants a policy lacks, by its rows of the table of variants; `existing` are the tasks'."""
+    """Which tasks and variants a policy lacks.
+
+    `variants` are its rows of the table of variants. `existing` are the variants that the tasks have.
+    """
     incomplete: dict[str, list[str]] = defaultdict(list)
     for row in variants.itertuples():
         incomplete[str(row.missing)].append(str(row.variant))
@@ -187,16 +190,14 @@ def _unfinished(gaps: Sequence[Gap]) -> Iterator[str]:
 
 
 def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:
-    """Which policies have fewer runs in some environments than in others, and which have one only."""
+    """Which policies have fewer runs in some environments than in others, and which have only one."""
     ours = environments[~environments["published"]].groupby("policy", sort=False)["runs"].agg(["min", "max"])
     for row in ours[ours["min"] < ours["max"]].itertuples():
-        lone = "; where there is one only, its episodes are resampled for intervals" if row.min == 1 else ""
+        lone = "; where there is only one, intervals resample its episodes" if row.min == 1 else ""
         yield f"{row.Index}: between {row.min} and {row.max} runs, depending on the environment{lone}."
     if single := [str(policy) for policy in ours.index[ours["max"] == 1]]:
         whose = "its" if len(single) == 1 else "their"
-        yield (
-            f"One run only of {', '.join(single)}: {whose} intervals are over episodes and say nothing about training."
-        )
+        yield (f"Only one run of {', '.join(single)}: {whose} intervals cover episodes and say nothing about training.")
 
 
 def _failures(scores: pd.DataFrame) -> Iterator[str]:
@@ -213,7 +214,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
         yield Table(
             "shifts",
             "Mean score by the strength of each shift, the area under the curve (as a mean score), "
-            "and the first strength at which at most half of the score at strength 0 is left",
+            "and the first strength at which the score is at most half of that at strength 0",
             ("Method", *strengths, "area", "half lost at"),
             _by_axis(single, _means),
         )
@@ -232,7 +233,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
         header = ("Method", "shifts", "without", "with", "difference")
         yield Table(
             "combined",
-            "Several shifts at once in the same scenes, and other bodies with the same seeds, beside none",
+            "Several shifts at once in the same scenes, and other bodies with the same seeds, compared with no shift",
             header,
             (("", rows),),
         )
