@@ -139,7 +139,7 @@ def test_strangers_tasks_run_only_if_they_are_named(demo: Demonstration, shell: 
         error = said(shell, *command, code=code)
         assert error.count("--tasks stranger:SPEC") == 1
     error = shell.fails(2, "demos", "info", ".", "--tasks", "FindDupe")
-    assert "there are MoveToRegion-Demo, stranger:SPEC" in error
+    assert "the files hold MoveToRegion-Demo, stranger:SPEC" in error
 
 
 def test_a_generate_that_was_interrupted_says_what_is_kept_and_goes_on(shell: Shell) -> None:
