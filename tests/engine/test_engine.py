@@ -252,7 +252,7 @@ def test_illegal_scenes_are_refused() -> None:
     with pytest.raises(InvalidSceneError):
         Engine("FindDupe", scene=magical_mj.sample_scene("MakeLine", "Demo", 0))
     column = tuple(Block("circle", "red", x, -0.9 + 0.25 * k, 0) for x in (-0.8, 0.8) for k in range(7))
-    with pytest.raises(InvalidSceneError, match="holds 10 blocks"):
+    with pytest.raises(InvalidSceneError, match="entries for 10 blocks"):
         Engine.of_scene(Scene(Robot(0, 0, 0), column)).state_vector()
 
 

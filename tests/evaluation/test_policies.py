@@ -175,7 +175,7 @@ def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, kind: Any)
     with pytest.raises(TaskError, match=r"Broken.score failed: ZeroDivisionError: division by zero \(.*excessive_"):
         magical_mj.evaluate(kind(), tasks=f"{excessive}:BROKEN", variants="Demo", episodes=2, **STATE)
     with pytest.raises(
-        TaskError, match=r"no episode can start in the scene of seed .*the state vector holds 10 blocks"
+        TaskError, match=r"no episode can start in the scene of seed .*the state vector has entries for 10 blocks"
     ):
         magical_mj.evaluate(kind(), tasks=f"{excessive}:CROWDED", variants="CountPlus", episodes=8, **STATE)
 
