@@ -112,7 +112,7 @@ def test_twenty_environments_are_the_same_in_every_interface_with_shifts_and_a_p
                 env.step(action).observation["state"],
             ]
             assert len({observation.tobytes() for observation in observations}) == 1, (task, variant, shifts)
-        assert engine.get_state() == single.unwrapped.get_state() == vector.call("get_state")[0]  # pyright: ignore
+        assert engine.get_state() == single.unwrapped.get_state() == vector.call("get_state")[0]  # pyright: ignore[reportAttributeAccessIssue]
         assert (env.scene, env.score()) == (engine.scene, engine.score())
         for it in (single, vector, env):
             it.close()
