@@ -26,8 +26,9 @@ from tests.helpers.entries import EPISODES
 
 load_triton()  # before test modules import dm_control, which loads a driver
 
-MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
-"""What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""
+MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses", "wp_pch_*")
+"""What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, ONNX Runtime at import, and Warp
+when it compiles a kernel: headers, which it keeps until the process ends."""
 FOLDER = pytest.StashKey[Path]()
 
 

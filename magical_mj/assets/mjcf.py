@@ -16,6 +16,8 @@ from magical_mj.utils.errors import SettingsError
 
 AXES: Final = ("x", "y", "angle")
 """The joints of a planar body are its name with one of these."""
+_KINDS: Final = {name.removeprefix("mjOBJ_").lower(): kind.value for name, kind in mujoco.mjtObj.__members__.items()}
+"""MuJoCo's numbers of kinds of objects. To look them up takes longer than to find an object."""
 
 
 def numbers(*values: float) -> str:
@@ -93,7 +95,7 @@ def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
         SettingsError: if there is none of this name; users can remove parts of a composer environment.
     """
-    index = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    index = mujoco.mj_name2id(model, _KINDS[kind], name)
     if index < 0:
         raise SettingsError(
             f"the MJCF tree lacks the {kind} {name!r}, which its scene needs: do not remove or rename it"

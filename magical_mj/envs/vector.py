@@ -321,7 +321,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             for world, info in enumerate(infos):
                 batched = self._add_info(batched, info or {}, world)
             return batched
-        arrays = {key: np.array([info[key] for info in known]) for key in known[0]}
+        types = {key: object if isinstance(value, str) else None for key, value in known[0].items()}
+        arrays = {key: np.array([info[key] for info in known], dtype) for key, dtype in types.items()}
         return arrays | {f"_{key}": np.ones(self.num_envs, np.bool_) for key in arrays}
 
 

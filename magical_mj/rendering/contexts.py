@@ -81,9 +81,9 @@ def _egl(base: Any) -> type[Any]:
                 return before
             if not context:
                 self._make_current()
-            if not self.stays:
-                return nothing()
-            self._address = EGL.eglGetCurrentContext().address
+                if not self.stays:
+                    return nothing()
+                self._address = EGL.eglGetCurrentContext().address
             GL_1_0.glGetIntegerv(GL_3_0.GL_FRAMEBUFFER_BINDING, self._buffer)  # of mujoco's own renderer, if any
             return None
 

@@ -33,6 +33,7 @@ from magical_mj.utils.errors import (
     UnknownNameError,
 )
 
+BALL = '<mujoco model="ball"><worldbody><geom type="sphere" size=".05" pos="9 9 0"/></worldbody></mujoco>'
 ARRAYS = ("qpos", "qvel", "act", "qacc_warmstart", "xpos", "xmat", "tree_asleep", "efc_force")
 
 
@@ -74,12 +75,17 @@ def test_later_episodes_and_pictures_equal_an_engines_too() -> None:
     np.testing.assert_array_equal(env.render("scene", 64), engine.render("scene", 64))
 
 
-def test_dm_env_protocol() -> None:
-    """dm_env's own test cases, with an action sequence that goes past the horizon."""
+@pytest.mark.parametrize("shifts", [None, "camera:3,latency:2,clutter:2"])
+def test_dm_env_protocol(shifts: str | None) -> None:
+    """dm_env's own test cases, with an action sequence that goes past the horizon; with shifts, a prop and a stack."""
 
     class Case(test_utils.EnvironmentTestMixin, absltest.TestCase):
         def make_object_under_test(self) -> dm_env.Environment:
-            return magical_mj.load("MoveToRegion", "All", seed=1, observations=("ego", "state"), image_size=16)
+            names = ("ego", "state") if shifts is None else ("ego_stack", "state")
+            env = magical_mj.load("MoveToRegion", "All", seed=1, observations=names, image_size=16, shifts=shifts)
+            if shifts is not None:
+                env.task.root_entity.attach(composer.ModelWrapperEntity(mjcf.from_xml_string(BALL))).add("freejoint")
+            return env
 
         def make_action_sequence(self) -> Iterator[int]:
             return iter(np.arange(task_spec("MoveToRegion").horizon() + 5) % len(ACTIONS))
@@ -293,6 +299,7 @@ def test_arenas_show_one_scene_after_another() -> None:
     scenes = [magical_mj.sample_scene("MatchRegions", "All", seed) for seed in range(3)]
     scenes += [Scene(Robot(0, 0, 0)), Scene(Robot(0, 0.5, 1), (Block("star", "red", 0, 0, 0),)), scenes[0]]
     scenes.append(Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.5, -0.5, 0.5, 0.5),)))
+    scenes += [Engine("FindDupe", "All", seed=seed, shifts="clutter:3").scene for seed in (0, 3)]  # with pebbles
     used = Arena(scenes[0])
     for scene in scenes:
         used.show(scene)
@@ -300,12 +307,14 @@ def test_arenas_show_one_scene_after_another() -> None:
     assert isinstance(used, composer.Entity)
 
 
-def test_copies_go_on_exactly_alike() -> None:
-    with magical_mj.load("FixColour", "All", seed=3, observations=("state",)) as env:
-        env.reset()
+@pytest.mark.parametrize("shifts", [None, "clutter:3,latency:2,words:4"])
+def test_copies_go_on_exactly_alike(shifts: str | None) -> None:
+    with magical_mj.load("FixColour", "All", seed=3, observations=("state",), shifts=shifts) as env:
+        for seed in (0, 5, 3):
+            env.reset(seed=seed)
         env.step(5)
         twins = env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)
-        assert all(twin.get_state() == env.get_state() for twin in twins)
+        assert all((it.get_state(), it.instruction) == (env.get_state(), env.instruction) for it in twins)
         after = env.step(7).observation["state"]
         assert all(np.array_equal(twin.step(7).observation["state"], after) for twin in twins)
         env.reset()

@@ -89,6 +89,35 @@ def test_a_prop_far_away_changes_no_bit_of_any_episode(joint: str, *, first: boo
     env.close()
 
 
+SHIFTS = ("latency:2", "clutter:3,camera:3", "slip:4,light:2", "friction:3,texture:1", "sensor:3,palette:2")
+
+
+@pytest.mark.slow
+def test_twenty_environments_are_the_same_in_every_interface_with_shifts_and_a_prop() -> None:
+    for seed, (task, variant) in enumerate(magical_mj.ENVIRONMENTS[::3]):
+        name, shifts = magical_mj.env_id(task, variant, "State"), SHIFTS[seed % len(SHIFTS)]
+        engine = Engine(task, variant, seed=seed, shifts=shifts)
+        single, vector = gymnasium.make(name, shifts=shifts), magical_mj.make_vec(name, num_envs=2, shifts=shifts)
+        env = magical_mj.load(task, variant, seed=seed, observations=("state",), shifts=shifts)
+        far(env, Prop())
+        env.reset()
+        single.reset(seed=seed)
+        vector.reset(seed=seed)
+        for action in (10, 1, 13, 4, 7):
+            engine.step(action)
+            observations = [
+                engine.state_vector(),
+                single.step(action)[0],
+                vector.step(np.array([action, action]))[0][0],
+                env.step(action).observation["state"],
+            ]
+            assert len({observation.tobytes() for observation in observations}) == 1, (task, variant, shifts)
+        assert engine.get_state() == single.unwrapped.get_state() == vector.call("get_state")[0]  # pyright: ignore[reportAttributeAccessIssue]
+        assert (env.scene, env.score()) == (engine.scene, engine.score())
+        for it in (single, vector, env):
+            it.close()
+
+
 def test_a_second_robot_and_a_raw_model_change_no_bit_either() -> None:
     """Names are looked up in their scopes, whatever else is called alike."""
     env = magical_mj.load("FindDupe", "All", seed=0, observations=("state",))

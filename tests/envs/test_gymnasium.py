@@ -39,11 +39,15 @@ IDS = [magical_mj.env_id(*pair, preset) for pair in magical_mj.ENVIRONMENTS for 
 PRESET_IDS = [magical_mj.env_id("FindDupe", "All", preset) for preset in PRESETS]
 
 
-@pytest.mark.parametrize("name", [magical_mj.env_id(task) for task in magical_mj.TASKS] + PRESET_IDS)
-def test_gymnasium_checker_has_no_complaint(name: str) -> None:
+CHECKED = [(name, "") for name in [magical_mj.env_id(task) for task in magical_mj.TASKS] + PRESET_IDS]
+CHECKED += [(magical_mj.env_id("FindDupe", "All", preset), "camera:3,sensor:3,latency:2,words:5") for preset in PRESETS]
+
+
+@pytest.mark.parametrize(("name", "shifts"), CHECKED)
+def test_gymnasium_checker_has_no_complaint(name: str, shifts: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gymnasium.make(name, render_mode="rgb_array")
+        env = gymnasium.make(name, render_mode="rgb_array", shifts=shifts)
         check_env(env.unwrapped)
         env.close()
 

@@ -367,16 +367,17 @@ class Arena(composer.Arena):
         if scene.pebbles and self._model.find("mesh", "pebble_outline") is None:
             for mesh in elements(pebble_library()):
                 self._model.asset.add("mesh", **mesh.attrib)
-        blocks = [
+        wanted = [
             self._thing(BlockEntity, f"block{index}", (block.shape, block.mass), partial(_block, index), scene)
             for index, block in enumerate(scene.blocks)
         ]
-        self.blocks = self._exchange(self.blocks, blocks, 0, scene, pairs)
-        grit = [
+        wanted += [
             self._thing(Thing, f"pebble{index}", None, partial(_pebble, index), scene)
             for index in range(len(scene.pebbles))
         ]
-        self.pebbles = self._exchange(self.pebbles, grit, 1, scene, pairs)
+        self._exchange(wanted, scene, pairs)
+        things = [thing for thing, _ in wanted]
+        self.blocks, self.pebbles = things[: len(scene.blocks)], things[len(scene.blocks) :]
 
     def _thing(
         self, kind: type[Thing], name: str, form: Hashable, mjcf_of: Callable[[Scene], str], scene: Scene
@@ -386,20 +387,21 @@ class Arena(composer.Arena):
             self._things[name] = kind(name, mjcf_of, scene, form)
         return self._things[name], form
 
-    def _exchange(
-        self, present: list[Thing], wanted: list[tuple[Thing, Hashable]], after: int, scene: Scene, pairs: Pairs
-    ) -> list[Thing]:
-        """The wanted things in their forms, attached before the robot, or after it if `after` is 1."""
+    def _exchange(self, wanted: list[tuple[Thing, Hashable]], scene: Scene, pairs: Pairs) -> None:
+        """Attaches the wanted things in their forms: the blocks before the robot, and then the pebbles after it.
+
+        From the first one that differs, all are attached anew: the tree does not depend on earlier episodes.
+        """
+        present = [*self.blocks, *self.pebbles]
         staying = takewhile(lambda pair: (pair[0], pair[0].form) == pair[1], zip(present, wanted, strict=False))
         same = len(list(staying))
         for thing in present[same:]:
             thing.leave()
-        frame = self.robot.frame
+        frame, blocks = self.robot.frame, len(scene.blocks)
         for index, (thing, form) in enumerate(wanted[same:], same):
             thing.take_form(form, scene)
             place = next(k for k, child in enumerate(self._model.worldbody.all_children()) if child is frame)
-            thing.join(self, scene, pairs, place + after * (1 + index))
-        return [thing for thing, _ in wanted]
+            thing.join(self, scene, pairs, place if index < blocks else place + 1 + index - blocks)
 
 
 def _robot(scene: Scene) -> str:
