@@ -14,9 +14,21 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.intents.canonical import implies
 from magical_mj.intents.intent import Intent, conjunct_bits, intent_bits, intent_of
 from magical_mj.intents.relations import RELATIONS, Conjunct, Each
-from magical_mj.intents.selectors import ALL, NEGATABLE, PAIRS, REST, VALUES, Selector, Test, UngroundedError, selected
+from magical_mj.intents.selectors import (
+    ALL,
+    NEGATABLE,
+    PAIRS,
+    REST,
+    VALUES,
+    Selector,
+    Test,
+    UngroundedError,
+    names_one,
+    selected,
+)
 from magical_mj.scene import Scene
 
 MOST_IN_REGION: Final = 3
@@ -38,6 +50,8 @@ Ends = tuple[Scene, Scene]
 
 def rivals(demonstrations: Iterable[Shown | Ends], bits: float = 24.0) -> list[Intent]:
     """The intents of one or two conjuncts that all demonstrations have reached at their end and none at its start.
+
+    Every conjunct of a rival is about something in each demonstration, and none follows from the other.
 
     Args:
         demonstrations: demonstrations, or pairs of an initial and a final scene.
@@ -67,6 +81,40 @@ def ends_of(shown: Shown | Ends) -> Ends:
     return scenes[0], scenes[-1]
 
 
+class Judge:
+    """Says which of some intents episodes have reached, all at once.
+
+    Args:
+        intents: of one or two conjuncts.
+    """
+
+    def __init__(self, intents: Sequence[Intent]) -> None:
+        self.intents = tuple(intents)
+        conjuncts = sorted(
+            {one for intent in intents for one in intent.conjuncts}, key=lambda one: one.selector == REST
+        )
+        used = {one.selector for one in conjuncts if RELATIONS[one.relation].of_blocks and one.selector != REST}
+        self._table = _table_of(conjuncts, sorted(used) or [ALL])
+        place = {conjunct: number for number, conjunct in enumerate(conjuncts)}
+        self._places = [
+            sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in self.intents
+        ]  # `others` come last
+
+    def reached(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+        """Which intents the episode has reached at its end, and not at its start. Shape (intents,)."""
+        return self._hold(initial, final) & ~self._hold(initial, initial)
+
+    def _hold(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+        truths = _truths(self._table, initial, final)
+        flags = np.zeros(len(self.intents), np.bool_)
+        for number, (one, two) in enumerate(self._places):
+            rest = truths.rest.get(self._table.conjuncts[two])
+            flags[number] = truths.holds[one] and (
+                truths.holds[two] if rest is None else rest[self._table.selector[one]]
+            )
+        return flags
+
+
 class _Table(NamedTuple):
     """Conjuncts up to a number of bits, and where their truth values are found.
 
@@ -85,10 +133,13 @@ def _table(bits: float) -> _Table:
         (conjunct for conjunct in all_conjuncts() if intent_bits([conjunct]) <= bits),
         key=lambda conjunct: conjunct.selector == REST,
     )
-    selectors = _selectors()
+    return _table_of(conjuncts, _selectors())
+
+
+def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _Table:
     index = {selector: number for number, selector in enumerate(selectors)}
     of = [index.get(c.selector, -1) if RELATIONS[c.relation].of_blocks else -1 for c in conjuncts]
-    return _Table(tuple(conjuncts), np.array([conjunct_bits(c) for c in conjuncts]), selectors, np.array(of))
+    return _Table(tuple(conjuncts), np.array([conjunct_bits(c) for c in conjuncts]), tuple(selectors), np.array(of))
 
 
 @lru_cache(maxsize=1)
@@ -105,7 +156,7 @@ def _selectors() -> tuple[Selector, ...]:
 
 
 def all_conjuncts() -> Iterable[Conjunct]:
-    """All conjuncts; with `others` only those that want nothing done."""
+    """All conjuncts in canonical form; with `others` only those that want nothing done."""
     for name, relation in RELATIONS.items():
         for argument in relation.arguments:
             if not relation.of_blocks:
@@ -116,13 +167,14 @@ def all_conjuncts() -> Iterable[Conjunct]:
                 numbers = range(1, MOST_IN_REGION + 1) if name == "exactly" else (0,)
                 quantifiers = (False, True) if relation.quantified else (False,)
                 for selector, number, some in itertools.product(_selectors(), numbers, quantifiers):
-                    yield Conjunct(name, selector, argument, number, some)
+                    if not names_one(selector) or (relation.each is not None and not some):
+                        yield Conjunct(name, selector, argument, number, some)
                 if relation.least == 0:
                     yield Conjunct(name, REST, argument)
 
 
 class _Truths(NamedTuple):
-    """Truth values in one pair of scenes."""
+    """Truth values in one pair of scenes; False also where a conjunct is about nothing."""
 
     holds: NDArray[np.bool_]  # of each conjunct; False for those with `others`
     rest: dict[Conjunct, NDArray[np.bool_]]  # of those with `others`, by the selector of the other conjunct
@@ -186,7 +238,7 @@ def _of_each(
     true = np.array([bool(flag) for flag in flags], np.bool_)
     concerned = masks & about
     holds = (concerned & true).any(axis=1) if conjunct.some else (true | ~concerned).all(axis=1)
-    return holds & valid & (concerned.any(axis=1) | (RELATIONS[conjunct.relation].least == 0))
+    return holds & valid & concerned.any(axis=1)
 
 
 def _together(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> bool:
@@ -220,7 +272,8 @@ def _pairs(table: _Table, truths: Sequence[tuple[_Truths, _Truths]], bits: float
         new = ~(starts[first] & starts[seconds]).any(axis=1)
         found += [(int(first), int(second)) for second in seconds[short & new]]
         found += [(int(first), rest) for rest in _with_others(table, truths, int(first), bits)]
-    return [intent_of([table.conjuncts[one], table.conjuncts[two]]) for one, two in found]
+    pairs = [(table.conjuncts[one], table.conjuncts[two]) for one, two in found]
+    return [intent_of([*pair]) for pair in pairs if not implies(*pair) and not implies(*pair[::-1])]
 
 
 def _with_others(table: _Table, truths: Sequence[tuple[_Truths, _Truths]], first: int, bits: float) -> Iterable[int]:

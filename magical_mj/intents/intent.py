@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NoReturn
 
-from magical_mj.intents.english import sentence_of
+from magical_mj.intents.canonical import without_repetition
+from magical_mj.intents.english import paraphrases_of, sentence_of
 from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
 from magical_mj.intents.selectors import (
     ALL,
@@ -21,6 +22,7 @@ from magical_mj.intents.selectors import (
     Selector,
     Test,
     UngroundedError,
+    names_one,
 )
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import IntentError
@@ -34,7 +36,8 @@ _TEST: Final = re.compile(r"([a-z]+)\s*(!?=)\s*([a-z]+(?: [a-z]+)?)")
 class Intent:
     """One to three conjuncts, which shall all hold when the episode ends.
 
-    Make one with `parse`. `str` gives the canonical text: conjuncts in the order of `RELATIONS`, none twice.
+    Make one with `parse`. `str` gives the canonical text: conjuncts in the order of `RELATIONS`, without those that
+    follow from others in every scene, such as `in(any, all, region)` from `in(all, region)`.
     """
 
     conjuncts: tuple[Conjunct, ...]
@@ -85,6 +88,11 @@ class Intent:
             for conjunct in self.conjuncts
         ]
 
+    def grounded(self, initial: Scene) -> bool:
+        """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
+        named = self._named(initial)
+        return all(conjunct.grounded(initial, named) for conjunct in self.conjuncts)
+
     def _named(self, initial: Scene) -> tuple[int, ...]:
         """The blocks that the conjuncts without the selector `others` name."""
         named = [
@@ -101,8 +109,13 @@ class Intent:
 
     @property
     def sentence(self) -> str:
-        """The intent in English, such as "Bring the red blocks into the region, and leave all other blocks alone."."""
+        """The intent in English: "Bring all red blocks into the region, and leave all other blocks where they are."."""
         return sentence_of(self.conjuncts)
+
+    @property
+    def paraphrases(self) -> tuple[str, ...]:
+        """Sentences with the same meaning, up to twelve; `sentence` is the first."""
+        return paraphrases_of(self.conjuncts)
 
 
 def _share(parts: list[bool]) -> float:
@@ -159,17 +172,19 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
     """The intent of these conjuncts, in canonical form.
 
     Raises:
-        IntentError: if there are too many, or only `others` are named.
+        IntentError: if there are too many, or `others` are named and no other conjunct, or one with all blocks.
     """
     order = list(RELATIONS)
-    unique = sorted(set(conjuncts), key=lambda conjunct: (order.index(conjunct.relation), str(conjunct)))
-    if len(unique) > MOST_CONJUNCTS:
-        raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(unique)}")
-    if all(conjunct.selector == REST for conjunct in unique):
-        raise IntentError(
-            "others are the blocks that no other relation of the intent names: add a relation that names some"
-        )
-    return Intent(tuple(unique))
+    single = [replace(one, some=one.some and not names_one(one.selector)) for one in conjuncts]
+    kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
+    if len(kept) > MOST_CONJUNCTS:
+        raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
+    if any(one.selector == REST for one in kept):
+        naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
+        if len(kept) == 1 or ALL in naming:
+            why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
+            raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
+    return Intent(tuple(kept))
 
 
 def _example() -> str:

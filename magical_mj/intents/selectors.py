@@ -69,6 +69,11 @@ REST: Final[Selector] = (Test(OTHERS, ""),)
 """The selector ``others``."""
 
 
+def names_one(selector: Selector) -> bool:
+    """Whether a selector means a single block by its form."""
+    return bool(selector) and selector[0].name in ("odd", "nearest", "farthest")
+
+
 def text_of(selector: Selector) -> str:
     """The selector as a text writes it."""
     return OTHERS if selector == REST else ", ".join(map(str, selector)) or "all"
@@ -131,6 +136,8 @@ def _passing(test: Test, scene: Scene) -> set[int]:
     if name == "like":
         return _alike(value, equal, scene)
     if name == "starts":
+        if not scene.regions:
+            raise UngroundedError("the scene has no region")
         return {index for index, home in enumerate(homes(scene)) if _starts(value, home, blocks[index], scene)}
     if name == "odd":
         return {_odd([getattr(block, value) for block in blocks])}

@@ -9,8 +9,9 @@ import pytest
 
 from magical_mj import TASKS, demos
 from magical_mj.intents import EIGHT, explain, parse, rivals
-from magical_mj.intents.ambiguity import all_conjuncts
-from magical_mj.intents.intent import Intent
+from magical_mj.intents.ambiguity import Judge, all_conjuncts
+from magical_mj.intents.canonical import implies
+from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.selectors import REST
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene, score
@@ -117,7 +118,10 @@ def test_a_wrong_text_shows_where(text: str, place: int, says: str) -> None:
     assert says in second
 
 
-@pytest.mark.parametrize("text", ["untouched(others)", "line(all) & in(all, region) & out(all) & robot in()"])
+@pytest.mark.parametrize(
+    "text",
+    ["untouched(others)", "line(all) & untouched(others)", "line(all) & in(all, region) & out(all) & robot in()"],
+)
 def test_an_intent_names_something_and_has_three_relations_at_most(text: str) -> None:
     with pytest.raises(IntentError):
         parse(text)
@@ -158,7 +162,8 @@ def test_rivals_are_what_direct_evaluation_finds(task: str) -> None:
     ends = [(scenes[0], scenes[-1]) for scenes in (demo.scenes() for demo in demos.load(task)[:10])]
 
     def consistent(intent: Intent) -> bool:
-        return all(intent.holds(start, end) and not intent.holds(start, start) for start, end in ends)
+        reached = all(intent.holds(start, end) and not intent.holds(start, start) for start, end in ends)
+        return reached and intent.grounded(ends[0][0])
 
     found, rng = rivals(ends, bits=22.0), np.random.default_rng(0)
     assert [intent.bits for intent in found] == sorted(intent.bits for intent in found)
@@ -167,9 +172,84 @@ def test_rivals_are_what_direct_evaluation_finds(task: str) -> None:
     for index in rng.integers(len(conjuncts), size=200):
         intent = Intent((conjuncts[index],))
         assert (intent in known) == (consistent(intent) and intent.bits <= 22.0), intent
-    for one, two in rng.integers(len(conjuncts), size=(200, 2)):
-        intent = parse(f"{conjuncts[one]} & {conjuncts[two]}")
-        assert (intent in known) == (consistent(intent) and intent.bits <= 22.0), intent
+    for one, two in ((conjuncts[i], conjuncts[j]) for i, j in rng.integers(len(conjuncts), size=(200, 2))):
+        intent, repeats = intent_of([one, two]), implies(one, two) or implies(two, one)
+        if not repeats or len(intent.conjuncts) == 1:
+            assert (intent in known) == (consistent(intent) and intent.bits <= 22.0), intent
+    judge = Judge(found[::5])
+    start, end = ends[0]
+    assert judge.reached(start, end).all()
+    rearrangements = [rearranged(start, rng) for _ in range(20)]
+    flags = np.array([judge.reached(start, final) for final in rearrangements])
+    assert flags.any() or task.startswith("Cluster")
+    for number, intent in enumerate(judge.intents[:60]):
+        assert flags[:, number].tolist() == [intent.holds(start, final) for final in rearrangements], intent
+
+
+def test_equal_meanings_have_one_text() -> None:
+    rng = np.random.default_rng(0)
+    starts = [
+        sample_scene(task, "All", seed) for task in ("MatchRegions", "FindDupe", "FixColour") for seed in range(4)
+    ]
+    conjuncts = [one for one in all_conjuncts() if one.selector != REST]
+    alike = [one for one in conjuncts if one.relation == "in" and one.argument == "region"]
+    shortened = 0
+    for number in range(1_500):
+        group = alike if number % 2 else conjuncts
+        pair = tuple(group[index] for index in rng.integers(len(group), size=2))
+        both = intent_of([*pair])
+        if len(both.conjuncts) == 2:
+            continue
+        shortened += 1
+        for start in starts:
+            for final in (rearranged(start, rng), rearranged(start, rng)):
+                assert both.holds(start, final) == Intent(pair).holds(start, final), pair
+    assert shortened > 10
+
+
+@pytest.mark.parametrize(
+    ("text", "canonical"),
+    [
+        ("in(any, all, region) & in(all, region)", "in(all, region)"),
+        ("in(any, colour=red, region) & in(any, colour=red, shape=star, region)", None),
+        ("corner(all, any) & corner(all, top left)", "corner(all, top left)"),
+        ("out(all) & out(colour=red)", "out(all)"),
+        ("in(any, all, region) & exactly(2, all)", "exactly(2, all)"),
+        ("in(any, nearest=robot, region)", "in(nearest=robot, region)"),
+        ("in(any, like=both, region) & in(any, like=shape, region)", "in(any, like=both, region)"),
+        ("robot wall(any) & robot wall(left)", "robot wall(left)"),
+    ],
+)
+def test_what_follows_from_another_relation_is_left_out(text: str, canonical: str | None) -> None:
+    shorter = "in(any, colour=red, shape=star, region)" if canonical is None else canonical
+    assert str(parse(text)) == shorter
+
+
+def test_rivals_say_something() -> None:
+    for task in ("MoveToCorner", "MoveToRegion", "ClusterColour"):
+        ends = [(scenes[0], scenes[-1]) for scenes in (demo.scenes() for demo in demos.load(task)[:3])]
+        for intent in rivals(ends, bits=20.0):
+            assert intent.grounded(ends[0][0]), intent
+            assert "others" not in str(intent) or "(all" not in str(intent)
+
+
+def test_paraphrases_say_the_same_in_other_words() -> None:
+    intent = parse("in(any, colour!=red, shape!=star, region) & untouched(nearest=robot)")
+    first, *others = intent.paraphrases
+    assert (
+        first
+        == intent.sentence
+        == (
+            "Bring at least one non-red block that is not a star into the region, "
+            "and leave the block nearest to the robot where it is."
+        )
+    )
+    assert len(set(others)) == 5
+    for conjunct in all_conjuncts():
+        if conjunct.selector != REST:
+            sentences = Intent((conjunct,)).paraphrases
+            assert len(sentences) > 1
+            assert not any("{" in sentence or "  " in sentence for sentence in sentences)
 
 
 def test_an_end_is_explained_by_what_was_reached() -> None:
