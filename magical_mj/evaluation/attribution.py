@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -88,21 +89,16 @@ def task_rivals(task: str) -> tuple[Intent, ...]:
     return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != EIGHT[task])
 
 
-def attribute(
-    episodes: Iterable[EpisodeResult], *, jobs: int | None = None
-) -> Iterator[Attribution | Unexplained]:
-    """What episodes of the eight tasks did, as they come.
+def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
+    """What episodes did, as they come.
 
     Args:
-        episodes: solved ones too, if shares of all are wanted.
+        episodes: those about which `unfit` says nothing; solved ones too, if shares of all are wanted.
         jobs: the number of processes; None: one per core.
     """
     alike: dict[tuple[str, str, str, str], list[EpisodeResult]] = defaultdict(list)
     for episode in episodes:
-        if problem := unfit(episode):
-            yield Unexplained(episode, problem)
-        else:
-            alike[episode.task, episode.variant, episode.rules, episode.body].append(episode)
+        alike[episode.task, episode.variant, episode.rules, episode.body].append(episode)
     chunks: list[list[EpisodeResult]] = []
     for group in alike.values():
         group.sort(key=lambda episode: (episode.seed, episode.policy, episode.run))
@@ -115,15 +111,18 @@ def attribute(
         yield from result
 
 
-def unfit(episode: EpisodeResult) -> str | None:
-    """Why an episode cannot be attributed; None if it can, as far as is known before it is replayed."""
+def unfit(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
+    """Why an episode cannot be attributed; None if it can, as far as is known before it is replayed.
+
+    The arguments are those of `magical_mj.evaluation.replay.obstacle`.
+    """
     if episode.task not in EIGHT:
         return f"{episode.task} has no intent in the language"
     if episode.shift:
         return f"it was played with the shift {episode.shift}"
     if episode.failure is not None:
         return "the policy failed"
-    return obstacle(episode)
+    return obstacle(episode, recorded)
 
 
 Knowledge = Mapping[str, tuple[Shown, tuple[Intent, ...]]]
@@ -147,9 +146,7 @@ def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
     from magical_mj.engine import Engine  # which loads the simulator
 
     rules = check_rules(episode.rules)
-    return Engine(
-        episode.task, episode.variant, seed=episode.seed, rules=rules, body=episode.body, renderer=renderer
-    )
+    return Engine(episode.task, episode.variant, seed=episode.seed, rules=rules, body=episode.body, renderer=renderer)
 
 
 def replay_problem(episode: EpisodeResult, engine: Engine) -> str | None:

@@ -40,7 +40,9 @@ class Shown:
         """What demonstrations with these initial and final scenes show. They start in one scene."""
         moves = [set(moved_blocks(*pair)) for pair in ends]
         blocks = range(len(ends[0][0].blocks))
-        return cls(ends[0][0], tuple(index for index in blocks if 2 * sum(index in move for move in moves) > len(moves)))
+        return cls(
+            ends[0][0], tuple(index for index in blocks if 2 * sum(index in move for move in moves) > len(moves))
+        )
 
 
 def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
@@ -75,7 +77,9 @@ def readings(shown: Shown, initial: Scene) -> dict[str, frozenset[int]]:
     points = [(block.x, block.y) for block in initial.blocks]
     nearest = [_nearest(points, (model.x, model.y)) for model in models]
     near = {
-        index for index, model in zip(nearest, models, strict=True) if math.dist(points[index], (model.x, model.y)) <= SAME_PLACE
+        index
+        for index, model in zip(nearest, models, strict=True)
+        if math.dist(points[index], (model.x, model.y)) <= SAME_PLACE
     }
     colours, shapes = {model.colour for model in models}, {model.shape for model in models}
     return {
