@@ -320,8 +320,9 @@ def _sentence(task: str, rivals: Sequence[int]) -> str:
     """The simplest of these rivals in English, and how many others there are."""
     if not rivals:
         return "None of the rivals."
-    others = f" (or one of {len(rivals) - 1} with the same episodes)" if len(rivals) > 1 else ""
-    return f"{task_rivals(task)[rivals[0]].sentence[:-1]}{others}."
+    others = counted(len(rivals) - 1, "other")
+    alike = f" (and {others}, reached by the same episodes)" if len(rivals) > 1 else ""
+    return f"{task_rivals(task)[rivals[0]].sentence[:-1]}{alike}."
 
 
 def _percent(share: float) -> str:
