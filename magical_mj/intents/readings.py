@@ -125,10 +125,12 @@ def _robot_ending(shown: Shown, initial: Scene, final: Scene) -> str:
 def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
     """Whether moving these blocks, instead of the intended ones, is wrong in a scene.
 
-    Where one of several blocks is enough, any of them is right.
+    Where one of several blocks is enough, any of them is right. To move none is wrong where one has to be moved.
     """
     wanted = intended_blocks(intent, initial)
-    return not blocks <= wanted if any(conjunct.some for conjunct in intent.conjuncts) else blocks != wanted
+    if any(conjunct.some for conjunct in intent.conjuncts):
+        return bool(wanted) and not (blocks and blocks <= wanted)
+    return blocks != wanted
 
 
 def same_places(final: Scene, initial: Scene) -> Scene:
