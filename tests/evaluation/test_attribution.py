@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -122,17 +121,12 @@ def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:
     horizon = len(there.attribution.episode.actions)
     assert there.last is not None
     assert 0 < there.last < horizon
-    seed = next(seed for seed in range(50) if unsolved(seed, actions))
-    assert turning(attributed(played("MoveToRegion", "Layout", seed, actions))).failure == "pursued another goal"
+    assert turning(attributed(played("MoveToRegion", "Layout", 7, actions))).failure == "pursued another goal"
     closed = played("MoveToCorner", "Demo", 0, [CLOSE_GRIPPER] * 5)
     assert attributed(closed).ending == {"nothing": 1.0}
 
 
-def unsolved(seed: int, actions: list[int]) -> bool:
-    return "same place" in attributed(played("MoveToRegion", "Layout", seed, actions)).ending
-
-
-def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Callable[..., Any] | Shell) -> None:
+def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> None:
     small: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1}
     magical_mj.evaluate("noop", out=tmp_path / "noop", **small)
     magical_mj.evaluate("expert", out=tmp_path / "expert", **small)
@@ -153,7 +147,7 @@ def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Callable[...
     for target in re.findall(r"\]\(([^)]+)\)", page):
         assert (folder / target.replace("%20", " ")).exists(), target
     assert "](../best-noop-MoveToRegion.mp4)" in page
-    picture = Image.open(folder / "noop-MoveToRegion-1.png")
-    assert picture.height == 128
+    with Image.open(folder / "noop-MoveToRegion-1.png") as picture:
+        assert picture.height == 128
     assert "explained/explained.md" in (tmp_path / "page" / "report.md").read_text("utf-8")
     assert shell("report", tmp_path / "noop", "--last-solvable", 1)[0] == 2
