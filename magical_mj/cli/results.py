@@ -17,7 +17,13 @@ from magical_mj.cli.console import Bars, check_fits, complain, console, make_wri
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.reports.explained import FOLDER, explain_folders, write_explanation
+from magical_mj.evaluation.reports.explained import (
+    FOLDER,
+    Explanation,
+    explain_episodes,
+    explainable,
+    write_explanation,
+)
 from magical_mj.evaluation.reports.explained import PAGE as EXPLAINED
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
@@ -113,9 +119,7 @@ def make_report(
             raise SettingsError(f"--videos: {refused[0]}")
         for problem in refused:
             complain(problem)
-    found = explain_folders(folders, rules, lost=last_solvable, jobs=jobs) if explain else None
-    if found is not None and not found.attributions:
-        raise SettingsError(f"--explain: no episode can be explained: {'; '.join(found.problems)}")
+    found = _explained(folders, rules, last_solvable, jobs) if explain else None
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, [*file_names(episodes), *([FOLDER] if explain else [])])
     links = film_episodes(episodes, out)
@@ -125,6 +129,22 @@ def make_report(
         links = {"What the policies were after": f"{FOLDER}/{EXPLAINED}", **links}
     page = write_report(data, out, links)
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
+
+
+def _explained(folders: list[Path], rules: Rules | None, last_solvable: int, jobs: int | None) -> Explanation:
+    """What the episodes were after; an error if that cannot be said of any."""
+    episodes, problems = explainable(folders, rules)
+    if not episodes:
+        raise SettingsError(f"--explain: no episode can be explained: {next(iter(problems), 'there are none')}")
+    with Bars(console(), MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task("replaying episodes", total=None)
+        return explain_episodes(
+            episodes,
+            problems,
+            lost=last_solvable,
+            jobs=jobs,
+            watch=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
 
 
 def _to_film(folders: list[Path], rules: Rules | None) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:

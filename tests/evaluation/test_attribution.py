@@ -18,6 +18,7 @@ from magical_mj.evaluation.attribution import Attribution, Unexplained, attribut
 from magical_mj.evaluation.entry import read_entry
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.turning import turning
+from magical_mj.intents import EIGHT
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP
@@ -78,6 +79,7 @@ def test_the_rivals_of_a_failed_episode_hold_at_its_end_and_not_at_its_start() -
             assert (result.initial, result.final) == (engine.initial_scene, engine.scene)
         assert sum(result.ending.values()) == pytest.approx(1.0)
         assert set(result.ending) <= set(ENDINGS)
+        assert EIGHT["FixColour"].holds(result.initial, result.final) == (episode.score == 1.0)
         assert result.episode.score < 1.0 or not result.rivals
         if not result.rivals:
             continue
@@ -158,4 +160,9 @@ def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> No
     with Image.open(folder / "noop-MoveToRegion-1.png") as picture:
         assert picture.height == 128
     assert "explained/explained.md" in (tmp_path / "page" / "report.md").read_text("utf-8")
-    assert shell("report", tmp_path / "noop", "--last-solvable", 1)[0] == 2
+    refusal = shell.fails(2, "report", tmp_path / "noop", "--last-solvable", 1)
+    assert "--last-solvable has an effect only with --explain" in refusal
+    sweeping = replace(played("MoveToRegion", "Demo", 0, []), task="SweepToTop")
+    (tmp_path / "noop" / "scores.jsonl").write_text(sweeping.line())
+    refusal = shell.fails(2, "report", tmp_path / "noop", "--explain")
+    assert "no episode can be explained: SweepToTop has no intent in the language" in refusal

@@ -37,6 +37,8 @@ PAGE: Final = "explained.md"
 SHOWN: Final = 5
 """The number of rivals in a table of the page; rivals.csv has all."""
 EXAMPLES: Final = 3
+MOST_REASONS: Final = 8
+"""The number of reasons for which episodes are not explained that the page lists."""
 SIDE: Final = 128  # pixels; of a scene
 GAP: Final = 8  # pixels
 NONE: Final = "none of the rivals"
@@ -57,27 +59,43 @@ class Explanation:
     problems: Counter[str] = field(default_factory=Counter[str])
 
 
-def explain_folders(
-    folders: Iterable[Path], rules: Rules | None = None, *, lost: int = 0, jobs: int | None = None
-) -> Explanation:
-    """Replays and explains the episodes of evaluations or entries.
+def explainable(folders: Iterable[Path], rules: Rules | None = None) -> tuple[list[EpisodeResult], Counter[str]]:
+    """The episodes of evaluations or entries that can be explained; and why others cannot, and how many.
 
-    Args:
-        folders: of the evaluations or entries.
-        rules: by which episodes are scored; None: as they were.
-        lost: of how many failed episodes of each method, task and variant the last step is found from which the expert
-            still solves them. Each takes seconds.
-        jobs: the number of processes; None: one per core.
+    With `rules`, they are scored by these.
     """
-    found, fit = Explanation(), list[EpisodeResult]()
+    episodes, problems = list[EpisodeResult](), Counter[str]()
     for folder in folders:
         recorded = {} if is_entry(folder) else recorded_settings(folder)
         for episode in episodes_of(folder, rules):
             if problem := unfit(episode, recorded):
-                found.problems[problem] += 1
+                problems[problem] += 1
             else:
-                fit.append(episode)
-    for result in attribute(fit, jobs=jobs):
+                episodes.append(episode)
+    return episodes, problems
+
+
+def explain_episodes(
+    episodes: Sequence[EpisodeResult],
+    problems: Counter[str],
+    *,
+    lost: int = 0,
+    jobs: int | None = None,
+    watch: Callable[[int, int], object] = lambda _done, _total: None,
+) -> Explanation:
+    """Replays and explains episodes.
+
+    Args:
+        episodes: from `explainable`.
+        problems: why others are not explained, from `explainable`.
+        lost: of how many failed episodes of each method, task and variant the last step is found from which the expert
+            still solves them. Each takes seconds.
+        jobs: the number of processes; None: one per core.
+        watch: called with the number of replayed episodes, and of those to be replayed.
+    """
+    found = Explanation(problems=problems.copy())
+    for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
+        watch(done, len(episodes))
         if isinstance(result, Unexplained):
             found.problems[f"{result.episode.policy}, {result.episode.title}: {result.problem}"] += 1
         else:
@@ -94,7 +112,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     """Writes the page, its pictures, and two files of numbers into a folder, over those of an earlier report.
 
     Args:
-        found: from `explain_folders`.
+        found: from `explain_episodes`.
         out: the folder, which is made if it is missing.
         films: the key of an episode -> the path of its film, relative to the folder.
 
@@ -105,10 +123,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     parts = [
         "# What the policies were after",
         "docs/intents.md says what the words mean. Episodes are replayed from their actions.",
-        *(
-            f"- {counted(number, 'episode')} not explained: {escape.markdown(why)}"
-            for why, number in found.problems.items()
-        ),
+        *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
         *([markdown(_lost(found.turnings))] if found.turnings else []),
@@ -120,6 +135,16 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     files.write(out / "rivals.csv", csv(_frame(_rival_rows(found.attributions))), overwrite=True)
     files.write(out / PAGE, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     return out / PAGE
+
+
+def _problems(problems: Counter[str]) -> list[str]:
+    """What is not explained, and why; many reasons are counted."""
+    lines = [
+        f"- {counted(number, 'episode')} not explained: {escape.markdown(why)}"
+        for why, number in problems.most_common(MOST_REASONS)
+    ]
+    rest = problems.total() - sum(number for _, number in problems.most_common(MOST_REASONS))
+    return lines + ([f"- {counted(rest, 'episode')} not explained for other reasons"] if rest else [])
 
 
 def shares(group: Sequence[Attribution]) -> dict[str, float]:
