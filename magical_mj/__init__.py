@@ -17,7 +17,7 @@ from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score, score_trajectory
 
 if TYPE_CHECKING:
-    from magical_mj import batched, datasets, demos, evaluation, experts, wrappers
+    from magical_mj import batched, datasets, demos, evaluation, experts, intents, wrappers
     from magical_mj.engine import Engine
     from magical_mj.engine.export import export_mjcf
     from magical_mj.envs.composer import Environment, load, load_scene
@@ -47,6 +47,7 @@ __all__ = [
     "evaluation",
     "experts",
     "export_mjcf",
+    "intents",
     "load",
     "load_scene",
     "make_vec",
@@ -62,7 +63,7 @@ __all__ = [
 register_all()
 
 
-_MODULES: Final = ("batched", "datasets", "demos", "evaluation", "experts", "wrappers")
+_MODULES: Final = ("batched", "datasets", "demos", "evaluation", "experts", "intents", "wrappers")
 _NAMES: Final = {
     "Engine": "engine",
     "Environment": "envs.composer",

@@ -14,6 +14,7 @@ LAYERS = (
     "scene",
     "variants",
     "tasks",
+    "intents",
     "assets",
     "rendering",
     "shifts",
@@ -42,7 +43,7 @@ PUBLIC = {
 OUTSIDE = {"__init__": "integrations", "__main__": "cli", "_version": "utils", **PUBLIC}
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
-PURE_LAYERS = ("utils", "scene", "variants", "tasks")
+PURE_LAYERS = ("utils", "scene", "variants", "tasks", "intents")
 OPTIONAL = {"cloudpickle", "distributed", "filelock", "msgspec"}
 """Libraries that `utils` wraps for all layers."""
 TOP = {"learners", "web", "integrations", "cli"}

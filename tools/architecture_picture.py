@@ -19,6 +19,7 @@ CONTENT: Final = {
     "scene": "Scene, geometry, constants, actions, state vector",
     "variants": "make the scenes of a variant from the demo scene",
     "tasks": "the eight tasks: demo scene, rules, score, plan; the registry",
+    "intents": "a language of goals; the eight tasks in it, and their rivals",
     "shifts": "changes of any environment, with strengths 0 to 5",
     "assets": "MJCF models of scenes, and their look",
     "rendering": "pictures by OpenGL or in software",

@@ -368,10 +368,10 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
 """The pages that have such tables."""
 
 
-def filled(text: str, tables: Mapping[str, str]) -> str:
-    """A page's text with up-to-date tables."""
+def filled(text: str, tables: Mapping[str, str], command: str = "make docs") -> str:
+    """A page's text with up-to-date tables, which the command writes."""
     for name, body in tables.items():
-        start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
+        start, end = f"<!-- {name}: written by {command} -->", f"<!-- end of {name} -->"
         text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
         if count != 1:
             raise ValueError(f"the page needs exactly one pair of markers {start} and {end}")

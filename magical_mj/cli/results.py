@@ -17,6 +17,14 @@ from magical_mj.cli.console import Bars, check_fits, complain, console, make_wri
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation.reports.explained import (
+    FOLDER,
+    Explanation,
+    explain_episodes,
+    explainable,
+    write_explanation,
+)
+from magical_mj.evaluation.reports.explained import PAGE as EXPLAINED
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
 from magical_mj.evaluation.scores import EpisodeResult, recorded_settings
@@ -51,6 +59,20 @@ Rescored = Annotated[
 Videos = Annotated[
     bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
 ]
+Explain = Annotated[
+    bool,
+    typer.Option(
+        "--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/intents.md."
+    ),
+]
+LastSolvable = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="With --explain: for so many failed episodes of each policy, task and variant, the last step from which "
+        "the expert still solves it. Each takes seconds.",
+    ),
+]
 Side = Annotated[
     str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
 ]
@@ -69,19 +91,24 @@ Sample = Annotated[int | None, typer.Option("--seed", min=0, help="The seed of t
 
 
 def make_report(
+    context: typer.Context,
     folders: Folders,
     out: Report = None,
     published: Published = False,
     mixed_presets: Mixed = False,
     videos: Videos = False,
+    explain: Explain = False,
+    last_solvable: LastSolvable = 0,
+    jobs: option.Jobs = None,
     rules: Rescored = None,
     trust: option.Trust = False,
 ) -> None:
-    """Write a report of one or several evaluations: tables (Markdown, CSV), figures and videos."""
+    """Write a report of one or several evaluations: tables (Markdown, CSV), figures, videos and explanations."""
     del trust  # see magical_mj.utils.imports.command_line
     if out is None and (len(folders) > 1 or is_entry(folders[0])):
         raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")
+    check_fits(context, explain, "with --explain", "last_solvable", "jobs")
     screen = console()
     data = results(folders, published, mixed_presets, rules)  # raises errors before anything is written
     episodes = []
@@ -92,10 +119,32 @@ def make_report(
             raise SettingsError(f"--videos: {refused[0]}")
         for problem in refused:
             complain(problem)
+    found = _explained(folders, rules, last_solvable, jobs) if explain else None
     out = make_writable_folder(out or folders[0] / "report")
-    replaced = begin(out, file_names(episodes))
-    page = write_report(data, out, film_episodes(episodes, out))
+    replaced = begin(out, [*file_names(episodes), *([FOLDER] if explain else [])])
+    links = film_episodes(episodes, out)
+    if found is not None:
+        names = zip(file_names(episodes), episodes, strict=True)
+        write_explanation(found, out / FOLDER, {episode.key: f"../{name}" for name, (_, episode) in names})
+        links = {"What the policies were after": f"{FOLDER}/{EXPLAINED}", **links}
+    page = write_report(data, out, links)
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
+
+
+def _explained(folders: list[Path], rules: Rules | None, last_solvable: int, jobs: int | None) -> Explanation:
+    """What the episodes were after; an error if that cannot be said of any."""
+    episodes, problems = explainable(folders, rules)
+    if not episodes:
+        raise SettingsError(f"--explain: no episode can be explained: {next(iter(problems), 'there are none')}")
+    with Bars(console(), MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task("replaying episodes", total=None)
+        return explain_episodes(
+            episodes,
+            problems,
+            lost=last_solvable,
+            jobs=jobs,
+            watch=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
 
 
 def _to_film(folders: list[Path], rules: Rules | None) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:

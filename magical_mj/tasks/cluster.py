@@ -82,24 +82,24 @@ def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, flo
     }
 
 
-def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
-    """The number of right blocks: see the module's docstring."""
+def right_blocks(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> list[bool]:
+    """For each block whether it is right: see the module's docstring."""
     centroids = _centroids(scene, attribute)
-    right = 0
+    right = []
     for block in scene.blocks:
         squares = {value: (block.x - x) ** 2 + (block.y - y) ** 2 for value, (x, y) in centroids.items()}
         own = squares.pop(getattr(block, attribute))
         nearest = min(squares.values())
         if rules == "released":
-            right += math.sqrt(own) < math.sqrt(nearest) - 2 * own
+            right.append(math.sqrt(own) < math.sqrt(nearest) - 2 * own)
         else:
-            right += own < nearest / NEARER
+            right.append(own < nearest / NEARER)
     return right
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     """The share of right blocks above the share with score 0, scaled to [0, 1]."""
-    share = blocks_right(final, attribute, rules) / len(final.blocks)
+    share = sum(right_blocks(final, attribute, rules)) / len(final.blocks)
     nothing = ZERO_SCORE_SHARE[rules]
     return max(0.0, (share - nothing) / (1 - nothing))
 

@@ -23,6 +23,10 @@ class TaskError(MagicalError, ValueError):
     """A user's task that is invalid, or lacks a requested feature, such as a plan."""
 
 
+class IntentError(MagicalError, ValueError):
+    """A text that is no intent, or an intent that no scene satisfies."""
+
+
 class ShiftError(MagicalError, ValueError):
     """A user's shift that is invalid, or raised an error."""
 

@@ -1,0 +1,191 @@
+"""Attribution: what stored episodes were after, from their initial and final scenes.
+
+Episodes are replayed in worker processes. Of each the ending is classified, and of each that failed, the rivals of the
+task's intent that it reached are found: intents of which the demonstrations cannot say that they were not meant.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from magical_mj import demos
+from magical_mj.evaluation.replay import inconsistency, obstacle, other_scene
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.intents import EIGHT, Intent, rivals
+from magical_mj.intents.ambiguity import Judge
+from magical_mj.intents.readings import Shown, ending, moved_blocks
+from magical_mj.policies.interface import actions_of
+from magical_mj.scene import Scene
+from magical_mj.tasks.planning import Noise
+from magical_mj.tasks.registry import check_rules, task_spec
+from magical_mj.utils.errors import PhysicsError
+from magical_mj.utils.parallel import map_unordered
+
+if TYPE_CHECKING:
+    from magical_mj.engine import Engine
+
+BITS: Final = 24.0
+"""The longest description of a rival."""
+CHUNK: Final = 50
+"""The number of episodes that a worker replays before it reports."""
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """What one episode did.
+
+    Attributes:
+        episode: the stored episode.
+        initial: the scene in which it began.
+        final: the scene in which it ended.
+        ending: shares of `magical_mj.intents.readings.ENDINGS`, which sum to 1.
+        moved: the blocks that ended elsewhere than they began.
+        rivals: of a failed episode, the numbers of the task's rivals that its end satisfies and its start did not, in
+            the list of `task_rivals`, with their shares by bits, which sum to 1; the simplest first.
+        remaining: the length (world units) of the moves that the task's plan still wants at the end.
+    """
+
+    episode: EpisodeResult
+    initial: Scene
+    final: Scene
+    ending: Mapping[str, float]
+    moved: tuple[int, ...]
+    rivals: Mapping[int, float]
+    remaining: float
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """An episode that cannot be attributed, and why."""
+
+    episode: EpisodeResult
+    problem: str
+
+
+@lru_cache(maxsize=len(EIGHT))
+def task_ends(task: str) -> tuple[tuple[Scene, Scene], ...]:
+    """The initial and the final scene of each shipped demonstration."""
+    scenes = [demonstration.scenes() for demonstration in demos.load(task)]
+    return tuple((shown[0], shown[-1]) for shown in scenes)
+
+
+@lru_cache(maxsize=len(EIGHT))
+def task_shown(task: str) -> Shown:
+    """What the shipped demonstrations of a task show."""
+    return Shown.of(task_ends(task))
+
+
+@lru_cache(maxsize=len(EIGHT))
+def task_rivals(task: str) -> tuple[Intent, ...]:
+    """The rivals that the shipped demonstrations of a task leave, without the task's own intent; the simplest first."""
+    return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != EIGHT[task])
+
+
+def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
+    """What episodes did, as they come.
+
+    Args:
+        episodes: those about which `unfit` says nothing; solved ones too, if shares of all are wanted.
+        jobs: the number of processes; None: one per core.
+    """
+    alike: dict[tuple[str, str, str, str], list[EpisodeResult]] = defaultdict(list)
+    for episode in episodes:
+        alike[episode.task, episode.variant, episode.rules, episode.body].append(episode)
+    chunks: list[list[EpisodeResult]] = []
+    for group in alike.values():
+        group.sort(key=lambda episode: (episode.seed, episode.policy, episode.run))
+        chunks += [group[start : start + CHUNK] for start in range(0, len(group), CHUNK)]
+    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for episode in chunk))
+    knowledge = {task: (task_shown(task), task_rivals(task)) for task, *_ in alike}
+    work = partial(_attribute, knowledge=knowledge)
+    results = map(work, chunks) if jobs == 1 or len(chunks) < 2 else map_unordered(work, chunks, jobs)
+    for result in results:
+        yield from result
+
+
+def unfit(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
+    """Why an episode cannot be attributed; None if it can, as far as is known before it is replayed.
+
+    The arguments are those of `magical_mj.evaluation.replay.obstacle`.
+    """
+    if episode.task not in EIGHT:
+        return f"{episode.task} has no intent in the language"
+    if episode.shift:
+        return f"it was played with the shift {episode.shift}"
+    if episode.failure is not None:
+        return "the policy failed"
+    return obstacle(episode, recorded)
+
+
+Knowledge = Mapping[str, tuple[Shown, tuple[Intent, ...]]]
+
+
+def _attribute(chunk: Sequence[EpisodeResult], knowledge: Knowledge) -> list[Attribution | Unexplained]:
+    """The work of one process: some episodes of one environment."""
+    task = chunk[0].task
+    shown, intents = knowledge[task]
+    judge, results = Judge(intents), []
+    with closing(engine_for(chunk[0])) as engine:
+        for episode in chunk:
+            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)
+            problem = replay_problem(episode, engine)
+            results.append(Unexplained(episode, problem) if problem else _attributed(episode, engine, judge, shown))
+    return results
+
+
+def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
+    """An engine at the start of an episode."""
+    from magical_mj.engine import Engine  # which loads the simulator
+
+    rules = check_rules(episode.rules)
+    return Engine(episode.task, episode.variant, seed=episode.seed, rules=rules, body=episode.body, renderer=renderer)
+
+
+def replay_problem(episode: EpisodeResult, engine: Engine) -> str | None:
+    """Replays an episode in an engine at its start, and says how it differs from its record; None if it does not."""
+    if problem := other_scene(episode, engine) or inconsistency(episode, engine.horizon):
+        return problem
+    try:
+        for action in actions_of(episode.actions):
+            engine.step(action)
+    except PhysicsError as error:
+        return f"it cannot be replayed: {error}"
+    if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
+        return f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
+    return None
+
+
+def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, shown: Shown) -> Attribution:
+    initial, final, solved = engine.initial_scene, engine.scene, episode.score == 1.0
+    return Attribution(
+        episode,
+        initial,
+        final,
+        ending(EIGHT[episode.task], shown, initial, final, solved=solved),
+        moved_blocks(initial, final),
+        {} if solved else _shares(judge, initial, final),
+        0.0 if solved else remaining(episode, (initial, final)),
+    )
+
+
+def _shares(judge: Judge, initial: Scene, final: Scene) -> dict[int, float]:
+    """The reached intents by number, each with its share: an intent of n bits has the weight 2 to the power of -n."""
+    reached = np.flatnonzero(judge.reached(initial, final)).tolist()
+    bits = np.array([judge.intents[index].bits for index in reached])
+    weights = np.exp2(-(bits - bits.min())) if reached else bits
+    return dict(zip(reached, (weights / weights.sum()).tolist(), strict=True)) if reached else {}
+
+
+def remaining(episode: EpisodeResult, scenes: tuple[Scene, Scene]) -> float:
+    """The length (world units) of the moves that the task's plan still wants in the second of two scenes."""
+    noise = Noise(np.random.default_rng(0), 0.0)
+    subgoals = task_spec(episode.task).subgoals(scenes, noise, check_rules(episode.rules))
+    return sum(subgoal.left(scenes[1]) for subgoal in subgoals)

@@ -1,0 +1,354 @@
+"""Explanations: what the episodes of evaluations were after, in tables, files and pictures."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from magical_mj.evaluation.attribution import Attribution, Unexplained, attribute, engine_for, task_rivals, unfit
+from magical_mj.evaluation.entry import is_entry
+from magical_mj.evaluation.reports.results import episodes_of
+from magical_mj.evaluation.reports.tables import Table, csv, markdown
+from magical_mj.evaluation.scores import EpisodeResult, Key, recorded_settings
+from magical_mj.evaluation.turning import FAILURES, Turning, turnings
+from magical_mj.intents.readings import ENDINGS
+from magical_mj.policies.interface import actions_of
+from magical_mj.tasks.registry import TASKS, VARIANTS
+from magical_mj.tasks.spec import Rules
+from magical_mj.utils import escape, files
+from magical_mj.utils.errors import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FOLDER: Final = "explained"
+PAGE: Final = "explained.md"
+SHOWN: Final = 5
+"""The number of rivals in a table of the page; rivals.csv has all."""
+EXAMPLES: Final = 3
+MOST_REASONS: Final = 8
+"""The number of reasons for which episodes are not explained that the page lists."""
+SIDE: Final = 128  # pixels; of a scene
+GAP: Final = 8  # pixels
+NONE: Final = "none of the rivals"
+
+
+@dataclass
+class Explanation:
+    """What the episodes of some evaluations were after.
+
+    Attributes:
+        attributions: of each episode.
+        turnings: where some of the failed episodes were lost, if that was wanted.
+        problems: why other episodes are not explained, and how many.
+    """
+
+    attributions: list[Attribution] = field(default_factory=list[Attribution])
+    turnings: list[Turning] = field(default_factory=list[Turning])
+    problems: Counter[str] = field(default_factory=Counter[str])
+
+
+def explainable(folders: Iterable[Path], rules: Rules | None = None) -> tuple[list[EpisodeResult], Counter[str]]:
+    """The episodes of evaluations or entries that can be explained; and why others cannot, and how many.
+
+    With `rules`, they are scored by these.
+    """
+    episodes, problems = list[EpisodeResult](), Counter[str]()
+    for folder in folders:
+        recorded = {} if is_entry(folder) else recorded_settings(folder)
+        for episode in episodes_of(folder, rules):
+            if problem := unfit(episode, recorded):
+                problems[problem] += 1
+            else:
+                episodes.append(episode)
+    return episodes, problems
+
+
+def explain_episodes(
+    episodes: Sequence[EpisodeResult],
+    problems: Counter[str],
+    *,
+    lost: int = 0,
+    jobs: int | None = None,
+    watch: Callable[[int, int], object] = lambda _done, _total: None,
+) -> Explanation:
+    """Replays and explains episodes.
+
+    Args:
+        episodes: from `explainable`.
+        problems: why others are not explained, from `explainable`.
+        lost: of how many failed episodes of each method, task and variant the last step is found from which the expert
+            still solves them. Each takes seconds.
+        jobs: the number of processes; None: one per core.
+        watch: called with the number of replayed episodes, and of those to be replayed.
+    """
+    found = Explanation(problems=problems.copy())
+    for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
+        watch(done, len(episodes))
+        if isinstance(result, Unexplained):
+            found.problems[f"{result.episode.policy}, {result.episode.title}: {result.problem}"] += 1
+        else:
+            found.attributions.append(result)
+    found.attributions.sort(key=lambda result: _order(result.episode))
+    if lost:
+        wanted = [group[:lost] for group in _grouped(_failed(found.attributions), _environment).values()]
+        found.turnings = list(turnings([result for group in wanted for result in group], jobs=jobs))
+        found.turnings.sort(key=lambda result: _order(result.attribution.episode))
+    return found
+
+
+def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = MappingProxyType({})) -> Path:
+    """Writes the page, its pictures, and two files of numbers into a folder, over those of an earlier report.
+
+    Args:
+        found: from `explain_episodes`.
+        out: the folder, which is made if it is missing.
+        films: the key of an episode -> the path of its film, relative to the folder.
+
+    Returns:
+        The path of the page.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    parts = [
+        "# What the policies were after",
+        "docs/intents.md says what the words mean. Episodes are replayed from their actions.",
+        *_problems(found.problems),
+        "## Endings",
+        markdown(_endings(found.attributions)),
+        *([markdown(_lost(found.turnings))] if found.turnings else []),
+        "## Rivals that failed episodes reached",
+    ]
+    for (policy, task), group in _grouped(_failed(found.attributions), _method).items():
+        parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
+    files.write(out / "endings.csv", csv(_frame(_ending_rows(found.attributions))), overwrite=True)
+    files.write(out / "rivals.csv", csv(_frame(_rival_rows(found.attributions))), overwrite=True)
+    files.write(out / PAGE, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
+    return out / PAGE
+
+
+def _problems(problems: Counter[str]) -> list[str]:
+    """What is not explained, and why; many reasons are counted."""
+    lines = [
+        f"- {counted(number, 'episode')} not explained: {escape.markdown(why)}"
+        for why, number in problems.most_common(MOST_REASONS)
+    ]
+    rest = problems.total() - sum(number for _, number in problems.most_common(MOST_REASONS))
+    return lines + ([f"- {counted(rest, 'episode')} not explained for other reasons"] if rest else [])
+
+
+def shares(group: Sequence[Attribution]) -> dict[str, float]:
+    """The mean shares of the endings of some episodes."""
+    return {name: sum(result.ending.get(name, 0.0) for result in group) / len(group) for name in ENDINGS}
+
+
+def _endings(results: Sequence[Attribution]) -> Table:
+    groups = []
+    for (policy,), of_policy in _grouped(results, lambda episode: (episode.policy,)).items():
+        rows = [
+            (f"{task} {variant}", str(len(group)), *map(_percent, shares(group).values()))
+            for (_, task, variant), group in _grouped(of_policy, _environment).items()
+        ]
+        rows.append(("all", str(len(of_policy)), *map(_percent, shares(of_policy).values())))
+        groups.append((policy, tuple(rows)))
+    caption = "Shares of episodes by what they did (per cent)"
+    return Table("endings", caption, ("Environment", "episodes", *ENDINGS), tuple(groups))
+
+
+def _lost(results: Sequence[Turning]) -> Table:
+    groups = []
+    by_policy = defaultdict[str, list[Turning]](list)
+    for result in results:
+        by_policy[result.attribution.episode.policy].append(result)
+    for policy, of_policy in by_policy.items():
+        by_task = defaultdict[str, list[Turning]](list)
+        for result in of_policy:
+            by_task[result.attribution.episode.task].append(result)
+        rows = []
+        for task, group in by_task.items():
+            kinds = Counter(result.failure for result in group)
+            last = [
+                result.last / len(result.attribution.episode.actions) for result in group if result.last is not None
+            ]
+            middle = f"{np.median(last):.2f}" if last else ""
+            rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in FAILURES), middle))
+        groups.append((policy, tuple(rows)))
+    header = ("Task", "failed episodes", *FAILURES, "last solvable")
+    caption = (
+        "Failed episodes by what went wrong (per cent), and the last step from which the expert still solves them "
+        "(median, as a share of the horizon)"
+    )
+    return Table("lost", caption, header, tuple(groups))
+
+
+def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
+    """The table and the pictures of one policy and task."""
+    task, policy = group[0].episode.task, group[0].episode.policy
+    variants = _grouped(group, lambda episode: (episode.variant,))
+    rows, pictures = list[tuple[str, ...]](), list[str]()
+    for number, alike in enumerate(_listed(group), start=1):
+        sentence = _sentence(task, alike)
+        rows.append(
+            (
+                sentence,
+                *(_percent(_mean_share(some, alike)) for some in (group, *variants.values())),
+                _percent(sum(_share(result, alike) > 0 for result in group) / len(group)),
+            )
+        )
+        name = f"{policy}-{task}-{number}.png".replace("/", "-")
+        reached = [result for result in group if _share(result, alike)]
+        examples = sorted(reached, key=lambda result: -_share(result, alike))[:EXAMPLES]
+        files.write(out / name, _png([_pair(result.episode) for result in examples]), overwrite=True)
+        pictures += [f"![{sentence}]({quote(name)})", _about(sentence, examples, films)]
+    header = ("Rival", "all", *(variant for (variant,) in variants), "reached by")
+    caption = f"Shares of {counted(len(group), 'failed episode')} (per cent)"
+    notes = ["Shares: an episode counts once, divided among the rivals that it reached by their bits."]
+    left = [result.remaining for result in group if not result.rivals]
+    if left:
+        notes.append(
+            f"Where no rival was reached, the task's plan still wants moves of {np.mean(left):.2f} (mean, world units)."
+        )
+    return [markdown(Table("rivals", caption, header, (("", tuple(rows)),), tuple(notes))), *pictures]
+
+
+def _listed(group: Sequence[Attribution]) -> list[tuple[int, ...]]:
+    """The rivals of a table, the largest share first; those together which the same episodes reached.
+
+    The empty one at the end is about the episodes that reached none.
+    """
+    reached = defaultdict[int, list[int]](list)
+    for number, result in enumerate(group):
+        for rival in result.rivals:
+            reached[rival].append(number)
+    alike = defaultdict[tuple[int, ...], list[int]](list)
+    for rival in sorted(reached):
+        alike[tuple(reached[rival])].append(rival)
+    classes = sorted(map(tuple, alike.values()), key=lambda rivals: (-round(_mean_share(group, rivals), 9), rivals))
+    return classes[:SHOWN] + ([()] if not all(result.rivals for result in group) else [])
+
+
+def _about(sentence: str, examples: Sequence[Attribution], films: Mapping[Key, str]) -> str:
+    """What a picture shows."""
+    parts = []
+    for result in examples:
+        episode = result.episode
+        text = f"{episode.variant}, seed {episode.seed}, run {episode.run}"
+        film = films.get(episode.key)
+        parts.append(escape.markdown_link(f"{text} (film)", quote(film)) if film else escape.markdown(text))
+    return f"{escape.markdown(sentence)} First and last scenes: {'; '.join(parts)}."
+
+
+def _ending_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
+    return [
+        {"policy": policy, "task": task, "variant": variant, "episodes": len(group), **shares(group)}
+        for (policy, task, variant), group in _grouped(results, _environment).items()
+    ]
+
+
+def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
+    """A row for each method, environment and reached rival, and one for what reached none."""
+    rows: list[dict[str, object]] = []
+    for (policy, task, variant), group in _grouped(_failed(results), _environment).items():
+        total, reached = Counter[int | None](), Counter[int | None]()
+        for result in group:
+            total.update(result.rivals or {None: 1.0})
+            reached.update(result.rivals.keys() or [None])
+        for rival, share in sorted(total.items(), key=lambda item: (-item[1], -1 if item[0] is None else item[0])):
+            intent = None if rival is None else task_rivals(task)[rival]
+            rows.append(
+                {
+                    "policy": policy,
+                    "task": task,
+                    "variant": variant,
+                    "failed": len(group),
+                    "rival": NONE if intent is None else str(intent),
+                    "sentence": "" if intent is None else intent.sentence,
+                    "bits": float("nan") if intent is None else intent.bits,
+                    "share": share / len(group),
+                    "reached": reached[rival] / len(group),
+                }
+            )
+    return rows
+
+
+def _frame(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame(rows)
+
+
+def _pair(episode: EpisodeResult) -> NDArray[np.uint8]:
+    """The first and the last scene of an episode side by side, drawn by the software renderer."""
+    with closing(engine_for(episode, "software")) as engine:
+        before = engine.render("allo", SIDE)
+        for action in actions_of(episode.actions):
+            engine.step(action)
+        return np.concatenate(
+            [before, np.full((SIDE, GAP // 4, 3), 255, np.uint8), engine.render("allo", SIDE)], axis=1
+        )
+
+
+def _png(pairs: Sequence[NDArray[np.uint8]]) -> bytes:
+    """Pictures side by side, as a file."""
+    gap = np.full((SIDE, 2 * GAP, 3), 255, np.uint8)
+    row = [part for pair in pairs for part in (gap, pair)][1:]
+    content = io.BytesIO()
+    Image.fromarray(np.concatenate(row, axis=1)).save(content, "png")
+    return content.getvalue()
+
+
+def _grouped(
+    results: Iterable[Attribution], key: Callable[[EpisodeResult], tuple[str, ...]]
+) -> dict[tuple[str, ...], list[Attribution]]:
+    groups = defaultdict[tuple[str, ...], list[Attribution]](list)
+    for result in results:
+        groups[key(result.episode)].append(result)
+    return groups
+
+
+def _failed(results: Iterable[Attribution]) -> list[Attribution]:
+    return [result for result in results if result.episode.score < 1.0]
+
+
+def _environment(episode: EpisodeResult) -> tuple[str, ...]:
+    return episode.policy, episode.task, episode.variant
+
+
+def _method(episode: EpisodeResult) -> tuple[str, ...]:
+    return episode.policy, episode.task
+
+
+def _order(episode: EpisodeResult) -> tuple[str, int, int, int, int]:
+    return episode.policy, TASKS.index(episode.task), list(VARIANTS).index(episode.variant), episode.seed, episode.run
+
+
+def _share(result: Attribution, rivals: Sequence[int]) -> float:
+    """The share of these rivals in an episode; without any, 1 if the episode reached none."""
+    return sum(result.rivals.get(rival, 0.0) for rival in rivals) if rivals else float(not result.rivals)
+
+
+def _mean_share(results: Sequence[Attribution], rivals: Sequence[int]) -> float:
+    return sum(_share(result, rivals) for result in results) / len(results)
+
+
+def _sentence(task: str, rivals: Sequence[int]) -> str:
+    """The simplest of these rivals in English, and how many others there are."""
+    if not rivals:
+        return "None of the rivals."
+    others = counted(len(rivals) - 1, "other")
+    alike = f" (and {others}, reached by the same episodes)" if len(rivals) > 1 else ""
+    return f"{task_rivals(task)[rivals[0]].sentence[:-1]}{alike}."
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}" if share else ""

@@ -1,0 +1,38 @@
+"""Intents: a language of goals over scenes.
+
+An intent is one to three relations, joined by ``&``. A relation is written with the blocks that it is about, judged in
+the initial scene, and what it wants of them in the final scene. docs/intents.md describes the language.
+
+Example:
+    >>> intent = magical_mj.intents.parse("in(colour=red, region) & untouched(others)")
+    >>> intent.sentence
+    'Bring all red blocks into the region, and leave all other blocks where they are.'
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from magical_mj.intents.ambiguity import explain, rivals
+from magical_mj.intents.intent import Intent, parse
+
+__all__ = ["EIGHT", "Intent", "explain", "parse", "rivals"]
+
+EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
+    {
+        task: parse(text)
+        for task, text in {
+            "MoveToCorner": "corner(all, top left)",
+            "MoveToRegion": "robot in()",
+            "MatchRegions": "in(colour=region, region) & out(colour!=region)",
+            "MakeLine": "line(all)",
+            "FindDupe": "in(starts=in, region) & in(any, like=both, region) & out(like!=both)",
+            "FixColour": "in(starts=matched, home) & out(starts=mismatched)",
+            "ClusterColour": "clustered(all, by=colour)",
+            "ClusterShape": "clustered(all, by=shape)",
+        }.items()
+    }
+)
+"""Task -> the intent that holds exactly where the task's score is 1."""

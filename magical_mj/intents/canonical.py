@@ -1,0 +1,77 @@
+"""Conjuncts that follow from others, as far as their form decides it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
+from magical_mj.intents.selectors import REGION, REST, Selector, Test
+
+
+def without_repetition(conjuncts: Sequence[Conjunct]) -> list[Conjunct]:
+    """The conjuncts without those that follow from others in every scene: what is left holds in the same scenes."""
+    kept = list(dict.fromkeys(conjuncts))
+    with_others = any(conjunct.selector == REST for conjunct in kept)
+    for conjunct in sorted(kept, key=str):
+        rest = [other for other in kept if other != conjunct]
+        if any(
+            implies(other, conjunct)
+            and _means_something_where(conjunct, other)
+            and (not with_others or narrower(conjunct.selector, other.selector))  # else others would be more blocks
+            for other in rest
+        ):
+            kept = rest
+    return kept
+
+
+def implies(one: Conjunct, other: Conjunct) -> bool:
+    """Whether the form of two different conjuncts shows that the other holds where one does and both say something."""
+    relation = RELATIONS[one.relation]
+    if (one.relation, other.relation) == ("exactly", "in"):
+        return other.some and other.argument == REGION and narrower(one.selector, other.selector)
+    if one.relation != other.relation or one.number != other.number or REST in (one.selector, other.selector):
+        return False
+    if one.argument != other.argument and (
+        other.argument != ANY or one.relation not in ("wall", "corner", "robot wall")
+    ):
+        return False
+    if relation.each is None:
+        return relation.robot is not None
+    if other.some:
+        return narrower(one.selector, other.selector)
+    return not one.some and narrower(other.selector, one.selector)
+
+
+def narrower(one: Selector, other: Selector) -> bool:
+    """Whether the other selector means all blocks that one means, in every scene; each is as narrow as itself."""
+    return one == other or (
+        REST not in (one, other) and all(any(_passes(test, wider) for test in one) for wider in other)
+    )
+
+
+def _passes(test: Test, wider: Test) -> bool:
+    """Whether what passes a test passes a wider one."""
+    if test == wider:
+        return True
+    if test.name != wider.name:
+        return False
+    match test.name:
+        case "colour" | "shape":
+            return (
+                test.equal and not wider.equal and test.value != wider.value and REGION not in (test.value, wider.value)
+            )
+        case "like":
+            strict, loose = (test, wider) if test.equal else (wider, test)
+            return test.equal == wider.equal and strict.value == "both" and loose.value != "both"
+        case "starts":
+            return wider.value == "in" and test.value in ("matched", "mismatched")
+        case _:
+            return False
+
+
+def _means_something_where(conjunct: Conjunct, other: Conjunct) -> bool:
+    """Whether a conjunct that follows from another says something in every scene in which the other does."""
+    if conjunct.selector == other.selector or conjunct.some:
+        return True
+    plain = all(test.name in ("colour", "shape") and test.value != REGION for test in conjunct.selector)
+    return plain and RELATIONS[conjunct.relation].least == 0

@@ -1,0 +1,255 @@
+"""Intents: goals over scenes as immutable data, with text, truth value, score and description length."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NoReturn
+
+from magical_mj.intents.canonical import without_repetition
+from magical_mj.intents.english import paraphrases_of, sentence_of
+from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
+from magical_mj.intents.selectors import (
+    ALL,
+    NEGATABLE,
+    OTHERS,
+    PAIRS,
+    REST,
+    VALUES,
+    Selector,
+    Test,
+    UngroundedError,
+    names_one,
+)
+from magical_mj.scene import Scene
+from magical_mj.utils.errors import IntentError
+
+MOST_CONJUNCTS: Final = 3
+_CONJUNCT: Final = re.compile(r"\s*([a-z]+(?: [a-z]+)?)\s*\(([^()]*)\)\s*")
+_TEST: Final = re.compile(r"([a-z]+)\s*(!?=)\s*([a-z]+(?: [a-z]+)?)")
+
+
+@dataclass(frozen=True)
+class Intent:
+    """One to three conjuncts, which shall all hold when the episode ends.
+
+    Make one with `parse`. `str` gives the canonical text: conjuncts in the order of `RELATIONS`, without those that
+    follow from others in every scene, such as `in(any, all, region)` from `in(all, region)`.
+    """
+
+    conjuncts: tuple[Conjunct, ...]
+
+    def __str__(self) -> str:
+        return " & ".join(map(str, self.conjuncts))
+
+    def holds(self, initial: Scene, final: Scene) -> bool:
+        """Whether every conjunct holds for every object; False where one means nothing in the initial scene."""
+        return self.share(initial, final) == 1.0
+
+    def score(self, initial: Scene, final: Scene) -> float:
+        """How much of the intent was reached, in [0, 1]: 1 exactly if it holds, and 0 at most at the start.
+
+        It is the share of the final scene beyond that of the initial scene, scaled by what was missing.
+        """
+        now, before = self.share(initial, final), self.share(initial, initial)
+        if now == 1.0 or before == 1.0:
+            return now if now == 1.0 else 0.0
+        return max(0.0, (now - before) / (1.0 - before))
+
+    def share(self, initial: Scene, final: Scene) -> float:
+        """The mean over conjuncts of the share of objects for which each holds; 0 where one means nothing."""
+        try:
+            shares = [_share(parts) for parts in self.parts(initial, final)]
+        except UngroundedError:
+            return 0.0
+        return sum(shares) / len(shares) if min(shares) < 1.0 else 1.0
+
+    def parts(self, initial: Scene, final: Scene) -> list[list[bool]]:
+        """For each conjunct whether it holds for each object.
+
+        Raises:
+            UngroundedError: if a conjunct means nothing in the initial scene.
+        """
+        named = self._named(initial)
+        return [conjunct.parts(initial, final, named) for conjunct in self.conjuncts]
+
+    def blocks(self, initial: Scene) -> list[tuple[int, ...]]:
+        """For each conjunct the blocks that it is about.
+
+        Raises:
+            UngroundedError: if a selector means nothing in the initial scene.
+        """
+        named = self._named(initial)
+        return [
+            conjunct.blocks(initial, named) if RELATIONS[conjunct.relation].of_blocks else ()
+            for conjunct in self.conjuncts
+        ]
+
+    def grounded(self, initial: Scene) -> bool:
+        """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
+        named = self._named(initial)
+        return all(conjunct.grounded(initial, named) for conjunct in self.conjuncts)
+
+    def _named(self, initial: Scene) -> tuple[int, ...]:
+        """The blocks that the conjuncts without the selector `others` name."""
+        named = [
+            conjunct.blocks(initial)
+            for conjunct in self.conjuncts
+            if RELATIONS[conjunct.relation].of_blocks and conjunct.selector != REST
+        ]
+        return tuple(sorted({index for blocks in named for index in blocks}))
+
+    @cached_property
+    def bits(self) -> float:
+        """The description length in bits: of the number of conjuncts, and of each one's relation and arguments."""
+        return intent_bits(self.conjuncts)
+
+    @property
+    def sentence(self) -> str:
+        """The intent in English: "Bring all red blocks into the region, and leave all other blocks where they are."."""
+        return sentence_of(self.conjuncts)
+
+    @property
+    def paraphrases(self) -> tuple[str, ...]:
+        """Sentences with the same meaning, up to twelve; `sentence` is the first."""
+        return paraphrases_of(self.conjuncts)
+
+
+def _share(parts: list[bool]) -> float:
+    return sum(parts) / len(parts) if parts else 1.0
+
+
+def intent_bits(conjuncts: Sequence[Conjunct]) -> float:
+    """The description length of these conjuncts together."""
+    return math.log2(MOST_CONJUNCTS) + sum(map(conjunct_bits, conjuncts))
+
+
+def conjunct_bits(conjunct: Conjunct) -> float:
+    """The description length of one conjunct."""
+    relation = RELATIONS[conjunct.relation]
+    bits = math.log2(len(RELATIONS)) + math.log2(len(relation.arguments)) + (1.0 if relation.quantified else 0.0)
+    if conjunct.relation == "exactly":
+        bits += 2.0
+    return bits + (selector_bits(conjunct.selector) if relation.of_blocks else 0.0)
+
+
+def selector_bits(selector: Selector) -> float:
+    """The description length of a selector: one of four forms (all, others, one test, two), then its tests."""
+    bits = 2.0
+    if selector in (ALL, REST):
+        return bits
+    bits += math.log2(len(VALUES)) if len(selector) == 1 else math.log2(len(PAIRS))
+    return bits + sum(math.log2(len(VALUES[test.name])) + (test.name in NEGATABLE) for test in selector)
+
+
+def parse(text: str) -> Intent:
+    """The intent that a text describes; see the module `magical_mj.intents` for the language.
+
+    Raises:
+        IntentError: if the text is no intent; the message shows where.
+    """
+    if not isinstance(text, str):
+        raise IntentError(f"an intent is a text such as 'in(colour=red, region)', not {text!r}")
+    conjuncts: list[Conjunct] = []
+    at = 0
+    while True:
+        found = _CONJUNCT.match(text, at)
+        if found is None:
+            _fail(text, at, f"a relation with its arguments in brackets, such as {_example()}")
+        conjuncts.append(_conjunct(text, found))
+        at = found.end()
+        if at == len(text):
+            return intent_of(conjuncts)
+        if text[at] != "&":
+            _fail(text, at, "& and another relation, or the end")
+        at += 1
+
+
+def intent_of(conjuncts: list[Conjunct]) -> Intent:
+    """The intent of these conjuncts, in canonical form.
+
+    Raises:
+        IntentError: if there are too many, or `others` are named and no other conjunct, or one with all blocks.
+    """
+    order = list(RELATIONS)
+    single = [replace(one, some=one.some and not names_one(one.selector)) for one in conjuncts]
+    kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
+    if len(kept) > MOST_CONJUNCTS:
+        raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
+    if any(one.selector == REST for one in kept):
+        naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
+        if len(kept) == 1 or ALL in naming:
+            why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
+            raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
+    return Intent(tuple(kept))
+
+
+def _example() -> str:
+    return f"in(colour=red, region); the relations are {', '.join(RELATIONS)}"
+
+
+def _fail(text: str, at: int, wanted: str) -> NoReturn:
+    raise IntentError(f"{text}\n{' ' * at}^ here should be {wanted}")
+
+
+def _conjunct(text: str, found: re.Match[str]) -> Conjunct:
+    """The conjunct of a match of `_CONJUNCT`."""
+    name, at = found[1], found.start(2)
+    if name not in RELATIONS:
+        _fail(text, found.start(1), f"a relation: {', '.join(RELATIONS)}")
+    relation, parts = RELATIONS[name], _parts(found[2], at)
+    conjunct = Conjunct(name)
+    if name == "exactly":
+        if not parts or not re.fullmatch("[1-9]", parts[0][0]):
+            _fail(text, at, "a number from 1 to 9")
+        conjunct = replace(conjunct, number=int(parts.pop(0)[0]))
+    if relation.quantified and parts and parts[0][0] == ANY and len(parts) > 1:
+        conjunct, parts = replace(conjunct, some=True), parts[1:]
+    if relation.arguments != ("",):
+        word, place = parts.pop() if parts else ("", found.end(2))
+        value = word.removeprefix(relation.prefix).strip()
+        if value not in relation.arguments or not word.startswith(relation.prefix):
+            _fail(text, place, f"one of {', '.join(relation.prefix + value for value in relation.arguments)}")
+        conjunct = replace(conjunct, argument=value)
+    if not relation.of_blocks:
+        if parts:
+            _fail(text, parts[0][1], "the end of the brackets")
+        return conjunct
+    return replace(conjunct, selector=_selector(text, parts, found.end(2)))
+
+
+def _parts(inner: str, start: int) -> list[tuple[str, int]]:
+    """The arguments in brackets, each with its place in the text."""
+    parts, at = [], start
+    for part in inner.split(","):
+        if part.strip():
+            parts.append((" ".join(part.split()), at + len(part) - len(part.lstrip())))
+        at += len(part) + 1
+    return parts
+
+
+def _selector(text: str, parts: list[tuple[str, int]], end: int) -> Selector:
+    """The selector that these arguments describe."""
+    if not parts:
+        _fail(text, end, f"which blocks: all, {OTHERS}, or tests such as colour=red")
+    if len(parts) == 1 and parts[0][0] in ("all", OTHERS):
+        return ALL if parts[0][0] == "all" else REST
+    tests = []
+    for word, at in parts:
+        found = _TEST.fullmatch(word)
+        if found is None or found[1] not in VALUES:
+            _fail(text, at, f"all, {OTHERS}, or a test such as colour=red, by {', '.join(VALUES)}")
+        name, value, equal = found[1], found[3], found[2] == "="
+        if value not in VALUES[name]:
+            _fail(text, at + found.start(3), f"one of {', '.join(VALUES[name])}")
+        if not equal and name not in NEGATABLE:
+            _fail(text, at, f"{name}={value}: only {', '.join(NEGATABLE)} can be negated")
+        tests.append(Test(name, value, equal))
+    tests.sort(key=lambda test: list(VALUES).index(test.name))
+    names = tuple(test.name for test in tests)
+    if len(tests) > 1 and names not in PAIRS:
+        _fail(text, parts[-1][1], f"one test, or two of {', or of '.join(' and '.join(pair) for pair in PAIRS)}")
+    return tuple(tests)

@@ -1,0 +1,143 @@
+"""Readings: which blocks a policy may have taken for the intended ones, and what an episode did by them.
+
+Demonstrations in one scene do not say what matters about the blocks that they moved: the place, the colour, the shape,
+or what the task means. In a scene where these differ, the blocks that a policy moved say which of them it learnt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from magical_mj.intents.intent import Intent
+from magical_mj.intents.relations import RELATIONS, STAYED
+from magical_mj.intents.selectors import selected
+from magical_mj.scene import Scene
+
+SAME_PLACE: Final = 0.3
+"""Between the centres of a block and of the demonstrated one (world units), about the width of a block."""
+READINGS: Final = ("same place", "same colour", "same shape", "nearest")
+ENDINGS: Final = ("intended", *READINGS, "another block", "incompetent", "nothing")
+"""What an episode did; see `ending`."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the demonstrations of a task show.
+
+    Attributes:
+        scene: in which they start.
+        moved: the blocks that most of them move.
+    """
+
+    scene: Scene
+    moved: tuple[int, ...]
+
+    @classmethod
+    def of(cls, ends: Sequence[tuple[Scene, Scene]]) -> Shown:
+        """What demonstrations with these initial and final scenes show. They start in one scene."""
+        moves = [set(moved_blocks(*pair)) for pair in ends]
+        blocks = range(len(ends[0][0].blocks))
+        return cls(
+            ends[0][0], tuple(index for index in blocks if 2 * sum(index in move for move in moves) > len(moves))
+        )
+
+
+def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
+    """The blocks that ended farther than `STAYED` from where they began."""
+    pairs = enumerate(zip(initial.blocks, final.blocks, strict=True))
+    return tuple(index for index, (here, there) in pairs if math.hypot(here.x - there.x, here.y - there.y) > STAYED)
+
+
+def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
+    """The blocks that have to be moved, or one of which: those for which a conjunct does not hold yet in the scene."""
+    wanted: set[int] = set()
+    for conjunct, parts in zip(intent.conjuncts, intent.parts(initial, initial), strict=True):
+        relation = RELATIONS[conjunct.relation]
+        if all(parts) or not relation.of_blocks:
+            continue
+        blocks = selected(conjunct.selector, initial)
+        flags = relation.each(conjunct.argument, initial, initial) if relation.each else [False] * len(initial.blocks)
+        wanted |= {index for index in blocks if flags[index] is False}
+    return frozenset(wanted)
+
+
+def readings(shown: Shown, initial: Scene) -> dict[str, frozenset[int]]:
+    """For each reading the blocks in a scene that it takes for the intended ones; none where it does not apply.
+
+    - same place: of the blocks that start within `SAME_PLACE` of where a demonstrated one started, the nearest.
+    - same colour, same shape: all blocks with the colour, or the shape, of a demonstrated one.
+    - nearest: the block nearest to where the robot starts.
+    """
+    models = [shown.scene.blocks[index] for index in shown.moved]
+    if not models or not initial.blocks:
+        return dict.fromkeys(READINGS, frozenset())
+    points = [(block.x, block.y) for block in initial.blocks]
+    nearest = [_nearest(points, (model.x, model.y)) for model in models]
+    near = {
+        index
+        for index, model in zip(nearest, models, strict=True)
+        if math.dist(points[index], (model.x, model.y)) <= SAME_PLACE
+    }
+    colours, shapes = {model.colour for model in models}, {model.shape for model in models}
+    return {
+        "same place": frozenset(near),
+        "same colour": frozenset(index for index, block in enumerate(initial.blocks) if block.colour in colours),
+        "same shape": frozenset(index for index, block in enumerate(initial.blocks) if block.shape in shapes),
+        "nearest": frozenset([_nearest(points, (initial.robot.x, initial.robot.y))]),
+    }
+
+
+def ending(intent: Intent, shown: Shown, initial: Scene, final: Scene, *, solved: bool) -> Mapping[str, float]:
+    """What an episode did, as shares of `ENDINGS` that sum to 1.
+
+    - intended: it was solved.
+    - nothing: no block was moved, and in a task of the robot alone, neither was the robot.
+    - incompetent: a block was moved that had to be, but the task was not solved.
+    - otherwise, wrong blocks only were moved: in equal parts all readings that name one of them; "another block" if
+      none does.
+
+    In a task of the robot alone, "same place" means that it ended in a region of the demonstrations' scene, and
+    "incompetent" that it went elsewhere.
+    """
+    if solved:
+        return {"intended": 1.0}
+    moved, wanted = set(moved_blocks(initial, final)), intended_blocks(intent, initial)
+    if not any(RELATIONS[conjunct.relation].of_blocks for conjunct in intent.conjuncts):
+        return {_robot_ending(shown, initial, final): 1.0}
+    if not moved:
+        return {"nothing": 1.0}
+    if moved & wanted:
+        return {"incompetent": 1.0}
+    named = [name for name, blocks in readings(shown, initial).items() if blocks & moved] or ["another block"]
+    return {name: 1.0 / len(named) for name in named}
+
+
+def _robot_ending(shown: Shown, initial: Scene, final: Scene) -> str:
+    here, there = initial.robot, final.robot
+    if math.hypot(here.x - there.x, here.y - there.y) <= STAYED:
+        return "nothing"
+    return "same place" if any(region.contains(there) for region in shown.scene.regions) else "incompetent"
+
+
+def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
+    """Whether moving these blocks, instead of the intended ones, is wrong in a scene.
+
+    Where one of several blocks is enough, any of them is right. To move none is wrong where one has to be moved.
+    """
+    wanted = intended_blocks(intent, initial)
+    if any(conjunct.some for conjunct in intent.conjuncts):
+        return bool(wanted) and not (blocks and blocks <= wanted)
+    return blocks != wanted
+
+
+def same_places(final: Scene, initial: Scene) -> Scene:
+    """A scene with the robot and the blocks, one by one, at the places of another one; further blocks stay."""
+    poses = [block.pose for block in final.blocks][: len(initial.blocks)]
+    return initial.moved(final.robot.pose, [*poses, *(block.pose for block in initial.blocks[len(poses) :])])
+
+
+def _nearest(points: Sequence[tuple[float, float]], to: tuple[float, float]) -> int:
+    return min(range(len(points)), key=lambda index: math.dist(points[index], to))

@@ -1,0 +1,259 @@
+"""Relations: what an intent wants of the selected blocks, or of the robot, in the final scene.
+
+`parts` says for each object whether the relation holds. Relations of several blocks, such as a line, also have one part
+for each block, so that a score can count how many are right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from magical_mj.intents.selectors import (
+    ALL,
+    REFERENCES,
+    REST,
+    Selector,
+    UngroundedError,
+    block_of,
+    homes,
+    selected,
+    text_of,
+    the_region,
+)
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.tasks.cluster import right_blocks
+from magical_mj.tasks.make_line import longest_line
+from magical_mj.tasks.move_to_corner import FULL_SCORE_DISTANCE
+
+NEAR: Final = 0.45
+"""Between centres (world units): as close as two blocks that touch, and a little more."""
+APART: Final = 0.7
+"""Between the centres of blocks that are apart."""
+AT_WALL: Final = 0.3
+"""From a wall to a centre."""
+STAYED: Final = 0.15
+"""From where an untouched block began."""
+LEAST_LINE: Final = 3
+
+WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
+CORNERS: Final = {"top left": (-1, 1), "top right": (1, 1), "bottom left": (-1, -1), "bottom right": (1, -1)}
+ANY: Final = "any"
+HOME: Final = "home"
+
+
+@dataclass(frozen=True, order=True)
+class Conjunct:
+    """One relation with what it is about.
+
+    Attributes:
+        relation: a key of `RELATIONS`.
+        selector: the blocks; not used by relations of the robot.
+        argument: the region, wall, corner, reference or attribute, as the relation takes it.
+        number: for "exactly", how many.
+        some: whether one of the blocks is enough.
+    """
+
+    relation: str
+    selector: Selector = ALL
+    argument: str = ""
+    number: int = 0
+    some: bool = False
+
+    def __str__(self) -> str:
+        parts = [str(self.number)] if self.relation == "exactly" else []
+        parts += [ANY] if self.some else []
+        parts += [text_of(self.selector)] if RELATIONS[self.relation].of_blocks else []
+        if argument := RELATIONS[self.relation].written(self.argument):
+            parts.append(argument)
+        return f"{self.relation}({', '.join(parts)})"
+
+    def parts(self, initial: Scene, final: Scene, named: tuple[int, ...] = ()) -> list[bool]:
+        """Whether it holds, for each object.
+
+        Args:
+            initial: the scene in which the episode began.
+            final: the scene in which it ended, with the same blocks.
+            named: the blocks that the other conjuncts name, for the selector ``others``.
+
+        Raises:
+            UngroundedError: if it means nothing in the initial scene, or is about no block, though something is wanted
+                of one.
+        """
+        relation = RELATIONS[self.relation]
+        if relation.robot is not None:
+            return [relation.robot(self.argument, initial, final)]
+        blocks = self.blocks(initial, named)
+        if relation.each is not None:
+            flags = relation.each(self.argument, initial, final)
+            parts = [flag for flag in (flags[index] for index in blocks) if flag is not None]
+            if not parts and relation.least:
+                raise UngroundedError(f"{self} is about no block")
+            return [any(parts)] if self.some else parts
+        if len(blocks) < max(relation.least, self.number):
+            raise UngroundedError(f"{self} is about {len(blocks)} blocks")
+        return relation.together(self, blocks, initial, final)
+
+    def grounded(self, initial: Scene, named: tuple[int, ...] = ()) -> bool:
+        """Whether it is about something in the initial scene: a block at least, or the robot."""
+        try:
+            return bool(self.parts(initial, initial, named))
+        except UngroundedError:
+            return False
+
+    def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
+        """The blocks that it is about."""
+        if self.selector == REST:
+            return tuple(index for index in range(len(initial.blocks)) if index not in named)
+        return selected(self.selector, initial)
+
+
+Each = Callable[[str, Scene, Scene], "list[bool | None]"]
+"""(argument, initial, final) -> for each block of the scene whether it holds; None: it is not about this block."""
+Together = Callable[[Conjunct, tuple[int, ...], Scene, Scene], list[bool]]
+"""(conjunct, blocks, initial, final) -> whether it holds, for each object."""
+OfRobot = Callable[[str, Scene, Scene], bool]
+
+
+def _nothing(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Relation:
+    """How a relation is written, and judged by one of three functions.
+
+    Attributes:
+        arguments: the values that it takes; ("",) if it takes none.
+        each: judges each block by itself.
+        together: judges the selected blocks together.
+        robot: judges the robot.
+        prefix: what stands before an argument in texts, such as "to=".
+        least: the fewest blocks about which it says something; 0: it also holds if there are none.
+    """
+
+    arguments: tuple[str, ...] = ("",)
+    each: Each | None = None
+    together: Together = _nothing
+    robot: OfRobot | None = None
+    prefix: str = ""
+    least: int = 1
+
+    @property
+    def of_blocks(self) -> bool:
+        """Whether it has a selector."""
+        return self.robot is None
+
+    @property
+    def quantified(self) -> bool:
+        """Whether "any" may stand before the selector."""
+        return self.each is not None and self.least > 0
+
+    def written(self, value: str) -> str:
+        """An argument as a text writes it."""
+        return f"{self.prefix}{value}" if value else ""
+
+
+def _in(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    if not initial.regions:
+        raise UngroundedError("the scene has no region")
+    if argument == HOME:
+        pairs = zip(homes(initial), final.blocks, strict=True)
+        return [None if home is None else final.regions[home].contains(block) for home, block in pairs]
+    return [any(region.contains(block) for region in final.regions) for block in final.blocks]
+
+
+def _out(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    return [not inner for inner in _in(argument, initial, final)]
+
+
+def _exactly(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    region = the_region(final)
+    return [sum(region.contains(final.blocks[index]) for index in blocks) == conjunct.number]
+
+
+def _at_wall(thing: Block | Robot, wall: str, half: float) -> bool:
+    sides = WALLS.values() if wall == ANY else [WALLS[wall]]
+    return any(u * thing.x + v * thing.y >= half - AT_WALL for u, v in sides)
+
+
+def _wall(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    return [_at_wall(block, argument, final.half_width) for block in final.blocks]
+
+
+def _corner(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    half = final.half_width
+    corners = CORNERS.values() if argument == ANY else [CORNERS[argument]]
+    return [
+        any(math.hypot(block.x - u * half, block.y - v * half) <= FULL_SCORE_DISTANCE for u, v in corners)
+        for block in final.blocks
+    ]
+
+
+def _near(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    other = block_of(argument, initial)
+    return [
+        None if index == other else _way(block, final.blocks[other]) <= NEAR for index, block in enumerate(final.blocks)
+    ]
+
+
+def _apart(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    return [
+        all(_way(final.blocks[index], final.blocks[other]) >= APART for other in blocks if other != index)
+        for index in blocks
+    ]
+
+
+def _line(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    points = [(final.blocks[index].x, final.blocks[index].y) for index in blocks]
+    right = longest_line(points)
+    return [number < right for number in range(len(points))]
+
+
+def _clustered(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    values = {getattr(block, conjunct.argument) for block in initial.blocks}
+    if len(values) < 2:
+        raise UngroundedError(f"all blocks have the same {conjunct.argument}")
+    right = right_blocks(final, "colour" if conjunct.argument == "colour" else "shape")
+    return [right[index] for index in blocks]
+
+
+def _untouched(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    return [_way(here, there) <= STAYED for here, there in zip(final.blocks, initial.blocks, strict=True)]
+
+
+def _robot_in(argument: str, initial: Scene, final: Scene) -> bool:
+    return the_region(final).contains(final.robot)
+
+
+def _robot_near(argument: str, initial: Scene, final: Scene) -> bool:
+    return _way(final.robot, final.blocks[block_of(argument, initial)]) <= NEAR
+
+
+def _robot_wall(argument: str, initial: Scene, final: Scene) -> bool:
+    return _at_wall(final.robot, argument, final.half_width)
+
+
+def _way(thing: Block | Robot, other: Block | Robot) -> float:
+    return math.hypot(thing.x - other.x, thing.y - other.y)
+
+
+_BLOCKS: Final = tuple(reference for reference in REFERENCES if reference not in ("region", "robot"))
+RELATIONS: Final = {
+    "in": Relation(("region", HOME), each=_in),
+    "out": Relation(each=_out, least=0),
+    "exactly": Relation(together=_exactly),
+    "wall": Relation((*WALLS, ANY), each=_wall),
+    "corner": Relation((*CORNERS, ANY), each=_corner),
+    "near": Relation(_BLOCKS, each=_near, prefix="to="),
+    "apart": Relation(together=_apart, least=2),
+    "line": Relation(together=_line, least=LEAST_LINE),
+    "clustered": Relation(("colour", "shape"), together=_clustered, prefix="by="),
+    "untouched": Relation(each=_untouched, least=0),
+    "robot in": Relation(robot=_robot_in),
+    "robot near": Relation(_BLOCKS, robot=_robot_near, prefix="to="),
+    "robot wall": Relation((*WALLS, ANY), robot=_robot_wall),
+}
+"""All relations by name, in the order in which canonical texts list them."""

@@ -1,0 +1,168 @@
+"""Attribution of stored episodes: what they were after, where they were lost, and the report that says so."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+import magical_mj
+from magical_mj import Engine, demos
+from magical_mj.evaluation.attribution import Attribution, Unexplained, attribute, remaining, task_rivals, unfit
+from magical_mj.evaluation.entry import read_entry
+from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.evaluation.turning import turning
+from magical_mj.intents import EIGHT
+from magical_mj.intents.readings import ENDINGS
+from magical_mj.policies.interface import actions_of, letters_of
+from magical_mj.scene.actions import NOOP
+from tests.helpers.commands import Shell
+from tests.helpers.evaluations import TEMPLATE
+from tools.attribution import RESULTS, ROOT, TELLING, disagree, pursued, replayed
+
+CLOSE_GRIPPER = 9
+
+
+def played(task: str, variant: str, seed: int, actions: list[int]) -> EpisodeResult:
+    """The record of an episode with these actions; the rest of its steps does nothing."""
+    with closing(Engine(task, variant, seed=seed)) as engine:
+        actions = [*actions, *[NOOP] * ((engine.horizon or 0) - len(actions))][: engine.horizon]
+        for action in actions:
+            engine.step(action)
+        made: dict[str, Any] = {"score": engine.score(), "steps": len(actions), "actions": letters_of(actions)}
+    return replace(TEMPLATE, policy="mine", task=task, variant=variant, seed=seed, **made)
+
+
+def attributed(episode: EpisodeResult) -> Attribution:
+    (result,) = attribute([episode], jobs=1)
+    assert isinstance(result, Attribution), result
+    return result
+
+
+def test_bc_takes_the_block_at_the_demonstrated_place_as_the_page_says() -> None:
+    entry = read_entry(RESULTS / "pixels-bc-quick")
+    there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
+    seeds = {seed for seed in range(100) if disagree(magical_mj.sample_scene(*TELLING, seed))}
+    results = replayed(entry, [episode for episode in there if episode.seed in seeds])
+    row = [entry.method, len(results), *(round(100 * share) for share in pursued(results))]
+    assert row == ["BC (ST, quick)", 90, 96, 0, 8]
+    page = (ROOT / "docs" / "intents.md").read_text("utf-8")
+    assert f"| {' | '.join(map(str, row))} |" in page
+    assert f"In {len(seeds)} of FixColour's 100 Colour scenes" in page
+    text = " ".join(page.split())
+    assert (
+        "moves the block at the demonstrated place in 96 % of its episodes, another block of the demonstrated colour "
+        "in 0 %, and the intended one in 8 %; Relational (ST, State) in 32, 7 and 92 %."
+    ) in text
+    assert "| Relational (ST, State) | 90 | 32 | 7 | 92 |" in page
+
+
+def test_the_rivals_of_a_failed_episode_hold_at_its_end_and_not_at_its_start() -> None:
+    entry = read_entry(RESULTS / "pixels-bc-quick")
+    episodes = [one for one in entry.episodes if one.task == "FixColour" and one.variant == "Colour" and one.run == 0][
+        :12
+    ]
+    results = {one.episode.seed: one for one in attribute(episodes, jobs=2) if isinstance(one, Attribution)}
+    assert len(results) == len(episodes)
+    rivals, reached = task_rivals("FixColour"), 0
+    for episode in episodes:
+        result = results[episode.seed]
+        with closing(Engine("FixColour", "Colour", seed=episode.seed)) as engine:
+            for action in actions_of(episode.actions):
+                engine.step(action)
+            assert (result.initial, result.final) == (engine.initial_scene, engine.scene)
+        assert sum(result.ending.values()) == pytest.approx(1.0)
+        assert set(result.ending) <= set(ENDINGS)
+        assert EIGHT["FixColour"].holds(result.initial, result.final) == (episode.score == 1.0)
+        assert result.episode.score < 1.0 or not result.rivals
+        if not result.rivals:
+            continue
+        reached += 1
+        assert sum(result.rivals.values()) == pytest.approx(1.0)
+        for number, rival in enumerate(rivals):
+            pursued = rival.holds(result.initial, result.final) and not rival.holds(result.initial, result.initial)
+            assert (number in result.rivals) == (pursued and rival.grounded(result.initial)), rival
+        first, second = list(result.rivals)[:2]
+        ratio = 2.0 ** (rivals[second].bits - rivals[first].bits)
+        assert result.rivals[first] / result.rivals[second] == pytest.approx(ratio)
+    assert reached
+
+
+def test_what_remains_is_the_length_of_the_plan() -> None:
+    episode = played("MoveToRegion", "Demo", 0, [])
+    result = attributed(episode)
+    assert result.ending == {"nothing": 1.0}
+    assert result.rivals == {}
+    region, robot = result.initial.regions[0], result.initial.robot
+    edge = max(abs(robot.x - region.centre[0]), abs(robot.y - region.centre[1])) - region.width / 2
+    assert edge < result.remaining < edge + 0.6
+    demonstration = demos.load("MoveToRegion")[0].scenes()
+    assert remaining(episode, (demonstration[0], demonstration[-1])) == 0.0
+
+
+def test_what_cannot_be_explained_says_why() -> None:
+    good = played("MoveToRegion", "Demo", 0, [])
+    for changed, why in (
+        (replace(good, shift="latency:1"), "the shift latency:1"),
+        (replace(good, failure="it broke"), "the policy failed"),
+        (replace(good, task="SweepToTop"), "no intent in the language"),
+        (replace(good, wrap="mine:Wrapper"), "in the wrapper"),
+        (replace(good, worlds="batched"), "batched worlds"),
+    ):
+        assert why in (unfit(changed) or "")
+    assert unfit(good) is None
+    (result,) = attribute([replace(good, score=0.5)], jobs=1)
+    assert isinstance(result, Unexplained)
+    assert "its actions lead to 0" in result.problem
+
+
+def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:
+    demonstration = demos.load("MoveToRegion")[0]
+    actions = demonstration.actions.tolist()
+    assert turning(attributed(played("MoveToRegion", "Demo", 0, []))).failure == "did nothing"
+    there = turning(attributed(played("MoveToRegion", "Demo", 0, actions[:8])))
+    assert there.failure == "ran out of time"
+    horizon = len(there.attribution.episode.actions)
+    assert there.last is not None
+    assert 0 < there.last < horizon
+    assert turning(attributed(played("MoveToRegion", "Layout", 7, actions))).failure == "pursued another goal"
+    closed = played("MoveToCorner", "Demo", 0, [CLOSE_GRIPPER] * 5)
+    assert attributed(closed).ending == {"nothing": 1.0}
+
+
+def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> None:
+    small: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1}
+    magical_mj.evaluate("noop", out=tmp_path / "noop", **small)
+    magical_mj.evaluate("expert", out=tmp_path / "expert", **small)
+    code, _, error = shell(
+        *("report", tmp_path / "noop", tmp_path / "expert", "--out", tmp_path / "page", "--videos"),
+        *("--explain", "--last-solvable", 1, "--jobs", 1),
+    )
+    assert (code, error) == (0, "")
+    folder = tmp_path / "page" / "explained"
+    endings = pd.read_csv(folder / "endings.csv").set_index("policy")
+    assert endings.loc["noop", "nothing"] == endings.loc["expert", "intended"] == 1.0
+    rivals = pd.read_csv(folder / "rivals.csv")
+    assert rivals[["policy", "failed", "rival", "share"]].to_numpy().tolist() == [
+        ["noop", 2, "none of the rivals", 1.0]
+    ]
+    page = (folder / "explained.md").read_text("utf-8")
+    assert "did nothing" in page
+    for target in re.findall(r"\]\(([^)]+)\)", page):
+        assert (folder / target.replace("%20", " ")).exists(), target
+    assert "](../best-noop-MoveToRegion.mp4)" in page
+    with Image.open(folder / "noop-MoveToRegion-1.png") as picture:
+        assert picture.height == 128
+    assert "explained/explained.md" in (tmp_path / "page" / "report.md").read_text("utf-8")
+    refusal = shell.fails(2, "report", tmp_path / "noop", "--last-solvable", 1)
+    assert "--last-solvable has an effect only with --explain" in refusal
+    sweeping = replace(played("MoveToRegion", "Demo", 0, []), task="SweepToTop")
+    (tmp_path / "noop" / "scores.jsonl").write_text(sweeping.line())
+    refusal = shell.fails(2, "report", tmp_path / "noop", "--explain")
+    assert "no episode can be explained: SweepToTop has no intent in the language" in refusal

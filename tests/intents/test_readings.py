@@ -1,0 +1,101 @@
+"""Readings: which blocks demonstrations may have meant, what an episode did by them, and what test scenes can tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from magical_mj import ENVIRONMENTS
+from magical_mj.intents import EIGHT, parse
+from magical_mj.intents.readings import Shown, ending, intended_blocks, moved_blocks, readings, same_places
+from magical_mj.scene import Scene
+from tests.intents.test_language import START, moved
+from tools.attribution import refuted
+
+CARD = Path(__file__).parents[2] / "docs" / "benchmark-card.md"
+INTENT = parse("in(colour=blue, region) & out(colour!=blue)")
+OUTSIDE, INSIDE = (-0.8, -0.3), (0.1, 0.2)
+
+
+def shown(*blocks: int) -> Shown:
+    """What three demonstrations show, two of which move these blocks."""
+    return Shown.of([(START, moved(**{f"b{block}": (0.7, 0.0) for block in blocks}))] * 2 + [(START, START)])
+
+
+def test_demonstrated_blocks_are_those_that_most_demonstrations_move() -> None:
+    assert shown(1, 3).moved == (1, 3)
+    assert Shown.of([(START, moved(b0=INSIDE)), (START, START), (START, START)]).moved == ()
+    assert moved_blocks(START, moved(b0=(0.8, 0.7), b1=(-0.6, 0.8))) == (1,)
+
+
+def test_readings_name_blocks_by_place_colour_and_shape() -> None:
+    swapped = moved(b0=(-0.75, 0.8), b1=(0.8, 0.8))  # the star is now where the square was
+    assert readings(shown(1), swapped) == {
+        "same place": {0},
+        "same colour": {0, 1},
+        "same shape": {1},
+        "nearest": {3},
+    }
+    assert readings(shown(1), moved(b1=(0.0, -0.6)))["same place"] == frozenset()
+    assert readings(shown(), START) == dict.fromkeys(
+        ("same place", "same colour", "same shape", "nearest"), frozenset()
+    )
+
+
+def test_intended_blocks_are_those_for_which_the_intent_does_not_hold_yet() -> None:
+    assert intended_blocks(INTENT, START) == {2, 3}  # the blue block is outside, and the green one inside
+    assert intended_blocks(parse("line(all)"), START) == {0, 1, 2, 3}
+    assert intended_blocks(parse("robot in()"), START) == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("demonstrated", "final", "kinds"),
+    [
+        ((0,), START, {"nothing": 1.0}),
+        ((0,), moved(b2=(0.7, -0.4), b0=INSIDE), {"incompetent": 1.0}),
+        ((0,), moved(b0=INSIDE), {"same place": 1 / 3, "same colour": 1 / 3, "same shape": 1 / 3}),
+        ((0,), moved(b1=INSIDE), {"same colour": 1.0}),
+        ((2,), moved(b1=INSIDE), {"another block": 1.0}),
+    ],
+)
+def test_an_ending_says_what_was_moved(demonstrated: tuple[int, ...], final: Scene, kinds: dict[str, float]) -> None:
+    assert ending(INTENT, shown(*demonstrated), START, final, solved=False) == kinds
+    assert ending(INTENT, shown(*demonstrated), START, final, solved=True) == {"intended": 1.0}
+
+
+def test_a_task_of_the_robot_ends_where_the_robot_is() -> None:
+    intent = EIGHT["MoveToRegion"]
+    for place, kind in (((-0.85, -0.9), "nothing"), ((0.0, 0.3), "same place"), ((0.9, 0.9), "incompetent")):
+        assert ending(intent, shown(), START, moved(robot=place), solved=False) == {kind: 1.0}
+
+
+def test_the_demonstrated_places_are_taken_block_by_block() -> None:
+    final = same_places(moved(b0=INSIDE, robot=(0.9, 0.0)), START)
+    assert (final.blocks[0].x, final.blocks[0].y) == INSIDE
+    assert final.robot.pose[:2] == (0.9, 0.0)
+    assert final.blocks[1:] == START.blocks[1:]
+
+
+def test_the_benchmark_card_says_what_test_scenes_can_tell() -> None:
+    lines = [line.strip("| ").split("|") for line in CARD.read_text("utf-8").splitlines() if line.startswith("| ")]
+    rows = {
+        environment.strip(): tuple(map(str.strip, cells)) for environment, *cells in lines if " " in environment.strip()
+    }
+    assert set(rows) == {f"{task} {variant}" for task, variant in ENVIRONMENTS if variant != "Demo"}
+    for task in ("MatchRegions", "FindDupe"):
+        assert {
+            float(rows[f"{task} {variant}"][0]) for variant in ("Jitter", "Layout", "Colour", "Shape", "Dynamics")
+        } == {0}
+    assert [
+        rows[f"{task} {variant}"][0] for task in ("MatchRegions", "FindDupe") for variant in ("CountPlus", "All")
+    ] == [
+        "0.58",
+        "0.58",
+        "0.85",
+        "0.85",
+    ]
+    assert (rows["FixColour Colour"][0], rows["FixColour All"][0]) == ("0.66", "0.84")
+    for task, variant in (("FixColour", "Colour"), ("FindDupe", "All"), ("ClusterColour", "Jitter")):
+        values = refuted(task, variant, range(100))
+        assert tuple("" if value is None else f"{value:.2f}" for value in values) == rows[f"{task} {variant}"]

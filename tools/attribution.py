@@ -1,0 +1,195 @@
+"""Writes the tables about intents: what demonstrations leave open, what test scenes can tell, what our policies did.
+
+python -m tools.attribution                     # all of them, in an hour on one core
+python -m tools.attribution identifiability     # or some
+
+Those of episodes replay the entries in results/. docs/intents.md and docs/benchmark-card.md have the tables.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from magical_mj import ENVIRONMENTS, TASKS, sample_scene
+from magical_mj.evaluation.attribution import BITS, Attribution, attribute, task_ends, task_rivals, task_shown
+from magical_mj.evaluation.entry import Entry, read_entry
+from magical_mj.evaluation.reports.explained import shares
+from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.intents import EIGHT
+from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, readings, refutes, same_places
+from magical_mj.intents.relations import RELATIONS
+from magical_mj.scene import Scene
+from magical_mj.tasks.registry import SPLITS
+from magical_mj.utils.errors import counted
+from tools.tables import ROOT, filled, table
+
+RESULTS: Final = ROOT / "results"
+SCENES: Final = 100
+CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
+"""The tasks in which some blocks have to be moved, and others not."""
+TELLING: Final = ("FixColour", "Colour")
+FEW: Final = 2
+"""The number of scenes of each environment that the table of all entries covers."""
+MORE: Final = 10
+"""The number of scenes of each environment that the table of some entries covers."""
+COMPARED: Final = (
+    "pixels-bc-quick",
+    "pixels-redraw-quick",
+    "state-bc",
+    "state-gail",
+    "state-relational",
+    "state-goals",
+)
+
+
+def left_open() -> str:
+    """For each task its intent, and how many rivals the demonstrations leave."""
+    rows = []
+    for task in TASKS:
+        intent, rivals = EIGHT[task], task_rivals(task)
+        simpler = sum(rival.bits <= intent.bits for rival in rivals)
+        first = f"`{rivals[0]}`" if rivals else ""
+        rows.append((task, f"`{intent}`", f"{intent.bits:.1f}", str(len(rivals)), str(simpler), first))
+    return table(("Task", "Its intent", "Bits", f"Rivals of up to {BITS:.0f} bits", "As simple", "The simplest"), rows)
+
+
+def identifiability() -> str:
+    """For each environment the share of test scenes in which acting by a reading is wrong."""
+    rows = []
+    for task, variant in ENVIRONMENTS:
+        if variant != "Demo":
+            values = refuted(task, variant, range(SCENES))
+            rows.append((f"{task} {variant}", *("" if value is None else f"{value:.2f}" for value in values)))
+    return table(("Environment", "the demo's blocks", *READINGS, "the demo's final places"), rows)
+
+
+def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]:
+    """The shares of the scenes of these seeds that refute each reading; None where it does not apply to the task."""
+    scenes = [sample_scene(task, variant, seed) for seed in seeds]
+    intent, shown = EIGHT[task], task_shown(task)
+
+    def share(blocks: Callable[[Scene], frozenset[int]]) -> float | None:
+        return float(np.mean([refutes(intent, blocks(scene), scene) for scene in scenes])) if chosen(task) else None
+
+    finals = [final for _, final in task_ends(task)]
+    solved = [np.mean([intent.holds(scene, same_places(final, scene)) for final in finals]) for scene in scenes]
+    return [
+        share(lambda _: frozenset(shown.moved)),
+        *(share(lambda scene, name=name: readings(shown, scene)[name]) for name in READINGS),
+        float(np.mean([part < 0.5 for part in solved])),
+    ]
+
+
+def chosen(task: str) -> bool:
+    """Whether a task is about some blocks and not about others."""
+    relations = [RELATIONS[conjunct.relation] for conjunct in EIGHT[task].conjuncts]
+    return all(relation.each is not None for relation in relations) and len(relations) > 1
+
+
+def place_or_colour() -> str:
+    """FixColour Colour, the scenes in which the demonstrated place and the demonstrated colour disagree."""
+    rows = []
+    for entry in entries():
+        there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
+        telling = {seed for seed in {episode.seed for episode in there} if disagree(sample_scene(*TELLING, seed))}
+        results = replayed(entry, [episode for episode in there if episode.seed in telling])
+        if results:
+            rows.append((entry.method, str(len(results)), *(f"{100 * value:.0f}" for value in pursued(results))))
+    return table(("Method", "Episodes", "the block at the place", "another of its colour", "the intended one"), rows)
+
+
+def disagree(initial: Scene) -> bool:
+    """Whether place and colour name different blocks in a scene of FixColour, and the place a wrong one."""
+    named, wanted = readings(task_shown("FixColour"), initial), intended_blocks(EIGHT["FixColour"], initial)
+    place, colour = named["same place"], named["same colour"]
+    return bool(place and colour) and not place & (colour | wanted)
+
+
+def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
+    """The shares of episodes that moved the block at the demonstrated place, another of its colour, an intended one."""
+    flags = []
+    for result in results:
+        task, moved = result.episode.task, set(result.moved)
+        named, wanted = readings(task_shown(task), result.initial), intended_blocks(EIGHT[task], result.initial)
+        place, colour = named["same place"], named["same colour"]
+        flags.append((bool(moved & place), bool(moved & (colour - place - wanted)), bool(moved & wanted)))
+    at_place, of_colour, intended = np.mean(flags, axis=0)
+    return float(at_place), float(of_colour), float(intended)
+
+
+def choices() -> str:
+    """What some policies did in the tasks of choice, over the scenes of all variants."""
+    rows = []
+    for entry in entries(COMPARED):
+        for task in CHOICES:
+            played = [episode for episode in entry.episodes if first(entry, episode, MORE) and episode.task == task]
+            rows.append((f"{entry.method}, {task}", str(len(played)), *map(_percent, ended(entry, played))))
+    return table(("Method and task", "Episodes", *ENDINGS), rows)
+
+
+def endings() -> str:
+    """What all policies did, over all environments that they have played."""
+    rows = []
+    for entry in entries():
+        played = [episode for episode in entry.episodes if first(entry, episode, FEW)]
+        places = len({(episode.task, episode.variant) for episode in played})
+        part = "" if places == len(ENVIRONMENTS) else f" ({counted(places, 'environment')})"
+        rows.append((f"{entry.method}{part}", str(len(played)), *map(_percent, ended(entry, played))))
+    return table(("Method", "Episodes", *ENDINGS), rows)
+
+
+def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
+    """The entries in results/, or some."""
+    for folder in sorted(path for path in RESULTS.iterdir() if path.is_dir() and (not names or path.name in names)):
+        yield read_entry(folder)
+
+
+def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
+    """Whether an episode is one of the first run, in one of the first scenes of its environment."""
+    return episode.run == entry.runs[0] and episode.seed - SPLITS["test"] < scenes
+
+
+def ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> list[float]:
+    """The shares of the endings of some episodes of an entry; those with the full score need not be replayed."""
+    failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
+    solved = len(episodes) - len(failed)
+    parts = shares(failed) if failed else dict.fromkeys(ENDINGS, 0.0)
+    parts = {name: part * len(failed) / len(episodes) for name, part in parts.items()}
+    return list((parts | {"intended": solved / len(episodes)}).values())
+
+
+def replayed(entry: Entry, episodes: Iterable[EpisodeResult]) -> list[Attribution]:
+    """What some episodes of an entry did."""
+    found: list[Attribution] = []
+    for result in attribute(episodes, jobs=1):
+        if not isinstance(result, Attribution):
+            raise RuntimeError(f"{entry.method}: {result.episode.title}: {result.problem}")
+        found.append(result)
+    return found
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}" if share else ""
+
+
+WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
+    "identifiability": ("docs/benchmark-card.md", identifiability),
+    "left-open": ("docs/intents.md", left_open),
+    "place-or-colour": ("docs/intents.md", place_or_colour),
+    "choices": ("docs/intents.md", choices),
+    "endings": ("docs/intents.md", endings),
+}
+"""Table -> the page that has it, and what makes it."""
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", choices=[[], *WRITTEN], help="which tables; all, if none are named")
+    for name in parser.parse_args().tables or WRITTEN:
+        page, make = WRITTEN[name]
+        path = ROOT / page
+        body = make()
+        path.write_text(filled(path.read_text("utf-8"), {name: body}, "python -m tools.attribution"), "utf-8")
