@@ -96,7 +96,6 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
         ("report", 2, "FOLDERS"),
         ("report nothing", 1, "nothing holds no scores.jsonl"),
         ("verify nothing", 1, "nothing holds no scores.jsonl"),
-        ("report file.txt", 2, "give --out, a folder"),
         ("compare nothing nothing", 1, "nothing holds no scores.jsonl"),
         ("compare nothing", 2, "missing argument"),
     ],
