@@ -184,6 +184,10 @@ class Bars(Progress):
         self.live.transient |= isinstance(error, MagicalError)
         super().__exit__(kind, error, trace)
 
+    def stop(self) -> None:
+        """As rich's, which ends bars in a file or a pipe by an empty line, but not where none is left."""
+        (self.live if self.live.transient else super()).stop()
+
     def make_tasks_table(self, tasks: Iterable[Work]) -> Table:
         """The bars, without those of no work. A command that is refused shows none."""
         return super().make_tasks_table([task for task in tasks if task.total != 0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import re
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,13 +30,15 @@ from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
-from magical_mj.utils.imports import resolve, source_of
+from magical_mj.utils.imports import reference_in_folder, resolve, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 )
 WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 """How names of files end in which there are weights."""
+_POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
+"""How a module probably defines a policy."""
 TORCH: Final = (
     "To evaluate a network of PyTorch, give --policy mine:Policy, where mine.py has a class Policy that loads it in "
     "__init__(self) and answers in __call__(self, observation) with an action, such as "
@@ -93,9 +96,9 @@ class Source:
         if self.origin in AGENTS:
             return AGENTS[self.origin]()
         path = Path(self.origin)
+        if not path.exists() and path.suffix in (*LOADERS, *WEIGHTS):
+            raise SettingsError(f"there is no file {path}")
         if path.suffix in LOADERS:
-            if not path.exists():
-                raise SettingsError(f"there is no file {path}")
             if not path.is_file():
                 raise SettingsError(f"{path} is not a plain file, but a folder, a pipe or a device")
             return LOADERS[path.suffix](path, self.trust)
@@ -105,8 +108,11 @@ class Source:
             return _imported(self.origin)
         if path.suffix in WEIGHTS:
             raise SettingsError(f"{path} holds the weights of a network and not the network. {TORCH}")
+        if not path.exists() and len(path.parts) > 1:
+            raise SettingsError(f"there is no file or folder {path}")
         files = (f"FILE{suffix}" for suffix in LOADERS)
-        raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *files, "a run's folder"))
+        allowed = (*AGENTS, "module:object", *files, "a run's folder")
+        raise unknown_name("policy", self.origin, allowed, reference_in_folder(self.origin, _POLICY))
 
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""

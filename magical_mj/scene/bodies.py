@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import constants as c
-from magical_mj.utils.errors import InvalidSceneError, short_repr
+from magical_mj.utils.errors import InvalidSceneError, short_repr, unknown_name
 from magical_mj.utils.imports import is_reference, resolve
 
 Point = tuple[float, float]
@@ -130,4 +130,4 @@ def check_body_name(name: object) -> str:
     """
     if isinstance(name, str) and (name in BODIES or is_reference(name)):
         return str(name)
-    raise InvalidSceneError(f'the body is {short_repr(name)}; it must be one of {", ".join(BODIES)}, or "module:BODY"')
+    raise InvalidSceneError(str(unknown_name("body", name, (*BODIES, "package.module:BODY"))))

@@ -35,8 +35,10 @@ class Pose(Shift):
 
     @classmethod
     def supports(cls, task: str) -> str | None:
-        """Tasks whose layout can vary."""
-        return None if "layout" in supported_axes(task_spec(task)) else "it has no variant Layout"
+        """Tasks whose layout can vary, but not by a rule of their own: what is on the way may not follow that rule."""
+        if callable((spec := task_spec(task)).layout):
+            return "its layouts follow a rule of its own"
+        return None if "layout" in supported_axes(spec) else "it has no variant Layout"
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
         """The scene between."""

@@ -16,7 +16,6 @@ from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.shifts.words import Words
 from magical_mj.tasks.registry import announced, imported, reference_of, task_spec
 from magical_mj.utils.errors import (
-    InvalidSceneError,
     SettingsError,
     ShiftError,
     as_integer,
@@ -128,6 +127,7 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
         UnknownNameError: if there is no such shift.
         ShiftError: if a shift of one's own is invalid.
         SettingsError: if a strength is none of 0 to 5, a shift is named twice, or the task cannot have it.
+        InvalidSceneError: if there is no such body.
     """
     if isinstance(shifts, str):
         pairs = [_pair(part.strip()) for part in shifts.replace("+", ",").split(",") if part.strip()]
@@ -142,7 +142,7 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
         name = BODY if name == BODY else _canonical(name)
         if name in strengths:
             raise SettingsError(f"the shift {name} is given twice; give each one once, with one strength")
-        strengths[name] = _body(value) if name == BODY else _strength(name, value)
+        strengths[name] = check_body_name(value) if name == BODY else _strength(name, value)
     names = (BODY, *SHIFTS, *sorted(strengths.keys() - SHIFTS - {BODY}))
     ordered = {name: strengths[name] for name in names if strengths.get(name)}
     if task is not None:
@@ -163,14 +163,6 @@ def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], st
     levels = parse_shifts(shifts, task)
     body = str(levels.pop(BODY, body))
     return {name: int(strength) for name, strength in levels.items()}, body
-
-
-def _body(name: object) -> str:
-    """The name of a body, as a level of its axis."""
-    try:
-        return check_body_name(name)
-    except InvalidSceneError as error:
-        raise SettingsError(f"the levels of the shift {BODY!r} are names: {error}") from error
 
 
 def _pair(text: str) -> tuple[str, Any]:

@@ -26,6 +26,10 @@ from tests.helpers.commands import Shell, process
         ("view FindDupe Demo extra", "extra"),
         ("rollout FindDupe --policy greedy", "unknown policy"),
         ("rollout FindDupe --policy gone.zip", "no file gone.zip"),
+        ("rollout FindDupe --policy gone.pt", "no file gone.pt"),
+        ("rollout FindDupe --policy BC=runs/gone", "no file or folder runs/gone"),
+        ("view FindDupe --body stick", "unknown body 'stick'. Did you mean 'longstick'?"),
+        ("evaluate --policy noop --tasks FindDupe --out s --body shortstik", "unknown body 'shortstik'. Did you mean"),
         ("rollout FindDupe --episodes 1000000000", "less than or equal to 1000000"),
         ("rollout FindDupe --video a.avi", "must end in .mp4"),
         ("rollout MoveToRegion CountPlus", "It has: Demo, Jitter"),
@@ -66,6 +70,8 @@ TASK = "from magical_mj.tasks.move_to_corner import SPEC as OURS\n"
         ("view FindDupe --shifts salt:3", "salt:Salt"),
         ("evaluate --policy noop --tasks FindDupe --shifts salt --out s", "salt:Salt"),
         ("view FindDupe --shifts salt:salt:3", "Salt"),
+        ("evaluate --policy mine --tasks FindDupe --out s", "mine:MyPolicy"),
+        ("rollout FindDupe --policy BC=mine.py", "mine:MyPolicy"),
     ],
 )
 def test_files_in_the_folder_are_meant(shell: Shell, line: str, meant: str) -> None:
@@ -73,6 +79,7 @@ def test_files_in_the_folder_are_meant(shell: Shell, line: str, meant: str) -> N
     fails = "1 / 0\n" if ":" in meant else ""
     Path("push_to_wall.py").write_text(f"{fails}from dataclasses import replace\n{TASK}SPEC = replace(OURS)\n")
     Path("salt.py").write_text(f"{fails}from magical_mj.shifts import Shift\n\nclass Salt(Shift):\n    name = 'salt'\n")
+    Path("mine.py").write_text("1 / 0\nclass Network: ...\n\n\nclass MyPolicy: ...\n")
     assert f"Did you mean {meant!r}?" in shell.fails(2, *line.split())
 
 

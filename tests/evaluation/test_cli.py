@@ -95,6 +95,7 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
         ("evaluate --policy noop --out /dev/null/folder", 1, "cannot write into /dev/null/folder"),
         ("report", 2, "FOLDERS"),
         ("report nothing", 1, "nothing holds no scores.jsonl"),
+        ("verify nothing", 1, "nothing holds no scores.jsonl"),
         ("compare nothing nothing", 1, "nothing holds no scores.jsonl"),
         ("compare nothing", 2, "missing argument"),
     ],

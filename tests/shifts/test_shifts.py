@@ -23,7 +23,14 @@ from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import PHYSICAL, PROTOCOL
 from magical_mj.shifts.words import SENTENCES
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, ShiftError, UnknownNameError
+from magical_mj.utils.errors import (
+    DemonstrationError,
+    InvalidSceneError,
+    MagicalError,
+    SettingsError,
+    ShiftError,
+    UnknownNameError,
+)
 
 DRAWN = ("camera", "light", "texture", "palette", "clutter", "sensor")
 ACTIONS = np.random.default_rng(0).integers(0, 18, 40).tolist()
@@ -160,6 +167,9 @@ def test_a_task_can_lack_a_shift() -> None:
         magical_mj.Engine("MoveToCorner", seed=0, shifts="pose:1")
     with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'slip'"):
         magical_mj.Engine("SweepToTop", "Layout", seed=0, shifts="slip:1")
+    with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'pose': its layouts follow a rule of"):
+        magical_mj.Engine("SweepToTop", seed=0, shifts="pose:1")
+    assert not [each for each in expand_shifts("all", "SweepToTop") if "pose" in each]
 
 
 def test_the_levels_of_the_axis_body_are_names() -> None:
@@ -175,7 +185,7 @@ def test_the_levels_of_the_axis_body_are_names() -> None:
         assert env.initial_scene == same.initial_scene
         assert env.shifts == {"camera": 2}
     for level in ("body:3", "body", "body:"):
-        with pytest.raises(SettingsError, match=r"are names: .* gripper, shortstick"):
+        with pytest.raises(InvalidSceneError, match=r"unknown body '.*There are: gripper, shortstick"):
             magical_mj.Engine("MoveToRegion", shifts=level)
     with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
         magical_mj.Engine("MoveToRegion", shifts="body:longstick")
