@@ -139,8 +139,8 @@ def test_broken_plug_ins_take_nothing_else_away(tmp_path: Path) -> None:
     assert len(result.stdout.splitlines()) == 1 + len(ENVIRONMENTS) + len(variants_of(task_spec("SweepToTop")))
     told = result.stderr
     assert "the task 'FindDupe' (broken:SPEC) is ignored: another task has this name" in told
-    assert "the task 'Push Out' (broken:SPEC) is ignored: the name of a task must be made of letters" in told
-    assert "the task 'NoObject' (broken) is ignored: announce an object in a module" in told
+    assert "the task 'Push Out' (broken:SPEC) is ignored: the name of a task must consist of letters" in told
+    assert "the task 'NoObject' (broken) is ignored: it must refer to an object in a module" in told
     assert "the task 'Broken' cannot be imported: ValueError: [broken]" in told.splitlines()[-1]
 
 
