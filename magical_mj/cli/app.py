@@ -8,7 +8,6 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Annotated, Any, Final
 
 import typer
@@ -17,7 +16,7 @@ from typer.main import get_command
 
 from magical_mj._version import __version__
 from magical_mj.utils.errors import MagicalError
-from magical_mj.utils.imports import command_line
+from magical_mj.utils.imports import command_line, resolve_installed
 
 COMMANDS: Final = {
     "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
@@ -85,8 +84,7 @@ class Group(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
         """The command with this name. None if it does not exist."""
         if cmd_name in COMMANDS and self.commands[cmd_name] is None:
-            module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-            command = getattr(import_module(f"magical_mj.cli.{module}"), attribute)
+            command = resolve_installed(f"magical_mj.cli.{COMMANDS[cmd_name][0]}")
             if not isinstance(command, typer.Typer):
                 function, command = command, typer.Typer(add_completion=False)
                 command.command(cmd_name)(function)

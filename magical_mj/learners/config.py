@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import fields, is_dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +16,8 @@ from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, TrainingSettin
 from magical_mj.tasks.registry import TASKS, listed, task_name
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import check_named, resolve_installed, with_place
+from magical_mj.utils.imports import check_named
+from magical_mj.utils.plugins import announced, imported
 from magical_mj.utils.settings import changed
 
 START: Final = "made"
@@ -126,18 +129,19 @@ def load_settings(
     return changed(settings, {**short, **defaults, **changes})
 
 
+@cache
 def announced_methods() -> Mapping[str, EntryPoint]:
     """The entry points of methods of installed packages, by name."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS}
+    return announced("method", GROUP, PARTS, re.compile(r"[\w-]+").fullmatch, 'mine = "package.module:Mine"')
 
 
 def load_method(name: str) -> Any:
-    """The class of an announced method; raises a `SettingsError` if it cannot be imported."""
-    point = announced_methods()[name]
-    try:
-        return resolve_installed("".join(point.value.split()))
-    except Exception as error:
-        raise SettingsError(f"the method {name!r} ({point.value}) cannot be imported: {with_place(error)}") from error
+    """The class of an announced method.
+
+    Raises:
+        UnknownNameError, MissingExtraError, SettingsError: if it cannot be imported, as `plugins.imported`.
+    """
+    return imported("method", name, announced_methods()[name], SettingsError)
 
 
 def settings_type(method: str) -> type[TrainingSettings]:

@@ -18,7 +18,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.policies.interface import HISTORY, Episode
-from magical_mj.policies.loading import loader_in
+from magical_mj.policies.loading import loader_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
@@ -139,8 +139,7 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     """
     folder, out = files.to_path(folder), files.to_path(out)
     check_extra("exported policies", "onnx")
-    loader = loader_in(folder)
-    policy = None if loader is None else loader.load()(str(folder))
+    policy = None if loader_in(folder) is None else policy_in(folder)
     if not isinstance(policy, TrainedPolicy):
         raise SettingsError(f"{folder} contains no trained network: export a folder written by magical-mj train")
     if out.suffix != ".onnx":

@@ -10,7 +10,8 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import EntryPoint
 from inspect import ismethod
 from pathlib import Path
 from typing import Any, Final
@@ -29,8 +30,9 @@ from magical_mj.policies.interface import (
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
-from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
-from magical_mj.utils.imports import reference_in_folder, resolve, source_of
+from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
+from magical_mj.utils.imports import reference_in_folder, source_of
+from magical_mj.utils.plugins import announced, imported
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
@@ -79,6 +81,7 @@ class Source:
 
         Raises:
             SettingsError: if there is no such policy, it is invalid, or its file is not the expected one any more.
+            UnknownNameError, MissingExtraError: if it cannot be imported.
         """
         was_imported = isinstance(self.origin, str) and source_of(self.origin) is not None
         policy = self._load()
@@ -103,9 +106,10 @@ class Source:
                 raise SettingsError(f"{path} is not a plain file, but a folder, a pipe or a device")
             return LOADERS[path.suffix](path, self.trust)
         if path.is_dir():
-            return _folder_loader(path).load()(self.origin)
+            return policy_in(path)
         if ":" in self.origin:
-            return _imported(self.origin)
+            policy = imported("policy", self.origin, None, SettingsError)
+            return _instantiate(policy, self.origin) if inspect.isclass(policy) else policy
         if path.suffix in WEIGHTS:
             raise SettingsError(f"{path} holds the weights of a network and not the network. {TORCH}")
         if not path.exists() and len(path.parts) > 1:
@@ -176,7 +180,7 @@ def playable(
     Warns if statistics of VecNormalize are in the folder of a stable-baselines3 archive: it is played without them.
 
     Raises:
-        SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
+        SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or does not fit: see `check_fit`.
     """
     loaded = [(source, source.load()) for source in sources(policies, first_run, trust)]
     if preset is None:
@@ -261,28 +265,35 @@ def _default_name(origin: str) -> str:
     return origin.rpartition(":")[2]
 
 
+@cache
+def folder_plugins() -> Mapping[str, EntryPoint]:
+    """The entry points that load policies, by the names of the files that their folders hold."""
+    return announced(
+        "policy folder", FOLDERS, (), re.compile(r"[\w.-]+").fullmatch, '"mine.safetensors" = "package.module:load"'
+    )
+
+
 def loader_in(folder: Path) -> EntryPoint | None:
     """The entry point that loads the policy in a folder; None if there is no policy."""
-    return next((loader for loader in entry_points(group=FOLDERS) if (folder / loader.name).is_file()), None)
+    return next((loader for name, loader in folder_plugins().items() if (folder / name).is_file()), None)
+
+
+def policy_in(folder: Path) -> Act:
+    """The policy in a folder.
+
+    Raises:
+        SettingsError: if there is none, or what loads it fails.
+        UnknownNameError, MissingExtraError: if what loads it cannot be imported.
+    """
+    loader = _folder_loader(folder)
+    return imported("loader of", loader.name, loader, SettingsError)(str(folder))
 
 
 def _folder_loader(folder: Path) -> EntryPoint:
     loader = loader_in(folder)
     if loader is None:
-        known = " or ".join(loader.name for loader in entry_points(group=FOLDERS))
-        raise SettingsError(f"the folder {folder} holds no policy: no {known}")
+        raise SettingsError(f"the folder {folder} holds no policy: no {' or '.join(folder_plugins())}")
     return loader
-
-
-def _imported(origin: str) -> Act:
-    """The object that ``module:object`` refers to; a class is instantiated."""
-    try:
-        policy = resolve(origin)
-    except UntrustedNameError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
-    return _instantiate(policy, origin) if inspect.isclass(policy) else policy
 
 
 def check_policy(policy: Any, name: str) -> None:

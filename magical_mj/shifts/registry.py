@@ -14,7 +14,7 @@ from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.shifts.words import Words
-from magical_mj.tasks.registry import announced, imported, reference_of, task_spec
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     SettingsError,
     ShiftError,
@@ -23,6 +23,7 @@ from magical_mj.utils.errors import (
     unknown_name,
 )
 from magical_mj.utils.imports import is_reference, reference_in_folder
+from magical_mj.utils.plugins import announced, imported, reference_of
 
 PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""

@@ -8,11 +8,10 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from types import MappingProxyType
+from importlib.metadata import EntryPoint
 from typing import Any, Final, cast
 
 import numpy as np
@@ -27,7 +26,6 @@ from magical_mj.utils.errors import (
     SettingsError,
     TaskError,
     UnknownNameError,
-    UntrustedNameError,
     check_name,
     short_repr,
     unknown_name,
@@ -37,11 +35,10 @@ from magical_mj.utils.imports import (
     is_reference,
     place,
     reference_in_folder,
-    resolve,
-    resolve_installed,
     source_of,
     with_place,
 )
+from magical_mj.utils.plugins import announced, imported, reference_of
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
 from magical_mj.variants.placement import contact
@@ -299,44 +296,6 @@ def _check_same(initial: Scene, final: Scene) -> None:
 
 
 # Tasks of other packages
-
-
-def announced(
-    noun: str, group: str, taken: Collection[str], is_name: Callable[[str], bool], example: str
-) -> Mapping[str, EntryPoint]:
-    """The entry points of a group by name, except names that are `taken`. Their modules are imported at the first use.
-
-    An invalid entry point is ignored with a warning, so that this package can still be imported.
-    """
-    plugins: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=group)):
-        if point.name in taken or plugins.get(point.name, point) != point:
-            problem = f"another {noun} has this name"
-        elif not is_name(point.name):
-            problem = f"the name of a {noun} must consist of letters and digits"
-        elif not is_reference(reference_of(point)):
-            problem = f"it must refer to an object in a module, as in {example}"
-        else:
-            plugins[point.name] = point
-            continue
-        warnings.warn(f"the {noun} {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=3)
-    return MappingProxyType(plugins)
-
-
-def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
-    """The object of an entry point or of a reference. Raises an `UnknownNameError`, or `failed`, if there is none."""
-    try:
-        return resolve(name) if point is None else resolve_installed(reference_of(point))
-    except UntrustedNameError:
-        raise
-    except (Exception, SystemExit) as error:
-        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_place(error), failed)
-        raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
-
-
-def reference_of(point: EntryPoint) -> str:
-    """An entry point's reference, without the spaces that Python allows in it."""
-    return "".join(point.value.split())
 
 
 @cache

@@ -245,7 +245,7 @@ def test_an_interruption_ends_the_episode_and_keeps_those_before(tmp_path: Path)
         ("BC=", {}, "BC= names no policy"),
         (3, {}, "3 is not a policy"),
         (Path("missing.zip"), {}, "no file missing.zip"),
-        ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
+        ("no_such_module:thing", {}, "the policy 'no_such_module:thing' cannot be imported"),
         ("tests.helpers.agents:nothing", {}, "tests.helpers.agents has no 'nothing'"),
         ("tests.helpers.agents:NOT_CALLABLE", {}, "is of the type int, and cannot be called"),
         ("noop", {"tasks": "FindDup"}, "Did you mean 'FindDupe'"),
