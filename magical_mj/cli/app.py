@@ -16,7 +16,7 @@ from typer.main import get_command
 
 from magical_mj._version import __version__
 from magical_mj.utils.errors import MagicalError
-from magical_mj.utils.imports import command_line, resolve_installed
+from magical_mj.utils.imports import resolve_installed
 
 COMMANDS: Final = {
     "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
@@ -143,8 +143,7 @@ def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, nam
     try:
         if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # set by `magical_mj.cli.main` during imports
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        with command_line(sys.argv[1:] if arguments is None else arguments):
-            return commands(args=arguments, prog_name=name, standalone_mode=False) or 0
+        return commands(args=arguments, prog_name=name, standalone_mode=False) or 0
     except (typer.Abort, KeyboardInterrupt):
         return INTERRUPTED
     except SystemExit as ending:  # typer raises it if the pipe is closed while it prints

@@ -114,8 +114,8 @@ def generate(
     keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}{by}-{key[2]:03}.npz" for key in keys}
     make = partial(magical_mj.demos.demonstrate, least_score=least_score, body=body, shifts=label)
-    failures = make_missing(paths, make, out, jobs, "demonstrating")
-    describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
+    failures = make_missing(paths, make, out, jobs, "demonstrating", body)
+    describe([magical_mj.demos.read(path, key[0], trusted=[body]) for key, path in paths.items() if path.exists()])
     check_made(failures)
 
 
@@ -169,7 +169,12 @@ def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstratio
 
 
 def make_missing(
-    paths: Mapping[Key, Path], make: Callable[..., Demonstration], out: Path, jobs: int | None, doing: str
+    paths: Mapping[Key, Path],
+    make: Callable[..., Demonstration],
+    out: Path,
+    jobs: int | None,
+    doing: str,
+    body: str = GRIPPER,
 ) -> list[str]:
     """Writes the demonstrations of `paths` that are missing, the longest first.
 
@@ -179,6 +184,7 @@ def make_missing(
         out: the folder.
         jobs: the number of worker processes.
         doing: the label of the progress bar.
+        body: the robot's body in all of them.
 
     Returns:
         The errors of the demonstrations that could not be made.
@@ -187,7 +193,8 @@ def make_missing(
         raise SettingsError("two of these tasks have the same name, so their files would as well: use two folders")
     make_writable_folder(out)
     screen = console()
-    there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
+    read = partial(magical_mj.demos.read, trusted=[body])
+    there = {key for key, path in paths.items() if path.exists() and read(path, key[0])}
     if there:
         screen.print(f"{len(there)} of {len(paths)} exist already")
     order = {pair: number for number, pair in enumerate(dict.fromkeys(key[:2] for key in paths))}

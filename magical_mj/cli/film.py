@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
-from magical_mj.evaluation.replay import obstacle, other_scene
+from magical_mj.evaluation.replay import names_in, obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import actions_of, play
 from magical_mj.scene.actions import ACTIONS
@@ -144,12 +144,14 @@ def film(
 def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
     """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
 
+    An episode from a file was checked by `obstacle` before: its names are resolved here.
+
     Raises:
         EvaluationError: if the episode cannot be replayed, or its initial scene or score differs from the record.
     """
     environment = " ".join(filter(None, (score.task, score.variant, score.shift)))
     title = f"{environment}, seed {score.seed}: {score.policy}"
-    if problem := obstacle(score):
+    if problem := obstacle(score, trusted=names_in(score)):
         raise EvaluationError(f"{title} cannot be filmed: {problem}")
     rules = check_rules(score.rules)
     how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift, "body": score.body}

@@ -53,7 +53,10 @@ Renderer = Annotated[
 ]
 Shifts = Annotated[str, typer.Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
 Body = Annotated[str, typer.Option(help="The robot's body. The task must support it. See docs/bodies.md.")]
-Trust = Annotated[bool, typer.Option("--trust", help="Run the code of tasks that the files name.")]
+Trusted = Annotated[
+    str,
+    typer.Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 Host = Annotated[str, typer.Option(help="The address to listen on.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="The port to listen on; 0: any free one.")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -101,25 +101,25 @@ def make_report(
     last_solvable: LastSolvable = 0,
     jobs: option.Jobs = None,
     rules: Rescored = None,
-    trust: option.Trust = False,
+    trusted: option.Trusted = "",
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV), figures, videos and explanations."""
-    del trust  # see magical_mj.utils.imports.command_line
     if out is None and (len(folders) > 1 or is_entry(folders[0])):
         raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")
     check_fits(context, explain, "with --explain", "last_solvable", "jobs")
     screen = console()
-    data = results(folders, published, mixed_presets, rules)  # raises errors before anything is written
+    may_name = trusted.split(",")
+    data = results(folders, published, mixed_presets, rules, may_name)  # raises errors before anything is written
     episodes = []
     if videos:
         check_extra("videos", "video")
-        episodes, refused = _to_film(folders, rules)
+        episodes, refused = _to_film(folders, rules, may_name)
         if not episodes and refused:
             raise SettingsError(f"--videos: {refused[0]}")
         for problem in refused:
             complain(problem)
-    found = _explained(folders, rules, last_solvable, jobs) if explain else None
+    found = _explained(folders, rules, may_name, last_solvable, jobs) if explain else None
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, [*file_names(episodes), *([FOLDER] if explain else [])])
     links = film_episodes(episodes, out)
@@ -131,9 +131,11 @@ def make_report(
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
 
-def _explained(folders: list[Path], rules: Rules | None, last_solvable: int, jobs: int | None) -> Explanation:
+def _explained(
+    folders: list[Path], rules: Rules | None, trusted: Collection[str], last_solvable: int, jobs: int | None
+) -> Explanation:
     """What the episodes were after; an error if that cannot be said of any."""
-    episodes, problems = explainable(folders, rules)
+    episodes, problems = explainable(folders, rules, trusted)
     if not episodes:
         raise SettingsError(f"--explain: no episode can be explained: {next(iter(problems), 'there are none')}")
     with Bars(console(), MofNCompleteColumn(), transient=True) as progress:
@@ -147,15 +149,17 @@ def _explained(folders: list[Path], rules: Rules | None, last_solvable: int, job
         )
 
 
-def _to_film(folders: list[Path], rules: Rules | None) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:
+def _to_film(
+    folders: list[Path], rules: Rules | None, trusted: Collection[str]
+) -> tuple[list[tuple[str, EpisodeResult]], list[str]]:
     """The episodes for videos, and the reasons why others cannot be filmed, one for each method, folder and cause."""
     refused: dict[str, None] = {}
 
     def replayable() -> Iterator[EpisodeResult]:
         for folder in folders:
             recorded = {} if is_entry(folder) else recorded_settings(folder)
-            for score in episodes_of(folder, rules):
-                if problem := obstacle(score, recorded):
+            for score in episodes_of(folder, rules, trusted):
+                if problem := obstacle(score, recorded, trusted):
                     refused[f"{score.policy} in {folder} cannot be filmed: {problem}"] = None
                 else:
                     yield score
@@ -186,13 +190,16 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")
 
 
-def verify_folders(folders: Folders, jobs: option.Jobs = None) -> None:
+def verify_folders(folders: Folders, jobs: option.Jobs = None, trusted: option.Trusted = "") -> None:
     """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen, names = console(), ", ".join(map(str, folders))
     with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
         bar = progress.add_task(f"replaying {names}", total=None)
         findings = verify(
-            *folders, jobs=jobs, watch=lambda done, total: progress.update(bar, completed=done, total=total)
+            *folders,
+            jobs=jobs,
+            watch=lambda done, total: progress.update(bar, completed=done, total=total),
+            trusted=trusted.split(","),
         )
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
     if _printed_problems(names, findings):

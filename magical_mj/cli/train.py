@@ -79,10 +79,9 @@ Jobs = Annotated[
 ]
 
 
-def experiment(file: File, out: Folder, jobs: Jobs = None, trust: option.Trust = False, **where: Any) -> None:
+def experiment(file: File, out: Folder, jobs: Jobs = None, trusted: option.Trusted = "", **where: Any) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
-    del trust  # see magical_mj.utils.imports.command_line
-    planned = learners.plan_experiment(file, out)
+    planned = learners.plan_experiment(file, out, trusted=trusted.split(","))
     screen, began = console(), time.time()
     views: dict[str, TrainingView] = {}
     with how_to_continue(screen, "the same command continues"), bars(screen) as progress:

@@ -34,7 +34,7 @@ from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
 from magical_mj.tasks.registry import announced_name, environment_axes, score_trajectory, task_spec, variant_name
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, MagicalError, short_repr
+from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedNameError, short_repr
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.settings import annotated, fitting
 
@@ -157,7 +157,7 @@ def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     beginning = f"{demo.name}-{demo.demonstrator}-"
     for path in sorted(folder.glob(f"{beginning}*{SUFFIX}")):
         with contextlib.suppress(Exception):  # nothing that is wrong with another file may cost this episode
-            other = read(path, demo.task)
+            other = read(path, demo.task, trusted=[demo.scene.robot.body])
             if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
                 return path, False
     paths = (folder / f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
@@ -186,13 +186,12 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     Args:
         path: the file.
         task: the task that it must be of.
-        trusted: besides that task, references such as "mine:SPEC" whose modules may be imported; see
-            `magical_mj.utils.imports`.
+        trusted: besides that task, references such as "mine:SPEC" that the file may name; see docs/trust.md.
 
     Raises:
         DemonstrationError: if it is truncated, altered, of another version or of another task, larger than
             `MOST_BYTES`, or not a plain file.
-        UntrustedNameError: if its task is a reference that is not trusted.
+        UntrustedNameError: if its task or body is a reference that is not trusted.
         OSError: if there is no such file, or it cannot be read.
     """
     path = files.to_path(path)
@@ -207,13 +206,14 @@ def unpacked(
     header = _header(path, text, arrays)
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
-    if header["task"] not in (task, *trusted):
-        check_named(header["task"], "a demonstration")
+    check_named(header["task"], path, (*trusted, *filter(None, [task])))
     try:
-        scene = Scene.from_json(json.dumps(header["scene"]))
+        scene = Scene.from_json(json.dumps(header["scene"]), trusted=trusted)
         fields = _checked_fields({**header, "variant": variant_name(header["variant"])})
         demo = Demonstration(**fields, scene=scene, **arrays)
         _check_arrays(demo)
+    except UntrustedNameError:
+        raise
     except (KeyError, MagicalError) as error:
         raise DemonstrationError(f"{path} does not describe a demonstration: {error}") from error
     return demo

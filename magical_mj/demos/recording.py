@@ -42,6 +42,7 @@ from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.imports import check_named
 from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]
@@ -233,8 +234,10 @@ def from_recording(text: str | bytes) -> Imported:
     Raises:
         DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
         UnknownNameError: if there is no such environment.
+        UntrustedNameError: if its task is neither of the benchmark nor announced by an installed package.
     """
     recording = _decoded(text)
+    check_named(recording.task, "a recording")
     demonstration = recorded(recording.task, recording.variant, recording.seed, recording.actions, "human")
     final, blocks = recording.final, len(demonstration.scene.blocks)
     if final is None:

@@ -51,7 +51,7 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
     if folder is None and (demos := load_shipped(task, spec.name if body == GRIPPER else f"{spec.name}-{body}")):
         return demos
     paths = [] if folder is None else files_in(folder, f"{spec.name}-")
-    demos = [demo for demo in (read(path, task) for path in paths) if demo.scene.robot.body == body]
+    demos = [demo for demo in (read(path, task, trusted=[body]) for path in paths) if demo.scene.robot.body == body]
     if demos:
         return demos
     command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"

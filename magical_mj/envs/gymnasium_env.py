@@ -200,7 +200,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             raise SettingsError(
                 f"an episode starts from one of the options {', '.join(STARTS)}, not {' and '.join(given)}"
             )
-        scene, state, variation = _scene_option(start), start.get("state"), start.get("variation")
+        scene, state, variation = (
+            _scene_option(start, self._engine.setup.body),
+            start.get("state"),
+            start.get("variation"),
+        )
         steps = 0 if self.over else self._engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
@@ -383,12 +387,13 @@ def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:
     return out
 
 
-def _scene_option(options: Mapping[str, Any]) -> Scene | None:
+def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
+    """The scene of the options, which as JSON may name the environment's own body."""
     scene = options.get("scene")
     if scene is None or isinstance(scene, Scene):
         return scene
     if isinstance(scene, str | bytes):
-        return Scene.from_json(scene)
+        return Scene.from_json(scene, trusted=[body])
     raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
 
 

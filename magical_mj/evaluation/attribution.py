@@ -7,7 +7,7 @@ task's intent that it reached are found: intents of which the demonstrations can
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -111,7 +111,9 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
         yield from result
 
 
-def unfit(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
+def unfit(
+    episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
+) -> str | None:
     """Why an episode cannot be attributed; None if it can, as far as is known before it is replayed.
 
     The arguments are those of `magical_mj.evaluation.replay.obstacle`.
@@ -122,7 +124,7 @@ def unfit(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType
         return f"it was played with the shift {episode.shift}"
     if episode.failure is not None:
         return "the policy failed"
-    return obstacle(episode, recorded)
+    return obstacle(episode, recorded, trusted)
 
 
 Knowledge = Mapping[str, tuple[Shown, tuple[Intent, ...]]]

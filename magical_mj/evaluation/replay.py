@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace as changed
 from functools import partial
@@ -23,7 +23,7 @@ from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import check_rules, code_digest, task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import MagicalError, PhysicsError, UntrustedNameError
+from magical_mj.utils.errors import MagicalError, PhysicsError
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import map_unordered
 
@@ -39,7 +39,14 @@ Replayed = tuple[Any, EpisodeResult, str | None]
 """The identifier, the episode (by other rules if requested), and how the replay differs from its record, or None."""
 
 
-def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({})) -> str | None:
+def names_in(episode: EpisodeResult) -> tuple[str, ...]:
+    """The names in an episode that its replay resolves: of its task, body and shifts."""
+    return episode.task, episode.body, *map(named_in, episode.shift.split("+"))
+
+
+def obstacle(
+    episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
+) -> str | None:
     """Why this version cannot replay an episode from its seed and its actions. None if it can.
 
     The answer depends on the simulator, the wrapper, the task, the rules, the body, the shift, and the protocol. It
@@ -48,9 +55,10 @@ def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyT
     Args:
         episode: the stored episode.
         recorded: the known settings of its evaluation (``run.json``).
+        trusted: references such as "mine:SPEC" that the episode may contain; see docs/trust.md.
 
     Raises:
-        UntrustedNameError: if the episode names code that the user did not name as well.
+        UntrustedNameError: if the episode contains another reference to a task, body or shift.
     """
     if episode.worlds != "single":
         return f"it was played in batched worlds: {UNOFFICIAL}"
@@ -61,36 +69,44 @@ def obstacle(episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyT
         if recorded.get(name) not in (None, number):
             words = name.replace("_", " ")
             return f"it follows {words} {recorded[name]}, but this version plays {number}"
-    for name in (episode.task, episode.body, *map(named_in, episode.shift.split("+"))):
-        check_named(name, "an episode")
+    for name in names_in(episode):
+        check_named(name, "an episode", trusted)
     try:
         check_rules(episode.rules)
         task_spec(episode.task).check_body(split_body(episode.shift, episode.task, episode.body)[1])
         code = recorded.get(f"code of {episode.task}")
         if episode.task not in KNOWN and code not in (None, code_digest(episode.task)):
             return f"the code of {episode.task} has changed since it was played"
-    except UntrustedNameError:
-        raise
     except (MagicalError, ImportError) as error:
         return str(error)
     return None
 
 
-def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:
+def replay(
+    recorded: Iterable[Recorded],
+    *,
+    rules: Rules | None = None,
+    jobs: int | None = None,
+    trusted: Collection[str] = (),
+) -> Iterator[Replayed]:
     """Replays episodes in worker processes, and compares their scenes and scores with the records.
 
     Args:
         recorded: the episodes.
         rules: score them again by these rules, after as many steps as an episode has by them. None: by their own rules.
         jobs: the number of processes. None: one per core.
+        trusted: references such as "mine:SPEC" that the episodes may contain; see docs/trust.md.
 
     Returns:
         The episodes in order of completion. If an episode has an `obstacle`, it is reported as its difference.
+
+    Raises:
+        UntrustedNameError: as `obstacle`.
     """
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     refused: list[Replayed] = []
     for source, episode in recorded:
-        if problem := obstacle(episode):
+        if problem := obstacle(episode, trusted=trusted):
             refused.append((source, episode, f"{episode.title}: it cannot be replayed: {problem}"))
         else:
             alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))

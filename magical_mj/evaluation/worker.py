@@ -25,7 +25,7 @@ from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
-from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
+from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_place
 from magical_mj.utils.parallel import Split, Timed
 
@@ -243,8 +243,6 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     """The environment in the user's wrapper."""
     try:
         outer: Any = resolve(wrap)(env)
-    except UntrustedNameError:
-        raise
     except (Exception, SystemExit) as error:
         raise SettingsError(f"the wrapper {wrap} cannot be used: {with_place(error)}") from error
     if (

@@ -56,7 +56,10 @@ class Findings:
 
 
 def verify(
-    *folders: Path | str, jobs: int | None = None, watch: Callable[[int, int], object] = lambda *_: None
+    *folders: Path | str,
+    jobs: int | None = None,
+    watch: Callable[[int, int], object] = lambda *_: None,
+    trusted: Collection[str] = (),
 ) -> Findings:
     """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
@@ -69,8 +72,10 @@ def verify(
         folders: the folders of the evaluation, or entries of the leaderboard.
         jobs: the number of processes; None: one per core.
         watch: called with the number of replayed episodes, and the total.
+        trusted: references such as "mine:BODY" that episodes may contain; see docs/trust.md.
 
     Raises:
+        UntrustedNameError: if an episode names another body or shift by reference.
         SettingsError: if no folder is given.
         EvaluationError: if a folder is neither an evaluation nor an entry.
     """
@@ -81,17 +86,17 @@ def verify(
     seen: dict[Key, tuple[EpisodeResult, Path]] = {}
     for part in stored:
         where = f"{part.path}: " if len(stored) > 1 else ""
-        findings.unfit += [f"{where}{problem}" for problem in _unfit(part)]
+        findings.unfit += [f"{where}{problem}" for problem in _unfit(part, trusted)]
         for episode in part.episodes:
             other, holder = seen.setdefault(episode.key, (episode, part.path))
             if holder != part.path and not _agree(other, episode):
                 problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
-            elif holder == part.path and _is_replayable(episode, part.settings):
+            elif holder == part.path and _is_replayable(episode, part.settings, trusted):
                 chosen.append((where, episode))
     findings.missing += _all_missing(stored)
     watch(0, len(chosen))
-    for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs), start=1):
+    for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs, trusted=trusted), start=1):
         findings.add(None if problem is None else f"{where}{problem}")
         watch(done, len(chosen))
     return findings
@@ -132,14 +137,14 @@ def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
     return all(getattr(first, name) == getattr(second, name) for name in ("score", "actions", "failure", "rules"))
 
 
-def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any]) -> bool:
-    return episode.task in TASKS and obstacle(episode, settings) is None
+def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any], trusted: Collection[str]) -> bool:
+    return episode.task in TASKS and obstacle(episode, settings, trusted) is None
 
 
-def _unfit(part: _Stored) -> list[str]:
+def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     """The deviations of one folder from the protocol that are visible without replaying."""
     settings, episodes, problems = part.settings, part.episodes, []
-    obstacles = Counter(filter(None, (obstacle(row, settings) for row in episodes if row.task in TASKS)))
+    obstacles = Counter(filter(None, (obstacle(row, settings, trusted) for row in episodes if row.task in TASKS)))
     problems += [f"{counted(count, 'episode')} cannot be replayed: {why}" for why, count in obstacles.items()]
     if others := {episode.split for episode in episodes} - {"test"}:
         problems.append(f"split: results must be from test, but it was played on {', '.join(sorted(others))}")

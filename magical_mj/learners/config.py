@@ -203,12 +203,12 @@ def recorded(settings: TrainingSettings) -> dict[str, Any]:
     return flattened(tomllib.loads(to_toml(settings)))
 
 
-def from_toml(path: Path) -> TrainingSettings:
-    """The settings in a file.
+def from_toml(path: Path, trusted: Collection[str] = ()) -> TrainingSettings:
+    """The settings in a file, which may name these tasks by reference.
 
     Raises:
         SettingsError, UnknownNameError: if it is not TOML, or contains invalid settings.
-        UntrustedNameError: if it refers to the code of a task that the user has not named.
+        UntrustedNameError: if it contains another reference to a task.
     """
     table = read_toml(path)
     if not isinstance(table.pop(START, {}), dict):
@@ -217,7 +217,7 @@ def from_toml(path: Path) -> TrainingSettings:
         raise SettingsError(f"{path} must give a method and tasks")
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
     for task in tasks:
-        check_named(task, path)
+        check_named(task, path, trusted)
     return changed(settings_type(method)(method, tasks), flattened(table))
 
 

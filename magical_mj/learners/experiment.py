@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import product
 from operator import methodcaller
@@ -157,12 +157,17 @@ class Run:
         return f"{self.name}: {done} of {of} episodes evaluated" if done < of else ""
 
 
-def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
+def plan_experiment(file: Path | str, out: Path | str, *, trusted: Collection[str] = ()) -> list[Run]:
     """The runs of an experiment in the folder `out`, whose file is TOML with the `ExperimentSettings`.
+
+    Args:
+        file: the file.
+        out: the folder.
+        trusted: references such as "mine:SPEC" that the file may name; see docs/trust.md.
 
     Raises:
         SettingsError, UnknownNameError: if the file contains invalid settings.
-        UntrustedNameError: if it refers to the code of a task that the user has not named.
+        UntrustedNameError: if it contains a reference to a task that is not trusted.
     """
     file, out = to_path(file), to_path(out)
     experiment = with_values(ExperimentSettings, read_toml(file))
@@ -171,7 +176,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
     evaluation = EVALUATION | experiment.evaluation
     names = listed(experiment.tasks, TASKS)
     for task in names:
-        check_named(task, file)
+        check_named(task, file, trusted)
     tasks = tuple(dict.fromkeys(task_name(task) for task in names))
     if len(tasks) < len(names):
         raise SettingsError(f"{file} contains a task twice: {', '.join(names)}")

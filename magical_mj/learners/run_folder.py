@@ -32,7 +32,6 @@ from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import trust
 from magical_mj.utils.settings import check_unchanged
 
 CONFIG: Final = "config.toml"
@@ -163,8 +162,8 @@ class RunFolder:
     def _check_config(self) -> int | None:
         """Checks that the folder's training has the same settings and protocol. Returns its number of threads."""
         config = self.path / CONFIG
-        trust(*self._settings.tasks)
-        check_unchanged(self.path, recorded(from_toml(config)), recorded(self._settings))
+        begun = from_toml(config, trusted=self._settings.tasks)
+        check_unchanged(self.path, recorded(begun), recorded(self._settings))
         start = read_toml(config).get(START, {})
         for name, number in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
             if start.get(name, number) != number:

@@ -109,7 +109,6 @@ def body_named(name: str) -> Body:
 
     Raises:
         InvalidSceneError: if the body does not exist.
-        UntrustedNameError: if a file contains the reference, but the command does not.
     """
     if name in BODIES:
         return BODIES[name]

@@ -215,12 +215,16 @@ class Scene:
         return json.dumps({"format": SCENE_FORMAT, **_plain(self, UNWRITTEN)}, separators=(",", ":"))
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Scene:
+    def from_json(cls, text: str | bytes, *, trusted: Collection[str] = ()) -> Scene:
         """The scene in a text written by `to_json`.
+
+        Args:
+            text: the JSON.
+            trusted: references such as "mine:BODY" that it may name; see docs/trust.md.
 
         Raises:
             InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
-            UntrustedNameError: if its body is a reference to code that the user has not named.
+            UntrustedNameError: if its body is a reference that is not trusted.
         """
         try:
             data = json.loads(text, object_pairs_hook=_without_repeats)
@@ -237,7 +241,7 @@ class Scene:
                 raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(items)}")
             data[name] = tuple(_part(kind, item) for item in items)
         data["robot"], data["dynamics"] = _part(Robot, data["robot"]), _part(Dynamics, data.get("dynamics", {}))
-        check_named(data["robot"].body, "a scene")
+        check_named(data["robot"].body, "a scene", trusted)
         return cls(**data)
 
     def digest(self) -> str:

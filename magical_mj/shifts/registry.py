@@ -82,7 +82,6 @@ def shift_class(name: str) -> type[Shift]:
 
     Raises:
         UnknownNameError: if there is no such shift.
-        UntrustedNameError: if a file names it, and the command does not.
         ShiftError: if it is the shift of another package, and is invalid.
     """
     if isinstance(name, str) and name in SHIFTS:

@@ -314,7 +314,6 @@ def load_spec(task: str) -> TaskSpec:
 
     Raises:
         UnknownNameError: if its module or the object in it does not exist.
-        UntrustedNameError: if a file contains the reference, but the command does not.
         TaskError: if importing its module fails, or the object is not a valid task.
     """
     point = task_plugins().get(task)

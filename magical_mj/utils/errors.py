@@ -52,7 +52,7 @@ class DemonstrationError(MagicalError, ValueError):
 
 
 class UntrustedNameError(MagicalError, ValueError):
-    """A file refers to code that the user has not named: see `magical_mj.utils.imports`.
+    """A file refers to code that the user has not named: see docs/trust.md.
 
     Attributes:
         reference: the reference, such as "package.module:SPEC".
@@ -60,9 +60,8 @@ class UntrustedNameError(MagicalError, ValueError):
 
     def __init__(self, reference: str, origin: object) -> None:
         super().__init__(
-            f"{origin} refers to {reference}, and using it runs that module's code: if you trust it, name it in a "
-            f"command that takes names (--tasks {reference}; or --trust, for all in the files), or in Python first "
-            f"call magical_mj.utils.imports.trust({reference!r})"
+            f"{origin} refers to {reference}, and using it runs that module's code: if you trust it, name it, too, "
+            f"with --trusted {reference} or --tasks {reference}, or in Python with trusted=[{reference!r}]"
         )
         self.reference = reference
 

@@ -1,15 +1,11 @@
 """References to objects in users' modules, ``"package.module:NAME"``, and errors in users' code.
 
-Importing a module runs its code, so a file from elsewhere must not choose the module. The rules:
+Importing a module runs its code, so a file from elsewhere must not choose the module. A file may contain only names
+that installed packages announce by an entry point, and references that the user has typed in the same call:
 
-- References typed by the user are imported: arguments of Python functions, and of the command line. `resolve` imports
-  them, and also searches the working folder.
-- References that an installed package announces by an entry point are imported by `resolve_installed`, but not from
-  the working folder.
-- A name in a file is only text. Before it is resolved, the caller must call `check_named`, which rejects it unless the
-  user has typed the same name, or has called `trust`.
-- On the command line, `resolve` itself rejects all references that are not among its arguments (see `command_line`),
-  so that no other reference can be imported.
+- References typed by the user are imported by `resolve`, which also searches the working folder. References that an
+  installed package announces are imported by `resolve_installed`, but not from the working folder.
+- A name in a file is only text. Before it is resolved, the caller must call `check_named`.
 
 docs/trust.md lists the references that each kind of file may contain.
 """
@@ -21,9 +17,8 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
@@ -43,68 +38,24 @@ def is_reference(text: object) -> bool:
     return isinstance(text, str) and _REFERENCE.fullmatch(text) is not None
 
 
-@dataclass
-class _Trust:
-    """The references that this process may import.
-
-    Attributes:
-        named: the references that the user has typed.
-        everything: whether all others may be imported as well.
-        only_named: whether `resolve` rejects all others, as on the command line.
-    """
-
-    named: set[str] = field(default_factory=set)
-    everything: bool = False
-    only_named: bool = False
-
-
-_TRUST: Final = _Trust()
-
-
-def trust(*references: str) -> None:
-    """Allows files to contain these references, such as ``"package.module:SPEC"``, in this process."""
-    _TRUST.named.update(references)
-
-
-def check_named(reference: object, origin: object) -> None:
-    """Checks a name from an untrusted file (`origin`) before it is resolved.
+def check_named(reference: object, origin: object, trusted: Collection[str] = ()) -> None:
+    """Checks a name from a file (`origin`) before it is resolved.
 
     All names except references are accepted: an announced name belongs to the benchmark or to an installed package.
 
     Raises:
-        UntrustedNameError: if it is a reference that the user has not named.
+        UntrustedNameError: if it is a reference that is not among the `trusted` ones, which the user has typed.
     """
-    if isinstance(reference, str) and is_reference(reference) and not (_TRUST.everything or reference in _TRUST.named):
+    if isinstance(reference, str) and is_reference(reference) and reference not in trusted:
         raise UntrustedNameError(reference, origin)
-
-
-@contextmanager
-def command_line(arguments: Iterable[str]) -> Iterator[None]:
-    """A context that can import only references among the arguments of a command.
-
-    With ``--trust`` among them, it can import all.
-    """
-    arguments, before = list(arguments), vars(_TRUST).copy()
-    parts = {part for argument in arguments for part in re.split("[,=+]", argument)}
-    parts |= {re.sub(r"^body:|:[\d-]+$", "", part) for part in parts}  # shifts contain levels
-    named = set(filter(is_reference, parts))
-    vars(_TRUST).update(named=named, everything="--trust" in arguments, only_named=True)
-    try:
-        yield
-    finally:
-        vars(_TRUST).update(before)
 
 
 def resolve(reference: str) -> Any:
     """The object of a reference ``"package.module:NAME"`` typed by the user. The working folder is searched as well.
 
     Raises:
-        UntrustedNameError: if it is not among the arguments of the current `command_line`.
         ImportError: if there is no such module or object. Errors raised by the module itself pass through.
     """
-    if _TRUST.only_named:
-        check_named(reference, "a file")
-    trust(reference)
     module, _, name = reference.partition(":")
     if module.endswith(".py"):
         raise ImportError(f"{module} is a file's name. Did you mean '{module.removesuffix('.py')}:{name}'?")

@@ -18,7 +18,6 @@ from magical_mj.evaluation.scores import SETTINGS, read, read_settings
 from magical_mj.leaderboard import submit, verify
 from magical_mj.policies.interface import RandomAgent
 from magical_mj.utils.errors import EvaluationError, UntrustedNameError
-from magical_mj.utils.imports import trust
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import SMALL, TEMPLATE
 
@@ -110,11 +109,10 @@ def test_a_task_whose_code_has_changed_is_not_filmed(
     )
     magical_mj.evaluate("noop", out=tmp_path / "o", **{**TINY, "tasks": name})
     (row, _), settings = read(tmp_path / "o"), read_settings(tmp_path / "o")
-    assert obstacle(row, settings) is None
+    assert obstacle(row, settings, [name]) is None
     settings[f"code of {name}"] = "0"
-    assert obstacle(row, settings) == f"the code of {name} has changed since it was played"
+    assert obstacle(row, settings, [name]) == f"the code of {name} has changed since it was played"
     (tmp_path / "o" / SETTINGS).write_text(json.dumps(settings))
-    trust(name)
-    assert "cannot be filmed: the code of" in shell.fails(2, "report", "o", "--videos", "--trust")
+    assert "cannot be filmed: the code of" in shell.fails(2, "report", "o", "--videos", "--trusted", name)
     with pytest.raises(UntrustedNameError):
         obstacle(replace(row, task="others_task:SPEC"))

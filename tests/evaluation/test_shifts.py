@@ -18,7 +18,6 @@ from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
 from magical_mj.leaderboard import submit, verify
 from magical_mj.tasks.registry import ENVIRONMENTS, SPLITS, environment_axes, sample_scene
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError
-from magical_mj.utils.imports import trust
 from tests.envs.test_xmagical import WEDGE  # noqa: F401
 from tests.helpers import agents
 from tests.helpers.commands import Shell
@@ -69,8 +68,7 @@ def test_other_bodies_stand_beside_the_first_one_and_are_replayed(shell: Shell, 
     assert "| random | body:mediumstick | " in (tmp_path / "page" / "report.md").read_text()
     with pytest.raises(UntrustedNameError):
         verify(tmp_path / "out", jobs=1)
-    trust(own.removeprefix("body:"))
-    assert verify(tmp_path / "out", jobs=1).differing == []
+    assert verify(tmp_path / "out", jobs=1, trusted=[own.removeprefix("body:")]).differing == []
 
 
 def test_comparisons_pair_shifts(tmp_path: Path) -> None:

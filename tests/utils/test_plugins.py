@@ -34,7 +34,7 @@ def test_invalid_ones_are_ignored_and_errors_are_this_packages(tmp_path: Path, m
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: toys\nVersion: 1\n")
     (about / "entry_points.txt").write_text(POINTS)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.warns(UserWarning) as caught:
+    with pytest.warns(UserWarning, match="is ignored") as caught:
         found = announced("toy", "toys", ("ours",), re.compile(r"\w+").fullmatch, 'ball = "toys:BALL"')
     assert [str(warning.message).partition(" is ignored: ")[2] for warning in caught] == [
         'it must refer to an object in a module, as in ball = "toys:BALL"',

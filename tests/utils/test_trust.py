@@ -10,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.evaluation.scores import SETTINGS
+from magical_mj import demos
+from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation.scores import SETTINGS, episodes_in
+from magical_mj.learners import plan_experiment
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import imports
 from magical_mj.utils.errors import UntrustedNameError
 from tests.helpers.commands import Shell
@@ -47,6 +52,12 @@ def evaluation(**fields: str) -> Path:
     return folder
 
 
+def study() -> Path:
+    """The file of an experiment on their task."""
+    Path("study.toml").write_text(f'methods = ["bc"]\ntasks = ["{TASK}"]\nseeds = [0]\n')
+    return Path("study.toml")
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -58,7 +69,7 @@ def evaluation(**fields: str) -> Path:
 )
 def test_no_command_runs_code_that_a_file_names(shell: Shell, command: str, theirs: Path) -> None:
     evaluation()
-    Path("study.toml").write_text(f'methods = ["bc"]\ntasks = ["{TASK}"]\nseeds = [0]\n')
+    study()
     Path("trained").mkdir()
     Path("trained/config.toml").write_text(f'method = "bc"\ntasks = ["{TASK}"]\n')
     code, _, error = shell(*command.split())
@@ -81,9 +92,23 @@ def test_no_other_field_of_an_episode_runs_code(shell: Shell, field: str, theirs
 
 def test_trusted_files_and_typed_names_run_it(shell: Shell, theirs: Path) -> None:
     evaluation()
-    code, _, _ = shell("report", "run", "--videos", "--trust")
+    assert shell("report", "run", "--videos", "--trusted", "others.tasks:SPEC")[0] == 2
+    assert not theirs.exists()
+    code, _, _ = shell("report", "run", "--videos", "--trusted", f"others.tasks:SPEC,{TASK}")
     assert (code, theirs.exists()) == (0, True)
     assert list(Path("run/report").glob("*.mp4"))
+    assert [run.settings.tasks for run in plan_experiment(study(), "out", trusted=[TASK])] == [(TASK,)]
+
+
+def test_a_name_typed_in_one_call_is_not_allowed_in_the_next(theirs: Path) -> None:
+    assert task_spec(TASK).name == "Theirs"
+    assert theirs.exists()
+    (row,) = episodes_in(evaluation())
+    assert obstacle(row, trusted=[TASK]) is None
+    with pytest.raises(UntrustedNameError, match=f"--trusted {TASK}"):
+        obstacle(row)
+    with pytest.raises(UntrustedNameError):
+        plan_experiment(study(), "out")
 
 
 def test_installed_packages_are_not_searched_for_in_the_working_folder(theirs: Path) -> None:
@@ -93,15 +118,8 @@ def test_installed_packages_are_not_searched_for_in_the_working_folder(theirs: P
     assert imports.resolve(TASK).name == "Theirs"
 
 
-def test_a_name_from_a_file_must_be_typed_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(imports, "_TRUST", imports._Trust())
-    imports.check_named("FindDupe", "a file")
+def test_recordings_choose_no_code(theirs: Path) -> None:
+    recording = {"protocol": PROTOCOL, "task": TASK, "variant": "Demo", "seed": 0, "actions": [0]}
     with pytest.raises(UntrustedNameError, match=TASK):
-        imports.check_named(TASK, "a file")
-    imports.trust(TASK)
-    imports.check_named(TASK, "a file")
-    with imports.command_line(["--tasks=FindDupe,mine:SPEC"]):
-        imports.check_named("mine:SPEC", "a file")
-        with pytest.raises(UntrustedNameError):
-            imports.resolve(TASK)
-    imports.check_named(TASK, "a file")
+        demos.from_recording(json.dumps(recording))
+    assert not theirs.exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,16 +59,18 @@ class Explanation:
     problems: Counter[str] = field(default_factory=Counter[str])
 
 
-def explainable(folders: Iterable[Path], rules: Rules | None = None) -> tuple[list[EpisodeResult], Counter[str]]:
+def explainable(
+    folders: Iterable[Path], rules: Rules | None = None, trusted: Collection[str] = ()
+) -> tuple[list[EpisodeResult], Counter[str]]:
     """The episodes of evaluations or entries that can be explained; and why others cannot, and how many.
 
-    With `rules`, they are scored by these.
+    With `rules`, they are scored by these. Episodes may contain the `trusted` references.
     """
     episodes, problems = list[EpisodeResult](), Counter[str]()
     for folder in folders:
         recorded = {} if is_entry(folder) else recorded_settings(folder)
-        for episode in episodes_of(folder, rules):
-            if problem := unfit(episode, recorded):
+        for episode in episodes_of(folder, rules, trusted):
+            if problem := unfit(episode, recorded, trusted):
                 problems[problem] += 1
             else:
                 episodes.append(episode)

@@ -6,7 +6,7 @@ import math
 import os
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
@@ -107,6 +107,7 @@ def report(
     mixed_presets: bool = False,
     rules: Rules | None = None,
     links: Mapping[str, str] = MappingProxyType({}),
+    trusted: Collection[str] = (),
 ) -> Path:
     """Writes the tables (Markdown, CSV) and figures of one or several evaluations.
 
@@ -117,6 +118,7 @@ def report(
         mixed_presets: allow policies with different observations in one report.
         rules: score all episodes by these rules. Episodes that were scored by others are replayed.
         links: description -> file in `out`, for links on the page.
+        trusted: references such as "mine:SPEC" that replayed episodes may name; see docs/trust.md.
 
     Returns:
         The path of the page, in Markdown.
@@ -128,7 +130,7 @@ def report(
         MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
-    return write_report(results(folders_of(folders), with_published, mixed_presets, rules), out, links)
+    return write_report(results(folders_of(folders), with_published, mixed_presets, rules, trusted), out, links)
 
 
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:

@@ -6,7 +6,7 @@ Scores are read line by line into columns, so that a million episodes fit into m
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from operator import attrgetter
@@ -89,7 +89,12 @@ class Results:
         return in_order(self.environments["task"])
 
 
-def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None) -> pd.DataFrame:
+def gather(
+    folders: Sequence[Path],
+    mixed_presets: bool = False,
+    rules: Rules | None = None,
+    trusted: Collection[str] = (),
+) -> pd.DataFrame:
     """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
 
     Returns:
@@ -103,7 +108,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
     check_trainings(folders)
-    scores = _read(folders, rules)
+    scores = _read(folders, rules, trusted)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes
     twice = scores[scores.duplicated(KEY, keep=False)]
@@ -119,8 +124,8 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
     return scores.reset_index(drop=True)
 
 
-def episodes_of(folder: Path, rules: Rules | None) -> Iterator[EpisodeResult]:
-    """The episodes of an evaluation or an entry, scored by these rules."""
+def episodes_of(folder: Path, rules: Rules | None, trusted: Collection[str] = ()) -> Iterator[EpisodeResult]:
+    """The episodes of an evaluation or an entry, scored by these rules; for `trusted`, see `replay`."""
     recorded: dict[str, Any] = {}
     if is_entry(folder):
         entry = read_entry(folder)
@@ -135,17 +140,17 @@ def episodes_of(folder: Path, rules: Rules | None) -> Iterator[EpisodeResult]:
     for episode in episodes:
         if episode.rules == rules:
             yield episode
-        elif problem := obstacle(episode, recorded):
+        elif problem := obstacle(episode, recorded, trusted):
             raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {episode.title}: {problem}")
         else:
             others.append(("", episode))
-    for _, episode, problem in replay(others, rules=rules):
+    for _, episode, problem in replay(others, rules=rules, trusted=trusted):
         if problem is not None:
             raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {problem}")
         yield episode
 
 
-def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
+def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collection[str] = ()) -> pd.DataFrame:
     import pandas as pd
 
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
@@ -154,7 +159,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
     texts_of = attrgetter(*("method" if name == "policy" else name for name in NAMES))
     columns_of_texts = [(known, codes[name].append) for name, known in categories.items()]
     for index, folder in enumerate(folders):
-        for score in episodes_of(folder, rules):
+        for score in episodes_of(folder, rules, trusted):
             for text, (known, append) in zip(texts_of(score), columns_of_texts, strict=True):
                 append(known.setdefault(text, len(known) - 1))
             numbers["actions"].append(crc32(score.actions.encode()))
@@ -205,6 +210,7 @@ def results(
     with_published: bool = False,
     mixed_presets: bool = False,
     rules: Rules | None = None,
+    trusted: Collection[str] = (),
 ) -> Results:
     """The data of a report on these folders. Arguments and errors are those of `gather`.
 
@@ -212,7 +218,7 @@ def results(
     """
     import pandas as pd
 
-    scores = gather(folders, mixed_presets, rules)
+    scores = gather(folders, mixed_presets, rules, trusted)
     plain = scores[scores["shift"] == ""]
     if plain.empty:
         raise EvaluationError("all episodes are shifted: evaluate --resume plays those without shifts")
