@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
-from magical_mj.policies.interface import AGENTS, Episode, begin, play
+from magical_mj.policies.interface import AGENTS, Episode, begin, play_actions
 from magical_mj.shifts import SHIFTS, shift_label
 
 PHYSICAL = ("pose", "clutter", "latency", "slip", "friction")
@@ -47,7 +47,7 @@ def episode(key: Key) -> tuple[Key, float]:
     policy = AGENTS[agent]()
     with closing(magical_mj.Engine(task, seed=seed, shifts=label.replace("+", ","))) as env:
         begin(policy, Episode(task, "Demo", seed, env=env))
-        for _ in play(env, iter(lambda: policy(None), None)):
+        for _ in play_actions(env, iter(lambda: policy(None), None)):
             pass
         return key, env.score()
 

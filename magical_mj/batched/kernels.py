@@ -39,14 +39,14 @@ _ROBOT_REACH: Final = wp.constant(0.45)  # distance of the open fingers' tips, w
 _BLOCK_REACH: Final = wp.constant(0.16)  # distance of a star's tips
 
 
-def packed(rgb: style.Rgb) -> int:
+def packed_rgb(rgb: style.Rgb) -> int:
     """A colour as one number."""
     red, green, blue = rgb
     return red << 16 | green << 8 | blue
 
 
-_BORDER_COLOUR: Final = wp.constant(packed(style.ARENA_BORDER))
-_SURROUND_COLOUR: Final = wp.constant(packed(style.LIGHT_GREY))
+_BORDER_COLOUR: Final = wp.constant(packed_rgb(style.ARENA_BORDER))
+_SURROUND_COLOUR: Final = wp.constant(packed_rgb(style.LIGHT_GREY))
 _NOTHING: Final = wp.constant(-1)
 
 

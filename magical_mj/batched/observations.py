@@ -16,7 +16,7 @@ from torch import Tensor
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
-from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Outlines, Worlds, packed, paint
+from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Outlines, Worlds, packed_rgb, paint
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
@@ -88,8 +88,8 @@ def _outlines(device: str) -> Any:
     outlines.parts = wp.array(np.array(parts, np.int32), dtype=wp.vec2i, device=device)
     outlines.reach = wp.array(np.array(reach, np.float32), dtype=float, device=device)
     outlines.frames = wp.array([frame for _, frame, _ in ROBOT_LAYERS], dtype=int, device=device)
-    outlines.colours = wp.array([packed(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
-    table = np.array([[packed(palette[colour]) for colour in COLOURS] for palette in palettes], np.int32)
+    outlines.colours = wp.array([packed_rgb(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
+    table = np.array([[packed_rgb(palette[colour]) for colour in COLOURS] for palette in palettes], np.int32)
     outlines.palette = wp.array(table, dtype=int, device=device)
     return outlines
 

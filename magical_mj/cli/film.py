@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 import magical_mj
 from magical_mj.evaluation.replay import names_in, obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
-from magical_mj.policies.interface import actions_of, play
+from magical_mj.policies.interface import actions_of, play_actions
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.scene.state_vector import CAMERAS
@@ -159,7 +159,7 @@ def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> No
         if problem := other_scene(score, env):
             raise EvaluationError(f"{title} cannot be filmed: {problem}")
         movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())
-        for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
+        for step, (action, _) in enumerate(play_actions(env, actions_of(score.actions)), start=1):
             movie.add(side_by_side(env, movie.size, movie.views), step, action, env.score())
         movie.end()
         ending = env.score()

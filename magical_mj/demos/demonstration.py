@@ -88,7 +88,7 @@ class Demonstration:
     @property
     def digest(self) -> str:
         """The SHA-256 digest of everything in it, which its file holds, too."""
-        return packed(self)[0]["digest"]
+        return header_and_arrays(self)[0]["digest"]
 
     @property
     def acts(self) -> NDArray[np.bool_]:
@@ -123,7 +123,7 @@ def write(demo: Demonstration, path: Path | str) -> None:
     path = files.to_path(path)
     if path.suffix != SUFFIX:
         raise DemonstrationError(f"{path} must end in {SUFFIX}")
-    header, arrays = packed(demo)
+    header, arrays = header_and_arrays(demo)
     path.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
@@ -131,7 +131,7 @@ def write(demo: Demonstration, path: Path | str) -> None:
     files.write(path, archive.getvalue())
 
 
-def packed(demo: Demonstration) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def header_and_arrays(demo: Demonstration) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """What a file holds of a demonstration: the header with the digest, and the arrays; raises errors as `write`."""
     fields = _checked_fields(vars(demo))
     _check_arrays(demo)

@@ -34,7 +34,7 @@ from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
-from magical_mj.policies.interface import play
+from magical_mj.policies.interface import play_actions
 from magical_mj.rendering.canvas import Picture
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
@@ -42,7 +42,6 @@ from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
-from magical_mj.utils.imports import check_named
 from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]
@@ -234,10 +233,8 @@ def from_recording(text: str | bytes) -> Imported:
     Raises:
         DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
         UnknownNameError: if there is no such environment.
-        UntrustedNameError: if its task is neither of the benchmark nor announced by an installed package.
     """
     recording = _decoded(text)
-    check_named(recording.task, "a recording")
     demonstration = recorded(recording.task, recording.variant, recording.seed, recording.actions, "human")
     final, blocks = recording.final, len(demonstration.scene.blocks)
     if final is None:
@@ -303,7 +300,7 @@ def verify(demo: Demonstration) -> Verdict:
     with closing(Engine(demo.task, demo.variant, body=body, **start)) as env:
         expected = env.initial_scene if demo.shifts else sample_scene(demo.task, demo.variant, demo.scene_seed, body)
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
-        for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
+        for step, _ in enumerate(play_actions(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
                 replayed.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import Demonstration, files_in, packed, read, unpacked
+from magical_mj.demos.demonstration import Demonstration, files_in, header_and_arrays, read, unpacked
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils import files
@@ -86,7 +86,7 @@ def load_shipped(task: str, name: str) -> list[Demonstration]:
 
 def pack(demos: Sequence[Demonstration], path: Path) -> None:
     """Writes demonstrations of one scene to a file that `load_shipped` reads, over the present one."""
-    headers = [packed(demo)[0] for demo in demos]
+    headers = [header_and_arrays(demo)[0] for demo in demos]
     arrays = [(demo.actions, _offsets(demo.qpos, demo.qvel), demo.qvel) for demo in demos]
     content = io.BytesIO()
     np.savez(

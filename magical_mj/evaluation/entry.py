@@ -55,7 +55,7 @@ SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
 SHIFT_SEEDS: Final = 50
 """The number of episodes under each shift of the track."""
-MOST_BYTES: Final = 20_000_000
+MOST_OF_ENTRY: Final = 20_000_000
 """The largest size of an entry's file in bytes. Ours have 2 MB at most."""
 MOST_UNPACKED: Final = 60_000_000
 """The largest size of a decompressed entry in bytes, since a small file may expand to a huge one. Ours have 6 MB."""
@@ -354,9 +354,9 @@ def read_entry(path: Path | str) -> Entry:
     """
     path = files.to_path(path)
     if not (path / CARD).is_file():
-        return unpacked(_content(path, MOST_BYTES), path)
+        return unpacked(_content(path, MOST_OF_ENTRY), path)
     card = _card_in(path)
-    parts = {part: unpacked(_content(part, MOST_BYTES), part) for part in sorted(path.glob(f"*{SUFFIX}"))}
+    parts = {part: unpacked(_content(part, MOST_OF_ENTRY), part) for part in sorted(path.glob(f"*{SUFFIX}"))}
     if not parts:
         raise EvaluationError(f"{path} has a card, but no episodes (*{SUFFIX})")
     holders: dict[str, Path] = {}

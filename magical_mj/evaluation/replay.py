@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
-from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
-from magical_mj.shifts.registry import named_in, split_body
+from magical_mj.shifts.registry import SHIFT_PROTOCOL, named_in, split_body
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import check_rules, code_digest, task_spec

@@ -115,7 +115,7 @@ def rollouts(
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:
-            outcome = play(env, policy, replace(episode, task=told_task(episode.task)))
+            outcome = play_episode(env, policy, replace(episode, task=told_task(episode.task)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
@@ -173,7 +173,7 @@ def engine_of(env: Env) -> Engine:
     return engine
 
 
-def play(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
+def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
     """Plays one episode. If the policy fails, its score is 0.
 
     A policy fails if it raises an error, makes the simulation unstable, or has not finished within `seconds`. The time

@@ -17,8 +17,7 @@ from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.shifts.registry import BODY, Effect, check_noticed
-from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
+from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec

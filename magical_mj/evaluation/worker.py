@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 import gymnasium
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.rollouts import Env, Envs, late, play, play_side_by_side
+from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.policies.interface import Act, Episode, PolicyError, told_task, uses_instruction, uses_simulation
@@ -160,7 +160,7 @@ class Player:
         observed = bool(settings.wrap) or not uses_simulation(policy)
         key = (*environment, observed, reads)
         env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
-        return lambda episodes, seconds: [play(env, policy, episode, seconds) for episode in episodes]
+        return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
     def _play(self, unit: Unit, playing: Playing, seconds: float, results: Results) -> Played | Split[Unit]:
         task = told_task(unit.task, self.settings.like)

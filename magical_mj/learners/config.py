@@ -22,7 +22,7 @@ from magical_mj.utils.settings import changed
 
 START: Final = "made"
 """The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
-GROUP: Final = "magical_mj.methods"
+METHOD_GROUP: Final = "magical_mj.methods"
 """The entry-point group for methods of installed packages, such as ``mine = "package.module:Mine"``."""
 
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -132,7 +132,7 @@ def load_settings(
 @cache
 def announced_methods() -> Mapping[str, EntryPoint]:
     """The entry points of methods of installed packages, by name."""
-    return announced("method", GROUP, PARTS, re.compile(r"[\w-]+").fullmatch, 'mine = "package.module:Mine"')
+    return announced("method", METHOD_GROUP, PARTS, re.compile(r"[\w-]+").fullmatch, 'mine = "package.module:Mine"')
 
 
 def load_method(name: str) -> Any:

@@ -93,7 +93,7 @@ class BatchPolicy(Protocol):
         ...
 
 
-def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
+def play_actions(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
     """Takes actions in an episode that has begun, until the episode or the actions end.
 
     Args:

@@ -47,7 +47,7 @@ TORCH: Final = (
     "int(network(torch.as_tensor(observation)[None]).argmax()); or export it: torch.onnx.export writes a file that "
     "--policy takes. docs/evaluation.md has both"
 )
-FOLDERS: Final = "magical_mj.policy_folders"
+FOLDER_GROUP: Final = "magical_mj.policy_folders"
 """The group of entry points that load the policy in a folder; the name of each is that of a file in its folders."""
 
 
@@ -269,7 +269,11 @@ def _default_name(origin: str) -> str:
 def folder_plugins() -> Mapping[str, EntryPoint]:
     """The entry points that load policies, by the names of the files that their folders hold."""
     return announced(
-        "policy folder", FOLDERS, (), re.compile(r"[\w.-]+").fullmatch, '"mine.safetensors" = "package.module:load"'
+        "policy folder",
+        FOLDER_GROUP,
+        (),
+        re.compile(r"[\w.-]+").fullmatch,
+        '"mine.bin" = "package.module:load"',
     )
 
 

@@ -36,7 +36,7 @@ OTHER_ACTIONS: Final = (
     f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
     "function that ends in magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
 )
-MOST_BYTES: Final = 1_000_000_000
+MOST_OF_POLICY: Final = 1_000_000_000
 """The largest content of a model's file that is read."""
 MOST_SETTINGS: Final = 100_000_000
 """The largest settings in a stable-baselines3 archive that are read; they hold the last observations, too."""
@@ -158,7 +158,7 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
     with _refused(f"{path} is not a stable-baselines3 archive"), zipfile.ZipFile(path) as archive:
         data = _named(json.loads(_member(path, archive, "data", MOST_SETTINGS)))
-        packed = _member(path, archive, "policy.pth", MOST_BYTES)
+        packed = _member(path, archive, "policy.pth", MOST_OF_POLICY)
     try:
         _check_packed(path, packed)
         with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
@@ -193,8 +193,8 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
 def _check_packed(path: Path, packed: bytes) -> None:
     """Checks PyTorch's file of weights, which is an archive, too, before PyTorch unpacks it."""
     with zipfile.ZipFile(io.BytesIO(packed)) as inner:
-        if sum(member.file_size for member in inner.infolist()) > MOST_BYTES:
-            raise SettingsError(f"{path} holds weights of more than {MOST_BYTES:,} bytes, and is not read")
+        if sum(member.file_size for member in inner.infolist()) > MOST_OF_POLICY:
+            raise SettingsError(f"{path} holds weights of more than {MOST_OF_POLICY:,} bytes, and is not read")
         pickles = [member.filename for member in inner.infolist() if member.filename.endswith(".pkl")]
         if any(b"bytearray" in inner.read(name) for name in pickles):  # PyTorch would make one of any size
             raise ValueError("bytes where tensors should be")
@@ -281,8 +281,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     if find_spec("onnxruntime") is None:
         raise MissingExtraError(f"{path} needs ONNX Runtime: pip install onnxruntime")
     onnxruntime = onnx_runtime()
-    if path.stat().st_size > MOST_BYTES:
-        raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
+    if path.stat().st_size > MOST_OF_POLICY:
+        raise SettingsError(f"{path} has more than {MOST_OF_POLICY:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # errors are raised, too

@@ -46,7 +46,7 @@ def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
 
 
 @njit
-def packed(rgba: Any) -> Any:
+def packed_rgba(rgba: Any) -> Any:
     """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each; 0, nothing, if alpha is 0."""
     if rgba[3] == 0:
         return np.uint32(0)
@@ -241,7 +241,7 @@ def draw_picture(
     polygons, side = scene[0], 2 * len(out)
     for p in range(len(polygons)):
         source = polygons[p, SOURCE]
-        colours[p] = packed(skins[source]) if polygons[p, IS_SKIN] else packed(geoms[source])
+        colours[p] = packed_rgba(skins[source]) if polygons[p, IS_SKIN] else packed_rgba(geoms[source])
     paint(scene, colours, poses, view, side, scratch)
     average(pairs, out)
 

@@ -25,7 +25,7 @@ from magical_mj.utils.errors import (
 from magical_mj.utils.imports import is_reference, reference_in_folder
 from magical_mj.utils.plugins import announced, imported, reference_of
 
-PROTOCOL: Final = 1
+SHIFT_PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
 
 AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, Slip, Friction, Words)
@@ -58,7 +58,7 @@ EFFECTS: Final = ("scene", "model", "action", "picture", "ground", "instruction"
 
 _CLASS: Final = re.compile(r"^class (\w+)\((?:\w+\.)*Shift\):", re.MULTILINE)
 """How a module defines a shift."""
-GROUP: Final = "magical_mj.shifts"
+SHIFT_GROUP: Final = "magical_mj.shifts"
 """The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
 
 BODY: Final = "body"
@@ -71,7 +71,7 @@ Shifts = Mapping[str, int | str] | str | None
 @cache
 def shift_plugins() -> Mapping[str, EntryPoint]:
     """The entry points of announced shifts by name."""
-    return announced("shift", GROUP, SHIFTS, str.isidentifier, 'fog = "fog:Fog"')
+    return announced("shift", SHIFT_GROUP, SHIFTS, str.isidentifier, 'fog = "fog:Fog"')
 
 
 def shift_class(name: str) -> type[Shift]:

@@ -34,7 +34,7 @@ from magical_mj.scene.geometry import block_outline, placed
 from magical_mj.tasks.rules import any_shapes, coloured, pick, pick_each, require, require_regions, shaped, shuffled
 from magical_mj.tasks.spec import Rules, TaskSpec
 
-PROTOCOL: Final = 1
+SUITE_PROTOCOL: Final = 1
 """The protocol number of the suite xmagical; `magical_mj.tasks.protocol.PROTOCOL` is that of the benchmark."""
 
 DEBRIS_MASS: Final = 0.01

@@ -18,7 +18,7 @@ from magical_mj.web.server import PlayServer
 
 FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
 """The settings of models with the folders of their files."""
-MOST_BYTES: Final = 200_000_000
+MOST_OF_MODEL: Final = 200_000_000
 """The largest size of a model with all its files, which the browser keeps in memory."""
 
 
@@ -88,6 +88,6 @@ def model_files(path: Path) -> dict[str, bytes]:
             contents[found.name] = found.read_bytes()
             if found.suffix == ".xml":
                 waiting.append(found.name)
-            if sum(map(len, contents.values())) > MOST_BYTES:
-                raise SettingsError(f"{path} and the files that it refers to have more than {MOST_BYTES:,} bytes")
+            if sum(map(len, contents.values())) > MOST_OF_MODEL:
+                raise SettingsError(f"{path} and the files that it refers to have more than {MOST_OF_MODEL:,} bytes")
     return contents

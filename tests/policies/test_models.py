@@ -211,7 +211,7 @@ def test_small_files_of_large_models_are_refused(tmp_path: Path, monkeypatch: py
         with pytest.raises(SettingsError, match=bound):
             load_sb3(rewritten(tmp_path / "model.zip", **changes))
     monkeypatch.setattr(models, "MOST_SETTINGS", 20_000_000)
-    monkeypatch.setattr(models, "MOST_BYTES", 20_000_000)
+    monkeypatch.setattr(models, "MOST_OF_POLICY", 20_000_000)
     with pytest.raises(SettingsError, match="data of more than 20,000,000 bytes"):
         load_sb3(rewritten(tmp_path / "model.zip", filler=" " * 20_000_000))
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w") as archive, io.BytesIO() as inner:

@@ -20,7 +20,7 @@ import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.shifts import SHIFTS, Factor, Shift, expand_shifts, parse_shifts, shift_label
 from magical_mj.shifts.episode import draw_shifts
-from magical_mj.shifts.registry import PHYSICAL, PROTOCOL
+from magical_mj.shifts.registry import PHYSICAL, SHIFT_PROTOCOL
 from magical_mj.shifts.words import SENTENCES
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
@@ -93,7 +93,7 @@ def test_names_ranges_and_draws_are_those_of_their_protocol() -> None:
         start, text = env.initial_scene.digest(), env.instruction
     told = json.dumps([about, drawn, start, text, SENTENCES["MakeLine"]])
     digest = hashlib.sha256(told.encode()).hexdigest()[:16]
-    assert (PROTOCOL, digest) == (1, "370701a8839d2543"), "a change of shifts needs the next number of their protocol"
+    assert (SHIFT_PROTOCOL, digest) == (1, "370701a8839d2543"), "a change of shifts needs their next number"
 
 
 def test_pictures_of_shifts_are_those_of_their_protocol() -> None:

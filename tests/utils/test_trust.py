@@ -17,7 +17,7 @@ from magical_mj.learners import plan_experiment
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import imports
-from magical_mj.utils.errors import UntrustedNameError
+from magical_mj.utils.errors import DemonstrationError, UntrustedNameError
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, write
 
@@ -120,6 +120,6 @@ def test_installed_packages_are_not_searched_for_in_the_working_folder(theirs: P
 
 def test_recordings_choose_no_code(theirs: Path) -> None:
     recording = {"protocol": PROTOCOL, "task": TASK, "variant": "Demo", "seed": 0, "actions": [0]}
-    with pytest.raises(UntrustedNameError, match=TASK):
+    with pytest.raises(DemonstrationError, match=r"not a whole recording: .*task"):
         demos.from_recording(json.dumps(recording))
     assert not theirs.exists()

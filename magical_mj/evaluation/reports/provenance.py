@@ -25,7 +25,7 @@ from magical_mj.utils.errors import SettingsError, counted
 if TYPE_CHECKING:
     import pandas as pd
 
-GROUP: Final = ["policy", "run", "task", "variant", "shift"]
+COLUMNS: Final = ["policy", "run", "task", "variant", "shift"]
 """What identifies the episodes of a run in an environment under a shift."""
 RECORDED: Final = {"protocol": "protocol", "shift_protocol": "shift protocol", "demonstrations": "demonstrations"}
 """Setting in ``run.json`` -> what a report calls it."""
@@ -84,7 +84,7 @@ def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator
         yield from ((group, seeds) for group in _groups(settings, played))
     elif len(scores):
         seen = range(int(scores["seed"].min()), int(scores["seed"].max()) + 1)
-        for group in scores[GROUP].drop_duplicates().itertuples(index=False, name=None):
+        for group in scores[COLUMNS].drop_duplicates().itertuples(index=False, name=None):
             yield group, range(SHIFT_SEEDS if group[-1] else SEEDS) if is_entry(folder) else seen
 
 
@@ -129,7 +129,7 @@ def _count(seeds: Sequence[range]) -> int:
 
 
 def _gaps(plan: Mapping[Group, Sequence[range]], scores: pd.DataFrame) -> Iterator[Gap]:
-    there: Any = dict(list(scores.groupby(GROUP, observed=True)["seed"]))
+    there: Any = dict(list(scores.groupby(COLUMNS, observed=True)["seed"]))
     for (policy, run, *environment), seeds in plan.items():
         numbers = there.get((policy, run, *environment), ())
         count = sum(number in part for number in numbers for part in seeds)

@@ -25,7 +25,7 @@ import magical_mj
 from magical_mj import TASKS, Block, GoalRegion, Robot, Scene, demos
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.data import drawn
-from magical_mj.policies.interface import Episode, play
+from magical_mj.policies.interface import Episode, play_actions
 from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, TrainingError
@@ -268,7 +268,7 @@ def test_the_policy_uses_neither_the_tasks_score_nor_its_plan(goals: dict[str, I
     ASKED.clear()
     policy = GoalPolicy({"Unscored": goals["FixColour"]})
     policy.reset(Episode("Unscored", "Layout", 4, 0, env=env))
-    actions = [action for action, _ in play(env, iter(lambda: policy(None), None))]
+    actions = [action for action, _ in play_actions(env, iter(lambda: policy(None), None))]
     assert len(actions) == env.horizon
     assert not ASKED
     assert magical_mj.score("FixColour", env.initial_scene, env.scene) == 1.0
