@@ -33,7 +33,7 @@ from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
 from magical_mj.scene.actions import ACTIONS, Turn
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS
+from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 MOVED: Final = 0.03
 """The least motion (units) of a block that counts as moved."""
@@ -230,6 +230,14 @@ PATH_CLEARANCE: Final = 0.36
 """The clearance (units) of a displaced block from the path of the robot and of its held block."""
 ATTEMPTS: Final = 6
 """The number of attempts to place a robot with its block."""
+_SIGNED: Final = ("x", "angle", "x_velocity", "angle_velocity")
+"""Entries whose sign a mirror changes."""
+ROBOT_SIGNED: Final = [STATE_NAMES.index(f"robot.{name}") for name in _SIGNED]
+_BLOCK: Final = STATE_NAMES.index("block0.present")
+BLOCK_SIGNED: Final = [STATE_NAMES.index(f"block0.{name}") - _BLOCK for name in _SIGNED]
+X_MIN, X_MAX = (
+    STATE_NAMES.index(f"region0.{name}") - STATE_NAMES.index("region0.present") for name in ("x_min", "x_max")
+)
 _MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number for a in ACTIONS])
 
 
@@ -237,12 +245,14 @@ def mirror(states: Tensor, actions: Tensor, generator: torch.Generator) -> Tenso
     """Mirrors half of the states left to right, in place. Returns the actions with the same half mirrored."""
     half = torch.rand(len(states), generator=generator) < 0.5
     sign = 1.0 - 2.0 * half[:, None]
-    states[:, [0, 2, 3, 5]] *= sign
+    states[:, ROBOT_SIGNED] *= sign
     fingers = states[:, FINGERS].clone()
     states[:, FINGERS] = torch.where(half[:, None], -fingers.flip(1), fingers)
     blocks, regions = blocks_of(states), regions_of(states)
-    blocks[..., [1, 3, 4, 6]] *= sign[..., None]
-    regions[..., [1, 3]] = torch.where(half[:, None, None], -regions[..., [3, 1]], regions[..., [1, 3]])
+    blocks[..., BLOCK_SIGNED] *= sign[..., None]
+    left, right = regions[..., X_MIN].clone(), regions[..., X_MAX].clone()
+    regions[..., X_MIN] = torch.where(half[:, None], -right, left)
+    regions[..., X_MAX] = torch.where(half[:, None], -left, right)
     return torch.where(half, _MIRRORED[actions], actions)
 
 
