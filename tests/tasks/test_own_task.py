@@ -141,7 +141,7 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
     assert "BC (ST)" not in table
     assert "it has none in these tasks" in table
     mixed = (user.home / "mixed" / "report" / "report.md").read_text()
-    assert "not part of the means over tasks: PushOut" in mixed
+    assert "which the means over tasks do not include: PushOut" in mixed
     assert "Mean score over all tasks, " in mixed
     assert "BC (ST)" in mixed
     assert mixed.index("**MoveToRegion**") < mixed.index("**PushOut**")
