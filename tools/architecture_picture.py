@@ -17,9 +17,9 @@ OUT = Path(__file__).parents[1] / "docs" / "architecture.png"
 CONTENT: Final = {
     "utils": "errors, files, imports, settings, parallel work",
     "scene": "Scene, geometry, constants, actions, state vector",
-    "variants": "make the scenes of a variant from the demo scene",
-    "tasks": "the eight tasks: demo scene, rules, score, plan; the registry",
-    "intents": "a language of goals; the eight tasks in it, and their rivals",
+    "variants": "the scenes of a variant",
+    "tasks": "demo scene, rules, score, plan; registry",
+    "intents": "a language of goals, and their rivals",
     "shifts": "changes of any environment, with strengths 0 to 5",
     "assets": "MJCF models of scenes, and their look",
     "rendering": "pictures by OpenGL or in software",
@@ -38,7 +38,7 @@ CONTENT: Final = {
 ROWS: Final = (
     ("utils",),
     ("scene",),
-    ("variants", "tasks"),
+    ("variants", "tasks", "intents"),
     ("assets", "rendering"),
     ("shifts",),
     ("engine",),
