@@ -1,6 +1,6 @@
 """Writes the tables about intents: what demonstrations leave open, what test scenes can tell, what our policies did.
 
-python -m tools.attribution                     # all of them, in an hour on one core
+python -m tools.attribution                     # all of them, in half an hour on one core
 python -m tools.attribution identifiability     # or some
 
 Those of episodes replay the entries in results/. docs/intents.md and docs/benchmark-card.md have the tables.
@@ -24,7 +24,6 @@ from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, read
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
-from magical_mj.utils.errors import counted
 from tools.tables import ROOT, filled, table
 
 RESULTS: Final = ROOT / "results"
@@ -32,8 +31,6 @@ SCENES: Final = 100
 CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
 """The tasks in which some blocks have to be moved, and others not."""
 TELLING: Final = ("FixColour", "Colour")
-FEW: Final = 2
-"""The number of scenes of each environment that the table of all entries covers."""
 MORE: Final = 10
 """The number of scenes of each environment that the table of some entries covers."""
 COMPARED: Final = (
@@ -131,17 +128,6 @@ def choices() -> str:
     return table(("Method and task", "Episodes", *ENDINGS), rows)
 
 
-def endings() -> str:
-    """What all policies did, over all environments that they have played."""
-    rows = []
-    for entry in entries():
-        played = [episode for episode in entry.episodes if first(entry, episode, FEW)]
-        places = len({(episode.task, episode.variant) for episode in played})
-        part = "" if places == len(ENVIRONMENTS) else f" ({counted(places, 'environment')})"
-        rows.append((f"{entry.method}{part}", str(len(played)), *map(_percent, ended(entry, played))))
-    return table(("Method", "Episodes", *ENDINGS), rows)
-
-
 def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
     """The entries in results/, or some."""
     for folder in sorted(path for path in RESULTS.iterdir() if path.is_dir() and (not names or path.name in names)):
@@ -181,7 +167,6 @@ WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "left-open": ("docs/intents.md", left_open),
     "place-or-colour": ("docs/intents.md", place_or_colour),
     "choices": ("docs/intents.md", choices),
-    "endings": ("docs/intents.md", endings),
 }
 """Table -> the page that has it, and what makes it."""
 
