@@ -60,8 +60,9 @@ class UntrustedNameError(MagicalError, ValueError):
 
     def __init__(self, reference: str, origin: object) -> None:
         super().__init__(
-            f"{origin} refers to {reference}, and using it runs that module's code: if you trust it, name it, too, "
-            f"with --trusted {reference} or --tasks {reference}, or in Python with trusted=[{reference!r}]"
+            f"{origin} refers to {reference}, and using it runs that module's code. If you trust it, name it as well: "
+            f"--tasks {reference}, or --trusted {reference} where the command has that option; in Python "
+            f"trusted=[{reference!r}]"
         )
         self.reference = reference
 

@@ -137,7 +137,7 @@ def test_strangers_tasks_run_only_if_they_are_named(demo: Demonstration, shell: 
     for code, *command in (2, "info", "."), (1, "verify", ".", "--jobs", 1):
         assert "stranger" not in said(shell, *command, "--tasks", "MoveToRegion")
         error = said(shell, *command, code=code)
-        assert error.count("--tasks stranger:SPEC") == 1
+        assert "--tasks stranger:SPEC" in error
     error = shell.fails(2, "demos", "info", ".", "--tasks", "FindDupe")
     assert "the files hold MoveToRegion-Demo, stranger:SPEC" in error
 
