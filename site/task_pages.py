@@ -119,5 +119,5 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
         "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
         + "\n".join(lines)
         + "\n\nWhat the scripted expert scores: [The experts](experts.md). "
-        "The [leaderboard](standings.html) has the commands that repeat ours."
+        "The [leaderboard](standings.md) has the commands that repeat ours."
     )
