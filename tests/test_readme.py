@@ -13,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer import Context
 from typer.core import TyperGroup
@@ -20,6 +21,7 @@ from typer.main import get_command
 
 import magical_mj
 from magical_mj.cli.app import app
+from magical_mj.leaderboard.standings import own_standings
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -78,6 +80,16 @@ def test_the_expert_is_as_good_as_said() -> None:
     assert each
     assert int(full[2]) == int(each[1]) * len(magical_mj.ENVIRONMENTS)
     said = f"{int(full[1]):,} of {int(full[2]):,} episodes end with the full score, {each[1]} in each environment"
+    assert said in " ".join(TEXT.split())
+
+
+def test_the_scores_in_the_introduction_are_those_of_the_entry() -> None:
+    means = own_standings(ROOT / "results")["pixels-bc-quick"].means
+    demo, layout = (
+        np.mean([runs.mean() for (_, variant), runs in means.items() if variant == wanted])
+        for wanted in ("Demo", "Layout")
+    )
+    said = f"scores {demo:.2f} in the scene of the demonstrations, and {layout:.2f} if all poses are new."
     assert said in " ".join(TEXT.split())
 
 

@@ -32,17 +32,6 @@ AGENTS: Final = {
     "replay": "Replaying a demonstration (`replay`)",
 }
 """The entries of policies that ignore their observations: lower bounds for learners."""
-HEADLINES: Final = (
-    "BC (ST, quick)",
-    "Redraw (ST, quick)",
-    "BC (ST)",
-    "GAIL (ST)",
-    "Relational (ST, State)",
-    "BC (ST, State)",
-    "GAIL (ST, State)",
-    "Goals and planning (ST, State)",
-)
-"""The learners in the README, if they were evaluated in all environments."""
 ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)", "BC (ST, allo.)")
 """The paper's BC and its ablations. Ours, with --quick, have the same names."""
 GROUPS: Final = {
@@ -300,9 +289,7 @@ def _but(missing: Sequence[str]) -> str:
 
 def readme() -> dict[str, str]:
     """The tables of README.md by name."""
-    learnt, agents, paper = _results()
-    shown = [method for method in (*learnt.values(), *paper) if method.name in HEADLINES and method.everywhere]
-    return {"tasks": tasks(), "variants": variants(), "results": overview([*shown, *agents])}
+    return {"tasks": tasks(), "variants": variants()}
 
 
 def results() -> dict[str, str]:
