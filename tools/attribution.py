@@ -24,12 +24,14 @@ from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, read
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
+from magical_mj.variants import VARIANTS
 from tools.tables import ROOT, filled, table
 
 RESULTS: Final = ROOT / "results"
 SCENES: Final = 100
 CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
 """The tasks in which some blocks have to be moved, and others not."""
+TESTED: Final = [variant for variant in VARIANTS if variant != "Demo"]
 TELLING: Final = ("FixColour", "Colour")
 MORE: Final = 10
 """The number of scenes of each environment that the table of some entries covers."""
@@ -55,13 +57,25 @@ def left_open() -> str:
 
 
 def identifiability() -> str:
-    """For each environment the share of test scenes in which acting by a reading is wrong."""
-    rows = []
-    for task, variant in ENVIRONMENTS:
-        if variant != "Demo":
-            values = refuted(task, variant, range(SCENES))
-            rows.append((f"{task} {variant}", *("" if value is None else f"{value:.2f}" for value in values)))
-    return table(("Environment", "the demo's blocks", *READINGS, "the demo's final places"), rows)
+    """The shares of test scenes in which acting by a reading is wrong.
+
+    Two tables: the environments in which some blocks have to be moved, and the demonstrations' final places in the
+    others.
+    """
+    rows, others = [], []
+    for task in TASKS:
+        shares = {
+            variant: ["" if value is None else f"{value:.2f}" for value in refuted(task, variant, range(SCENES))]
+            for known, variant in ENVIRONMENTS
+            if known == task and variant != "Demo"
+        }
+        if chosen(task):
+            rows += [(f"{task} {variant}", *values) for variant, values in shares.items()]
+        else:
+            others.append((task, *(shares[variant][-1] if variant in shares else "" for variant in TESTED)))
+    places = "the demo's final places"
+    first = table(("Environment", "the demo's blocks", *READINGS, places), rows)
+    return f"{first}\n\n{table((f'T{places[1:]}', *TESTED), others)}"
 
 
 def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]:
