@@ -19,7 +19,7 @@ from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
 from magical_mj.scene import constants as c
 from magical_mj.shifts import SHIFTS
-from magical_mj.shifts.shift import STRENGTHS
+from magical_mj.shifts.shift import STRENGTHS, Factor
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 
@@ -308,15 +308,9 @@ def results() -> dict[str, str]:
 
 
 def shifts() -> dict[str, str]:
-    """The tables of docs/shifts.md by name: what each axis draws, and how large it is at each strength."""
-    kinds = {"signed": "±", "positive": "0 to ", "exact": "", "choice": "below "}
+    """The tables of docs/shifts.md by name: what each axis changes, and the factors that it draws."""
     rows = [
-        (
-            f"`{name}`" if index == 0 else "",
-            factor.name,
-            _sentence(factor.about),
-            *(f"{kinds[factor.draw]}{size:g}" for size in factor.sizes),
-        )
+        (f"`{name}`" if index == 0 else "", factor.name, _sentence(factor.about), _sizes(factor))
         for name, kind in SHIFTS.items()
         for index, factor in enumerate(kind.factors)
     ]
@@ -324,8 +318,15 @@ def shifts() -> dict[str, str]:
         "axes": table(
             ("Axis", "What it changes"), [(f"`{name}`", _sentence(kind.summary)) for name, kind in SHIFTS.items()]
         ),
-        "factors": table(("Axis", "Factor", "What it is", *map(str, range(1, STRENGTHS + 1))), rows),
+        "factors": table(("Axis", "Factor", "What it is", f"At strengths 1 to {STRENGTHS}"), rows),
     }
+
+
+def _sizes(factor: Factor) -> str:
+    """A factor's sizes at all strengths; one, if they are equal."""
+    kinds = {"signed": "±", "positive": "0 to ", "exact": "", "choice": "below "}
+    sizes = factor.sizes[:1] if len(set(factor.sizes)) == 1 else factor.sizes
+    return kinds[factor.draw] + ", ".join(f"{size:g}" for size in sizes)
 
 
 def _place(standing: Standing) -> tuple[bool, bool, float]:

@@ -195,8 +195,8 @@ class Sensor(Shift):
     factors = (
         Factor("fault", "0 noise, 1 blur, 2 blocks, 3 dirt, 4 lost frames", (5, 5, 5, 5, 5), "choice"),
         Factor("grade", "how bad it is", (1, 2, 3, 4, 5), "exact"),
-        Factor("x", "of the dirt, in half sides of the picture", (0.7,) * 5),
-        Factor("y", "likewise", (0.7,) * 5),
+        Factor("x", "position of the dirt to the right, in half sides of the picture", (0.7,) * 5),
+        Factor("y", "position of the dirt upwards, in half sides of the picture", (0.7,) * 5),
     )
 
     @cached_property
