@@ -194,12 +194,8 @@ def test_comparisons_hold() -> None:
 
 
 def test_the_demonstrations_page_has_the_scores_of_behavioural_cloning() -> None:
-    page = (ROOT / "docs" / "demonstrations.md").read_text("utf-8")
-    table = page.split("| | ours | people |")[-1].split("\n\n")[0].splitlines()[2:]
-    assert [line.split("|")[1].strip() for line in table] == list(TASKS)
-    for task, line in zip(TASKS, table, strict=True):
-        scores = f"{mean(STATES, 'Demo', tasks=[task]):.2f} / {mean(STATES, 'Jitter', tasks=[task]):.2f}"
-        assert line.split("|")[2].strip() == scores
+    page = " ".join((ROOT / "docs" / "demonstrations.md").read_text("utf-8").split())
+    assert f"scores {mean(STATES, 'Demo'):.2f} in Demo and {mean(STATES, 'Jitter'):.2f} in Jitter with ours" in page
 
 
 def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:
