@@ -275,10 +275,9 @@ class Again:
 
 
 @pytest.fixture
-def in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The page's task; its module."""
-    (tmp_path / "in_order.py").write_text(code_block(PAGE, "python", '"""InOrder'))
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+def in_order(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module of the example."""
+    monkeypatch.setattr(sys, "path", [str(example("in_order.py").parent), *sys.path])
     monkeypatch.delitem(sys.modules, "in_order", raising=False)
     yield importlib.import_module("in_order")
     sys.modules.pop("in_order", None)
