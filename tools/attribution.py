@@ -70,11 +70,14 @@ def identifiability() -> str:
             if known == task and variant != "Demo"
         }
         if chosen(task):
-            rows += [(f"{task} {variant}", *values) for variant, values in shares.items()]
+            alike: dict[tuple[str, ...], list[str]] = {}
+            for variant, values in shares.items():
+                alike.setdefault(tuple(values), []).append(variant)
+            rows += [(task, ", ".join(variants), *values) for values, variants in alike.items()]
         else:
             others.append((task, *(shares[variant][-1] if variant in shares else "" for variant in TESTED)))
     places = "the demo's final places"
-    first = table(("Environment", "the demo's blocks", *READINGS, places), rows)
+    first = table(("Task", "Variants", "the demo's blocks", *READINGS, places), rows)
     return f"{first}\n\n{table((f'T{places[1:]}', *TESTED), others)}"
 
 
