@@ -175,12 +175,12 @@ test("a policy acts, and its scores are said", async () => {
   await untilStatus("Watching your policy");
   await untilStatus("Over: score 1.00");
   await page.setInputFiles("#policy", { name: "none.onnx", mimeType: "", buffer: Buffer.from("nothing") });
-  await untilStatus("The policy cannot act here: it is no ONNX file that magical-mj export-policy wrote");
+  await untilStatus("The policy cannot act here: it is not an ONNX file from magical-mj export-policy");
   await page.setInputFiles("#policy", `${OUT}site-test/LoRes3EA.onnx`);
   await untilStatus("Watching your policy");
   await untilStatus("Over");
   await page.evaluate(() => { location.hash = "#FindDupe-Demo-1?shifts=clutter:2@own"; });
-  await untilStatus("The policy cannot act here: it acts from pictures, which here cannot have stains");
+  await untilStatus("The policy cannot act here: it acts from pictures, and these cannot show stains here");
   assert.deepEqual(complaints, []);
 });
 

@@ -1,11 +1,11 @@
 // @ts-check
 /**
- * What the part of an address after `#` asks for: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
- * `#FindDupe-Demo-0?shifts=clutter:3` with a shift, of which another body is one: `#SweepToTop-Layout-2?shifts=body:longstick`.
- * @typedef {{task: string, variant: string, seed: number, shifts: string}} Place  shifts: "" for none
+ * Parses the part of an address after `#`: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
+ * `#FindDupe-Demo-0?shifts=clutter:3` with a shift or another body: `#SweepToTop-Layout-2?shifts=body:longstick`.
+ * @typedef {{task: string, variant: string, seed: number, shifts: string}} Place  shifts: "" without shifts
  * @typedef {Place & {method: string, unknown: string}} Wish
- *   method: "" for none; unknown: what is wrong with the address, and what is shown instead; "" if nothing is
- * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with the shifts that are there
+ *   method: "" without a method; unknown: the error in the address and the scene shown instead, "" without an error
+ * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with its available shifts
  */
 
 /**
@@ -36,14 +36,14 @@ export const addressOf = ({ task, variant, seed, shifts }) => `${task}-${variant
 export const shiftsOf = ({ task, variant }, environments) =>
   environments.find((one) => one.task === task && one.variant === variant)?.shifts ?? [];
 
-/** The name that differs least from the one asked for; the first one where nothing was. @param {string} asked @param {string[]} names */
+/** The name most similar to the requested one. The first one if none is requested. @param {string} asked @param {string[]} names */
 export function nearest(asked, names) {
   if (!asked) return names[0];
   const distances = names.map((name) => distance(asked.toLowerCase(), name.toLowerCase()));
   return names[distances.indexOf(Math.min(...distances))];
 }
 
-/** How many letters must be changed, added or left out. @param {string} one @param {string} other */
+/** The edit distance of two texts. @param {string} one @param {string} other */
 function distance(one, other) {
   let row = Array.from({ length: other.length + 1 }, (_, i) => i);
   for (let i = 1; i <= one.length; i++) {

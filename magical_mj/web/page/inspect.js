@@ -1,5 +1,5 @@
 // @ts-check
-/** The page on which any model is looked at while it runs: a file that is opened or dropped, or a scene of the benchmark. */
+/** The page for inspecting a running model: an opened or dropped file, or a scene of the benchmark. */
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress } from "./address.js";
 import { readTexts } from "./comments.js";
@@ -13,9 +13,9 @@ import { Stage } from "./stage.js";
 import { World } from "./world.js";
 
 const RATE = 8;  // actions a second
-const REST = 250;  // milliseconds without movement, after which the picture is drawn as well as it can be
-const SLOW = 60;  // milliseconds from picture to picture
-const LATE = 0.25;  // seconds: whoever lags behind so much does not catch up
+const REST = 250;  // milliseconds without movement before the picture is drawn in full quality
+const SLOW = 60;  // milliseconds between pictures
+const LATE = 0.25;  // seconds: a longer delay is not caught up
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 /** @type {Stage} */
@@ -23,17 +23,17 @@ let stage;
 const plots = new Plots(element("plot"), element("plotted"));
 const controls = new Controls(element("world"), []);
 
-/** What is on the page now. */
+/** The current state of the page. */
 const shown = {
   /** @type {World | null} */ world: null,
   name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
   /** @type {(number | number[])[] | null} actions of the expert */ script: null,
-  /** @type {string | number[][]} the same where they are known, as letters or speeds */ expert: "",
+  /** @type {string | number[][]} the known actions of the expert, as letters or speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
-  /** @type {import("./address.js").Place | null} the scene of the benchmark that it is */ place: null,
+  /** @type {import("./address.js").Place | null} the scene of the benchmark, if it is one */ place: null,
   address: "",
 };
-let choices = 0;  // the last one wins, whatever was loaded in between
+let choices = 0;  // only the last choice is shown, in whatever order they are loaded
 
 /** @param {string} what @param {boolean} isWrong */
 function say(what, isWrong = false) {
@@ -43,7 +43,7 @@ function say(what, isWrong = false) {
 }
 
 /**
- * Opens a model, and keeps the one before if that fails, with what the page says of it.
+ * Opens a model. If that fails, the previous one stays, with its address.
  * @param {string} name
  * @param {string} address  with "#"
  * @param {() => Promise<{text: string, place: import("./address.js").Place | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
@@ -87,7 +87,7 @@ function showModel(world) {
   select(-1);
 }
 
-/** A button for each body, below that of which it is a part. @param {World} world */
+/** A button for each body, below that of its parent. @param {World} world */
 function treeOf(world) {
   const { model } = world, depths = [0];
   return Array.from({ length: model.nbody }, (_, body) => {
@@ -139,7 +139,7 @@ function select(body) {
   describe();
 }
 
-/** Says about the selected body what is the case now. */
+/** Updates the description of the selected body. */
 function describe() {
   const about = element("about"), world = /** @type {World} */ (shown.world);
   if (shown.selected < 0) {
@@ -186,7 +186,7 @@ function run(running) {
   element("run").firstChild.textContent = running ? "Pause " : "Run ";
 }
 
-/** The smallest step that makes sense: an action of the benchmark, or else a step of MuJoCo. */
+/** The smallest step: an action of the benchmark, or a step of MuJoCo for other models. */
 function step() {
   const world = /** @type {World} */ (shown.world);
   shown.stale = true;
@@ -200,7 +200,7 @@ function step() {
   plots.note();
 }
 
-let pace = 0;  // milliseconds from picture to picture while something moves
+let pace = 0;  // milliseconds between pictures while something moves
 
 /** @param {number} time  milliseconds */
 function frame(time) {
@@ -222,7 +222,7 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-let described = 0;  // when the words were last brought up to date
+let described = 0;  // when the description was last updated
 
 /** @param {World} world @param {boolean} isMoving */
 function show(world, isMoving) {
@@ -244,7 +244,7 @@ function reset() {
   run(false);
 }
 
-/** Plays what the expert does here. */
+/** Plays the expert's actions in this scene. */
 function expert() {
   reset();
   shown.script = typeof shown.expert === "string" ? fromLetters(shown.expert) : shown.expert;
@@ -257,7 +257,7 @@ function state() {
   return { model: shown.name, ...world.state(), ...names };
 }
 
-/** Opens files that were dropped or chosen: one model, and what it needs. @param {Iterable<File>} files */
+/** Opens dropped or chosen files: one model, and the files that it needs. @param {Iterable<File>} files */
 async function openFiles(files) {
   const all = [...files], models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
   const texts = await Promise.all(models.map((file) => file.text()));
@@ -276,7 +276,7 @@ async function openFiles(files) {
 /** @type {any} */
 let catalogue = null;
 
-/** The scene that a file is, if the page has it; else null. @param {string} text  MJCF */
+/** The scene in a file, if the page has it. Otherwise null. @param {string} text  MJCF */
 async function offered(text) {
   const place = placeOf(readTexts(text), catalogue);
   if (!place || catalogue.simulation === "server") return place;
@@ -287,7 +287,7 @@ async function offered(text) {
 /** @param {import("./address.js").Place} place @param {boolean} [isNew]  whether one can go back from it */
 async function openScene(place, isNew = true) {
   const { task, variant, seed, shifts } = place, name = addressOf(place);
-  if (!shown.world) showChoice(catalogue, place);  // what is to come
+  if (!shown.world) showChoice(catalogue, place);  // the scene that is being loaded
   await open(name, `#${name}`, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
@@ -296,12 +296,12 @@ async function openScene(place, isNew = true) {
     }
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
-    if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
+    if (!entry) throw new Error(`This page has the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect has all seeds.`);
     return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), place, expert: entry.expert };
   }, isNew);
 }
 
-/** What the address says, as `#FindDupe-All-3`, or the file that the server was given. */
+/** Opens the scene in the address, such as `#FindDupe-All-3`, or the file that the server was given. */
 async function openAddress() {
   const { hash } = location, given = catalogue.model;
   if (hash === "#file" && !given) return say("Open the model again: the page keeps no files.");
@@ -319,7 +319,7 @@ async function openAddress() {
   if (unknown) say(unknown, true);
 }
 
-/** @type {Record<string, string>} the buttons that keys press */
+/** @type {Record<string, string>} the buttons by key */
 const SHORTCUTS = { KeyP: "run", Period: "step", KeyR: "reset" };
 
 function connect() {
@@ -375,7 +375,7 @@ try {
   if (catalogue.simulation === "server") element("home").removeAttribute("href");
   connect();
   requestAnimationFrame(frame);
-  const { files } = element("file");  // which may have been chosen before this was loaded
+  const { files } = element("file");  // it may have been chosen before this script was loaded
   await (files.length ? openFiles(files) : openAddress());
   element("poster").remove();
 } catch (error) {

@@ -1,9 +1,9 @@
 // @ts-check
-/** How a study stands, for whoever runs it. */
+/** The progress of a study, for its operator. */
 import { Seat } from "./server.js";
 
 const EVERY = 3000;  // milliseconds
-const BAR = 2;  // rem, of the largest one
+const BAR = 2;  // rem, height of the largest bar
 const seat = new Seat();
 let isPaused = false;
 /** @param {string} id */
@@ -36,7 +36,7 @@ function show({ title, paused, participants, environments }) {
   element("people").textContent = `${participants} participant${participants === 1 ? "" : "s"}`;
   element("pause").disabled = false;
   element("pause").textContent = paused ? "Resume" : "Pause";
-  element("status").textContent = paused ? "Paused: nobody is offered anything new." : "Running.";
+  element("status").textContent = paused ? "Paused: no new scenes are offered." : "Running.";
   element("rows").replaceChildren(...environments.map(({ environment, accepted, wanted, leased, histogram, refused }) => {
     const row = document.createElement("tr"), name = document.createElement("th");
     name.textContent = environment;

@@ -1,8 +1,8 @@
 // @ts-check
-/** Sensors, or where there are none the joints' positions, over the last seconds. */
+/** Plots of the sensors, or of the joints' positions for models without sensors, over the last seconds. */
 import uPlot from "./three/uPlot.esm.js";
 
-const KEPT = 1500;  // values a line
+const KEPT = 1500;  // values per line
 const COLOURS = ["#2f6f92", "#c0632b", "#3d8a4e", "#8a4fa0", "#b03a53", "#7a7a24", "#277f86", "#666b7a"];
 
 export class Plots {
@@ -14,7 +14,7 @@ export class Plots {
     new ResizeObserver(() => this.plot?.setSize(this.#size())).observe(place);
   }
 
-  /** Begins anew, with what this world can tell. @param {import("./world.js").World} world */
+  /** Starts the plots of another model. @param {import("./world.js").World} world */
   open(world) {
     const { model } = world;
     const sensors = world.names("sensor", "sensor", model.nsensor).map((name, id) => ({ name, at: model.sensor_adr[id], from: "sensordata" }));
@@ -46,7 +46,7 @@ export class Plots {
     }, this.values, this.place);
   }
 
-  /** Notes what the sensors say now. */
+  /** Adds the current values. */
   note() {
     const { data } = /** @type {any} */ (this.world), [times, ...rows] = /** @type {number[][]} */ (this.values);
     if (times.length && data.time < times[times.length - 1]) for (const row of [times, ...rows]) row.length = 0;

@@ -1,5 +1,5 @@
 // @ts-check
-/** Begins to inspect; where that has to wait, with a picture of the scene in the meantime, and with lists to choose another. */
+/** Starts the inspection. If it has to wait, shows a picture of the scene meanwhile, and lists to choose another one. */
 import { addressOf, parseAddress } from "./address.js";
 import { onChoice, showAddress, showChoice } from "./choice.js";
 import { draw } from "./draw.js";
@@ -26,7 +26,7 @@ async function wait() {
     return show(place, false, unknown);
   };
   onChoice(catalogue, show);
-  if (catalogue.model || location.hash === "#file") return;  // no scene
+  if (catalogue.model || location.hash === "#file") return;  // it is not a scene of the benchmark
   addEventListener("hashchange", showHash, begun);
   await showHash();
 }
@@ -38,7 +38,7 @@ function drawPoster(look, scene) {
   draw(canvas, look, scene, "allo");
 }
 
-if (waits) wait().catch(() => {});  // whoever starts is told
+if (waits) wait().catch(() => {});  // the error is shown when the user starts
 await asked;
 begun.abort();
 message.textContent = loading;

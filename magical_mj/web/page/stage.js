@@ -1,32 +1,32 @@
 // @ts-check
-/** A world as solids under soft light, by three.js; MuJoCo itself says where its helpers (contacts, joints, ...) are. */
+/** Renders a model in 3-D with soft light, by three.js. MuJoCo computes its helper geoms (contacts, joints, ...). */
 import * as THREE from "./three/three.module.js";
 import { OrbitControls } from "./three/OrbitControls.js";
 
-/** What can be shown besides the geoms: the flags of mjvOption, by the names of the page's switches. */
+/** The flags of mjvOption for helper geoms, by the names of the page's switches. */
 const HELPERS = { joints: ["JOINT"], contacts: ["CONTACTPOINT", "CONTACTFORCE"], inertia: ["INERTIA"], tendons: ["TENDON"] };
-/** Groups of geoms, by the names of the page's switches; others are always shown. */
+/** Groups of geoms, by the names of the page's switches. Other groups are always shown. */
 const GROUPS = { flat: [2], collision: [3] };
-const FLAT = 10;  // the layer of what pictures from the task's own cameras show
-const DRAWN = [2, 4];  // the groups that they show
+const FLAT = 10;  // the layer of geoms in pictures of the task's own cameras
+const DRAWN = [2, 4];  // the groups in these pictures
 const [PLANE, FIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [0, 1, 2, 3, 4, 5, 6, 7];
 const [ARROW, ARROW1, ARROW2, LINE, LINEBOX] = [100, 101, 102, 103, 104];
-const ROUGH = 0.6;  // pixels for each of the screen while a slow machine shows movement
+const ROUGH = 0.6;  // rendered pixels per screen pixel, for movement on a slow machine
 const INSET = 0.24, INSET_MOST = 200;  // of the canvas's smaller side; pixels
 
 export class Stage {
-  /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when it must be drawn anew */
+  /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when a new picture is needed */
   constructor(canvas, changed) {
     this.canvas = canvas;
     const isSoftware = drawsBySoftware();
     /** Whether this machine is too slow for shadows and fine pixels while something moves. */
     this.slow = isSoftware;
-    /** Pixels of a still picture for each of the screen: where edges are not smoothed, which software takes long for, more. */
+    /** Rendered pixels per screen pixel of a still picture. More without anti-aliasing, which is slow in software. */
     this.fineness = isSoftware ? 1.5 : Math.min(devicePixelRatio, 2);
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
-    this.renderer.shadowMap.autoUpdate = false;  // insets have none
+    this.renderer.shadowMap.autoUpdate = false;  // insets have no shadows
     this.renderer.autoClear = false;
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
     this.camera.up.set(0, 0, 1);
@@ -34,7 +34,7 @@ export class Stage {
     this.orbit.addEventListener("change", changed);
     this.scene = new THREE.Scene();
     this.shown = { joints: false, contacts: false, inertia: false, tendons: true, flat: true, collision: false, solid: true };
-    /** @type {any[]} one mesh a geom, or null */
+    /** @type {any[]} a mesh for each geom, or null */
     this.meshes = [];
     /** @type {any} */
     this.world = null;
@@ -43,7 +43,7 @@ export class Stage {
     this.insets = true;
   }
 
-  /** Shows another world, from where its file says. @param {import("./world.js").World} world */
+  /** Shows another model, with the initial camera of its file. @param {import("./world.js").World} world */
   open(world) {
     this.close();
     this.world = world;
@@ -89,7 +89,7 @@ export class Stage {
     this.world = null;
   }
 
-  /** Light from all sides, and a lamp whose shadow is soft. @param {number} extent @param {any} centre */
+  /** Ambient light, and a lamp with soft shadows. @param {number} extent @param {any} centre */
   #light(extent, centre) {
     this.scene.background = new THREE.Color(isDark() ? 0x23252b : 0xe7e7ea);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0xdddde4, 2.1));
@@ -125,7 +125,7 @@ export class Stage {
       mesh.material.color.set(0xd0503c);
       if (model.body_weldid[model.geom_bodyid[geom]] === 0) Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });  // walls
     }
-    if (isDark() && SURROUND.includes(this.world.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in what policies see
+    if (isDark() && SURROUND.includes(this.world.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
     mesh.receiveShadow = !isCollision;
     mesh.userData = { geom, group };
@@ -140,7 +140,7 @@ export class Stage {
     return mesh;
   }
 
-  /** The texture of a plane, as often as the material says. @param {number} material @param {number[]} size */
+  /** The texture of a plane, repeated according to the material. @param {number} material @param {number[]} size */
   #texture(material, size) {
     const { model } = this.world, roles = material < 0 ? [] : [...model.mat_texid.subarray(10 * material, 10 * material + 10)];
     const texture = roles.find((id) => id >= 0);
@@ -153,13 +153,13 @@ export class Stage {
     map.wrapS = map.wrapT = THREE.RepeatWrapping;
     map.magFilter = map.minFilter = THREE.LinearFilter;
     const [x, y] = model.mat_texrepeat.subarray(2 * material, 2 * material + 2);
-    const isUniform = x < 10;  // MuJoCo's build does not say: once or twice over a whole plane would be no pattern
+    const isUniform = x < 10;  // MuJoCo's build does not expose this flag. Fewer repetitions would not be a pattern
     map.repeat.set(isUniform ? x * (size[0] || 50) : x, isUniform ? y * (size[1] || 50) : y);
     map.needsUpdate = true;
     return map;
   }
 
-  /** The geometry of a geom; the same one for geoms of one size. @param {number} type @param {number[]} size @param {number} dataid */
+  /** The geometry of a geom. Geoms of the same size share it. @param {number} type @param {number[]} size @param {number} dataid */
   #geometry(type, size, dataid) {
     const key = `${type} ${type === MESH ? dataid : size}`, { geometries } = this;
     if (!geometries.has(key)) geometries.set(key, this.#made(type, size, dataid));
@@ -180,7 +180,7 @@ export class Stage {
     return type === MESH && dataid >= 0 ? polyhedron(model, dataid) : null;
   }
 
-  /** Marks a body; -1: none. @param {number} body */
+  /** Highlights a body; -1: none. @param {number} body */
   select(body) {
     const { model } = this.world;
     for (const mesh of this.meshes) {
@@ -189,7 +189,7 @@ export class Stage {
     }
   }
 
-  /** The body at a place of the canvas; -1 if there is none. @param {number} x  pixels from the left @param {number} y */
+  /** The body at a position on the canvas, or -1. @param {number} x  pixels from the left @param {number} y */
   bodyAt(x, y) {
     const ray = new THREE.Raycaster(), { clientWidth: width, clientHeight: height } = this.canvas;
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
@@ -197,7 +197,7 @@ export class Stage {
     return hit ? this.world.model.geom_bodyid[hit.object.userData.geom] : -1;
   }
 
-  /** Draws what is the case now. @param {boolean} isMoving  whether the next picture will follow at once */
+  /** Renders the current state. @param {boolean} isMoving  whether the next picture follows immediately */
   draw(isMoving = false) {
     const { world, renderer, canvas } = this, isRough = isMoving && this.slow;
     if (!world) return;
@@ -231,7 +231,7 @@ export class Stage {
     }
   }
 
-  /** Places joints, contacts and so on, as MuJoCo's own viewer would. */
+  /** Places helper geoms such as joints and contacts, like MuJoCo's own viewer. */
   #decorate() {
     const { mujoco, model, data } = this.world, { flags } = this.option;
     for (const [name, kinds] of Object.entries(HELPERS)) {
@@ -257,7 +257,7 @@ export class Stage {
     for (const child of children.slice(count)) child.visible = false;
   }
 
-  /** Sizes that fit the model: forces range over many powers of ten. @param {number} type @param {Float32Array} size */
+  /** Limits sizes to the scale of the model, since forces range over many powers of ten. @param {number} type @param {Float32Array} size */
   #limited(type, [a, b, c]) {
     const extent = this.world.model.stat.extent || 1, most = (/** @type {number} */ value, /** @type {number} */ limit) => limit * (1 - Math.exp(-value / limit));
     if (type === CYLINDER) return [Math.min(a, 0.012 * extent), Math.min(b, 0.012 * extent), Math.min(c || b, 0.002 * extent)];
@@ -303,7 +303,7 @@ export class Stage {
   /** The picture as a PNG. @returns {Promise<Blob>} */
   picture() {
     this.draw();
-    return new Promise((resolve, reject) => this.canvas.toBlob((blob) => blob ? resolve(blob) : reject(new Error("this browser gives no picture"))));
+    return new Promise((resolve, reject) => this.canvas.toBlob((blob) => blob ? resolve(blob) : reject(new Error("this browser cannot save the picture"))));
   }
 }
 
@@ -322,13 +322,13 @@ function arrow() {
   return new THREE.LatheGeometry(profile, 16).rotateX(Math.PI / 2);
 }
 
-/** Whether WebGL is drawn without a graphics processor. */
+/** Whether WebGL runs in software. */
 function drawsBySoftware() {
   const gl = document.createElement("canvas").getContext("webgl2"), about = gl?.getExtension("WEBGL_debug_renderer_info");
   return /swiftshader|llvmpipe|software/i.test(about ? gl?.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
 }
 
-/** Gives a mesh the shape of one of MuJoCo's abstract geoms. @param {any} mesh @param {number} type @param {number[]} size */
+/** Shapes a mesh like one of MuJoCo's helper geoms. @param {any} mesh @param {number} type @param {number[]} size */
 function shape(mesh, type, [a, b, c]) {
   const { stretch } = mesh.userData;
   if (type === ARROW || type === ARROW1 || type === ARROW2) {
@@ -369,7 +369,7 @@ function heightField(model, id) {
   return geometry;
 }
 
-/** Whether a body is another one, or a part of it. @param {any} model @param {number} body @param {number} whole */
+/** Whether a body equals another one, or is its descendant. @param {any} model @param {number} body @param {number} whole */
 function within(model, body, whole) {
   for (let one = body; one > 0; one = model.body_parentid[one]) if (one === whole) return true;
   return false;
