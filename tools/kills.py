@@ -70,7 +70,7 @@ try:
         files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 except KeyboardInterrupt:
     pass
-"""  # endless sampling of scenes for batched worlds in workers; without a guard for `__main__`
+"""  # endless sampling of scenes for batched environments in workers; without a guard for `__main__`
 EVALUATE: Final = (
     *("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour"),
     *("--variants", "Demo,Jitter", "--episodes", "60", "--resume", "--jobs", "2"),

@@ -8,7 +8,7 @@ import warp as wp
 
 import magical_mj
 from magical_mj.batched.observations import Painter
-from magical_mj.batched.scenes import Capacity, WorldScenes
+from magical_mj.batched.scenes import Capacity, BatchScenes
 from tools.benchmarks.__main__ import _batched_lines
 from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
 
@@ -38,7 +38,7 @@ def test_launches_are_counted_with_their_memory() -> None:
 
 def test_memory_in_structs_counts() -> None:
     scenes = [magical_mj.sample_scene("MoveToCorner", "Demo", 0)]
-    painter = Painter(WorldScenes.of(scenes, *Capacity.of(scenes)))
+    painter = Painter(BatchScenes.of(scenes, *Capacity.of(scenes)))
     out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
     with recorded_launches("cpu") as kernels:
         painter.draw("allo", out)

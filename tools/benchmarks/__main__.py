@@ -1,6 +1,6 @@
 """`python -m tools.benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
 
-Run it from the checkout. Single environments are measured in processor time, vectors and batched worlds in wall time.
+Run it from the checkout. Single environments are measured in processor time, vectors and batches in wall time.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Steps = Annotated[
     int, typer.Option(min=1, help="The least number of steps in each environment; only whole episodes are played.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, with times in seconds of processor time.")]
-Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
+Batched = Annotated[bool, typer.Option("--batched", help="Measure batched environments instead (extra gpu).")]
 NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
 Device = Annotated[str, typer.Option(help="With --batched: the device, cuda, cuda:1 or cpu.")]
 Profile = Annotated[bool, typer.Option("--profile", help="With --batched: print the time of each kernel.")]
@@ -96,7 +96,7 @@ def _counts(text: str) -> list[int]:
 
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
     """Measures each environment with each number of worlds, and prints the lines of each at once."""
-    check_extra("batched worlds", "gpu")
+    check_extra("batched environments", "gpu")
     from magical_mj.batched.physics import check_device
     from tools.benchmarks.batched import measure_batched, single_rate
 

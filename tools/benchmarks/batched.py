@@ -1,4 +1,4 @@
-"""Measures batched worlds: steps per second, the time of each part, memory, and single environments for comparison.
+"""Measures batched environments: steps per second, the time of each part, memory, and single environments to compare.
 
 Times are wall clock, since an accelerator does the work. The profile of a step is the duration of each kernel launch,
 and the size of its arrays. On an accelerator, durations are those between events on the stream. On the CPU device, a
