@@ -1,5 +1,5 @@
 // @ts-check
-/** The page that shows models, in headless Chromium: it opens every scene and models from elsewhere, and runs them as Python does. */
+/** The page for inspecting models, in headless Chromium: it opens all scenes and other models, and simulates them like Python. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdir, mkdtemp, readFile, symlink, writeFile } from "node:fs/promises";
@@ -26,7 +26,7 @@ before(async () => {
   site = await serve(`${OUT}site`);
   browser = await launch();
   page = await browser.context.newPage();
-  await page.setViewportSize({ width: 400, height: 500 });  // few pixels, which software draws
+  await page.setViewportSize({ width: 400, height: 500 });  // few pixels, because software renders them
   page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
   page.on("pageerror", (error) => complaints.push(error.message));
 });
@@ -42,7 +42,7 @@ const untilOpen = (name) => page.waitForFunction((name) => document.title.starts
 /** @param {Record<string, string>} files */
 const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
   ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));
-/** What the page says of which scene is displayed. */
+/** The scene that the page's lists and link show. */
 const choice = () => page.evaluate(() => {
   const [task, variant, seed, play] = ["task", "variant", "seed", "play"].map((id) => /** @type {any} */ (document.getElementById(id)));
   return { task: task.value, variant: variant.value, seed: seed.value, play: play.hidden ? "" : play.getAttribute("href") };
@@ -230,7 +230,7 @@ test("what is wrong with a model is said, and the one before stays", async () =>
 test("the command serves any scene, or a file with those that it needs", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-inspect-"));
   await mkdir(join(folder, "magical_mj"));
-  await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // what is fetched already
+  await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // the fetched packages
   const { files } = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8")).at(-1);
   await mkdir(join(folder, "shapes"));
   for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name.endsWith(".obj") ? "shapes" : "", name), text);

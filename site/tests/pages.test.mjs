@@ -1,5 +1,5 @@
 // @ts-check
-/** The pages around the simulation: nobody is shut out, and what can be sorted, filtered and pointed at answers. */
+/** The documentation pages: accessibility, sorting, filters, animations and charts. */
 import assert from "node:assert/strict";
 import { fileURLToPath } from "node:url";
 import { after, before, test } from "node:test";

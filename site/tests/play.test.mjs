@@ -1,5 +1,5 @@
 // @ts-check
-/** The built site in headless Chromium, below a sub-path: every environment is opened and driven by keys. */
+/** The page for playing in headless Chromium, below a sub-path: each environment is opened and driven by keys. */
 import assert from "node:assert/strict";
 import { readFile, writeFile } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
@@ -24,7 +24,7 @@ before(async () => {
   page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
   page.on("pageerror", (error) => complaints.push(error.message));
   page.on("request", (request) => { if (!/^(blob|data):/.test(request.url()) && !request.url().startsWith(site.address)) complaints.push(`elsewhere: ${request.url()}`); });
-  await page.addInitScript(() => {  // counts frames, and takes the time of the first that is drawn
+  await page.addInitScript(() => {  // counts frames, and stores the time of the first one
     const watch = Object.assign(window, { frames: 0, firstDrawn: 0 }), ask = window.requestAnimationFrame;
     window.requestAnimationFrame = (callback) => ask((time) => { watch.frames += 1; callback(time); });
     const fill = CanvasRenderingContext2D.prototype.fill;
@@ -137,7 +137,7 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   await page.focus("#arena");
   await untilStatus("Press");
   for (let repeat = 0; repeat < 3; repeat += 1) {
-    await page.keyboard.down("ArrowUp");  // as a held key does again and again, also when the episode is over
+    await page.keyboard.down("ArrowUp");  // repeated, as by a held key, also after the episode's end
     if (!repeat) await untilStatus("Over");
   }
   await page.keyboard.up("ArrowUp");
@@ -258,7 +258,7 @@ test("what could not be loaded once is loaded again", async () => {
     await fresh.goto(`${site.address}play/#FindDupe-All-3`);
     await until("Loading");
     await fresh.selectOption("#task", "FixColour");
-    await until("could not be loaded");  // and yet the first scene can be played
+    await until("could not be loaded");  // the first scene can still be played
     await fresh.waitForFunction(() => location.hash === "#FindDupe-All-3" && document.getElementById("left")?.textContent);
     await fresh.focus("#arena");
     await fresh.keyboard.down("ArrowUp");

@@ -1,5 +1,5 @@
 // @ts-check
-/** The page's simulation and scores beside Python's, on the cases that cases.py wrote. */
+/** Compares the page's simulation, scores and pictures with Python's, on the cases of cases.py. */
 import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
@@ -15,7 +15,7 @@ import { Simulation } from "../../magical_mj/web/page/simulation.js";
 /** @param {string} name */
 const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));
 
-/** Largest difference of two scenes' poses. @param {any} one @param {any} other */
+/** The largest difference of two scenes' poses. @param {any} one @param {any} other */
 function distance(one, other) {
   const numbers = (/** @type {any} */ scene) => Object.values(poses(scene)).flat(2);
   const [a, b] = [numbers(one), numbers(other)];
@@ -36,7 +36,7 @@ test("scores are Python's", async () => {
 
 test("episodes go as in Python", async () => {
   const [mujoco, episodes] = await Promise.all([loadMujoco(), read("episodes")]);
-  const kinds = { demonstration: 0, expert: 0, "rough drive": 0.02, "shifted drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
+  const kinds = { demonstration: 0, expert: 0, "rough drive": 0.02, "shifted drive": 0.02 };  // the share of episodes with another score: heaps of blocks are chaotic
   for (const [kind, share] of Object.entries(kinds)) {
     const chosen = episodes.filter((/** @type {any} */ { name }) => name.startsWith(kind));
     /** @type {Record<string, number>} */

@@ -8,7 +8,7 @@ import warp as wp
 
 import magical_mj
 from magical_mj.batched.observations import Painter
-from magical_mj.batched.scenes import Capacity, BatchScenes
+from magical_mj.batched.scenes import BatchScenes, Capacity
 from tools.benchmarks.__main__ import _batched_lines
 from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
 
