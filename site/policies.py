@@ -28,7 +28,7 @@ HIDDEN: Final = 128
 MOST_BYTES: Final = 300_000
 VARIANTS: Final = ("Demo", "Layout")
 STATES: Final = 200
-"""The number of states in which the exported policy must choose the same actions as the trained one."""
+"""The number of states for comparing the exported policy with the trained one."""
 
 
 def make(task: str) -> dict[str, float]:

@@ -40,7 +40,7 @@ from magical_mj.tasks.protocol import PROTOCOL
 SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
 """A command that was stopped is continued after a pause."""
 PAUSE: Final = 1.0
-"""Seconds for which a command is stopped."""
+"""The duration of a stop, in seconds."""
 TRIES: Final = 3
 """The most signals that are sent, as a multiple of those that must reach the command."""
 PATIENCE: Final = 20.0

@@ -21,7 +21,7 @@ from magical_mj.batched.scenes import BatchScenes, Capacity
 from magical_mj.scene import Scene
 
 BATCH = 60
-"""The number of worlds in a batch. Warp's CPU device takes 60 to 190 ms for an action of one world."""
+"""The number of environments in a batch. Warp's CPU device takes 60 to 190 ms for an action of one of them."""
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
@@ -38,7 +38,7 @@ def held(rng: np.random.Generator, steps: int) -> list[int]:
 
 
 def take_over(physics: Physics, world: int, data: mujoco.MjData) -> None:
-    """Copies the state of a simulation to a world with the same scene."""
+    """Copies the state of a simulation to an environment of the batch with the same scene."""
     state, slots = physics.get_state(), 3 * physics.blocks
     own = len(data.qpos) - (physics.model.nq - slots)  # coordinates of the scene's blocks
     for name in ("qpos", "qvel", "qacc_warmstart"):
