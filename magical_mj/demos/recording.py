@@ -84,11 +84,10 @@ class Recorder:
         """Performs an action, in any form that `Engine.step` accepts. Returns whether the episode is over.
 
         Raises:
-            DemonstrationError: if the episode is over, or the engine was reset or stepped without this recorder.
+            StateError: if the episode is over.
+            DemonstrationError: if the engine was reset or stepped without this recorder.
             InvalidActionError: if the action is not one of the 18.
         """
-        if self._env.over:
-            raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         self._check_complete()
         if self._env.setup.speeds:
             size = 3 if self._env.simulation.world.has_fingers else 2

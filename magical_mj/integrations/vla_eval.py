@@ -97,9 +97,7 @@ class MagicalBenchmark(StepBenchmark):
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
         """Performs an action. Raises an `InvalidActionError` if ``action["actions"]`` is not three finite numbers."""
-        env = self._env
-        if env is None:
-            raise ResetNeeded("no episode has begun: call reset first")
+        env = self._started()
         over = env.step(to_discrete(action["actions"]))
         score = env.score() if over else 0.0
         self._recorder.record_step(reward=score, done=over, success=score == 1.0)
@@ -108,9 +106,7 @@ class MagicalBenchmark(StepBenchmark):
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
         """The pictures, and the instruction of the current episode."""
         del task
-        if self._env is None:
-            raise ResetNeeded("no episode has begun: call reset first")
-        return {"images": raw_obs, "task_description": self._env.instruction}
+        return {"images": raw_obs, "task_description": self._started().instruction}
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
         """The result of the finished episode."""
@@ -144,6 +140,12 @@ class MagicalBenchmark(StepBenchmark):
         if self._env is not None:
             self._env.close()
         self._env = None
+
+    def _started(self) -> Engine:
+        """The engine of the current episode."""
+        if self._env is None:
+            raise ResetNeeded("no episode has begun: call reset first")
+        return self._env
 
     def _pictures(self, engine: Engine) -> Pictures:
         pictures = {view: engine.render(view, self._size) for view in self._views}

@@ -86,12 +86,13 @@ def to_webdataset(
                         np.save(content, value, allow_pickle=False)
                         _add(archive, f"{number:03}-{step:04}.{name}.npy", content.getvalue())
         made_in = f"`gymnasium.make({source})`"
-        (unfinished / CARD).write_text(card(demos, f"the preset {preset}", made_in, FEATURES), encoding="utf-8")
+        text = card(facts, demos[0].task, f"the preset {preset}", made_in, FEATURES)
+        (unfinished / CARD).write_text(text, encoding="utf-8")
     return folder / ARCHIVE
 
 
 def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
-    """The metadata of demonstrations of one environment."""
+    """The metadata of demonstrations. Raises a `DemonstrationError` if they are not of one environment."""
     return {
         "environment": only_environment(demos),
         "demonstrators": demonstrators(demos),
@@ -107,16 +108,17 @@ def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
     }
 
 
-def card(demos: Sequence[Demonstration], observed: str, made_in: str, features: Mapping[str, str]) -> str:
+def card(facts: Mapping[str, Any], task: str, observed: str, made_in: str, features: Mapping[str, str]) -> str:
     """The data card of demonstrations of one environment: Markdown with the header of data set hubs.
 
     Args:
-        demos: the demonstrations.
+        facts: the metadata, from `about`.
+        task: the task of the environment.
         observed: a description of the observations.
         made_in: the code or options that create the environment.
         features: a description of each name in the data.
     """
-    facts, spec = about(demos), task_spec(demos[0].task)
+    spec = task_spec(task)
     noun = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
     made = " and ".join(MAKERS[name] for name in facts["demonstrators"])
     rows = "\n".join(f"| `{name}` | {meaning} |" for name, meaning in features.items())

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
-from magical_mj.demos.export.folders import CARD, card
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.export.folders import CARD, about, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene import constants as c
@@ -90,9 +90,9 @@ def to_lerobot(
     except ImportError:
         raise missing_lerobot() from None
     keys = image_keys(views)
-    environment, folder = only_environment(demos), files.to_path(folder)
-    makers, observed = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
-    name = f"magical-mj/{environment}-{makers}-{observed}-p{PROTOCOL}"
+    facts, folder = about(demos), files.to_path(folder)
+    makers, observed = "-".join(facts["demonstrators"]), f"{views}{'-fingers' if fingers else ''}"
+    name = f"magical-mj/{facts['environment']}-{makers}-{observed}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
     if demos[0].actions.ndim == 2:
         features["action"] = _vector(("speed", "turn", "grip")[: demos[0].actions.shape[1]])
@@ -108,7 +108,8 @@ def to_lerobot(
         description = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
         shapes = {key: f"{part['dtype']}, shape {part['shape']}" for key, part in features.items()}
         options = " ".join(f"--env.{name}={value}" for name, value in env_options(demos[0], views, fingers).items())
-        (unfinished / CARD).write_text(card(demos, description, f"`{options}`", shapes), encoding="utf-8")
+        text = card(facts, demos[0].task, description, f"`{options}`", shapes)
+        (unfinished / CARD).write_text(text, encoding="utf-8")
     return LeRobotDataset(name, root=folder)
 
 

@@ -2,8 +2,8 @@
 /**
  * Parses the part of an address after `#`: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
  * `#FindDupe-Demo-0?shifts=clutter:3` with a shift or another body: `#SweepToTop-Layout-2?shifts=body:longstick`.
- * @typedef {{task: string, variant: string, seed: number, shifts: string}} Place  shifts: "" without shifts
- * @typedef {Place & {method: string, unknown: string}} Wish
+ * @typedef {{task: string, variant: string, seed: number, shifts: string}} SceneId  shifts: "" without shifts
+ * @typedef {SceneId & {method: string, unknown: string}} Wish
  *   method: "" without a method; unknown: the error in the address and the scene shown instead, "" without an error
  * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with its available shifts
  */
@@ -15,8 +15,8 @@
  */
 export function parseAddress(hash, { environments }) {
   const [all, method = ""] = decodeURIComponent(hash.slice(1)).split("@");
-  const [place, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
-  const [asked, variantAsked = "", ...rest] = place.split("-"), seedAsked = rest.join("-");
+  const [name, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
+  const [asked, variantAsked = "", ...rest] = name.split("-"), seedAsked = rest.join("-");
   const tasks = [...new Set(environments.map(({ task }) => task))], task = nearest(asked, tasks);
   const variants = environments.filter((one) => one.task === task).map(({ variant }) => variant), variant = nearest(variantAsked, variants);
   const there = shiftsOf({ task, variant }, environments), shifts = nearest(shiftsAsked, ["", ...there]);
@@ -29,7 +29,7 @@ export function parseAddress(hash, { environments }) {
   return { ...found, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${addressOf(found)}` : "" };
 }
 
-/** The address of a scene, without `#`. @param {Place} place */
+/** The address of a scene, without `#`. @param {SceneId} sceneId */
 export const addressOf = ({ task, variant, seed, shifts }) => `${task}-${variant}-${seed}${shifts && `?shifts=${shifts}`}`;
 
 /** @param {{task: string, variant: string}} name @param {Environment[]} environments */

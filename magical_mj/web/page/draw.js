@@ -32,13 +32,13 @@ export function draw(canvas, look, scene, view) {
   for (const region of scene.regions) drawRegion(context, look, region);
   for (const { x, y } of scene.pebbles ?? []) {
     context.save();
-    place(context, { x, y, angle: 0 });
+    transform(context, { x, y, angle: 0 });
     for (const { colour, loops } of look.pebble) fill(context, loops, colour);
     context.restore();
   }
   for (const block of scene.blocks) {
     context.save();
-    place(context, block);
+    transform(context, block);
     look.blocks[block.shape].forEach((loops, i) => fill(context, loops, look.blockColours[i][block.colour]));
     context.restore();
   }
@@ -50,7 +50,7 @@ export function draw(canvas, look, scene, view) {
  * @param {CanvasRenderingContext2D} context
  * @param {{x: number, y: number, angle: number}} pose
  */
-function place(context, { x, y, angle }) {
+function transform(context, { x, y, angle }) {
   context.translate(x, y);
   context.rotate(angle);
 }
@@ -74,7 +74,7 @@ function fill(context, loops, colour) {
 /** A brownish spot with a soft edge. @param {CanvasRenderingContext2D} context @param {number[]} stain */
 function drawStain(context, [x, y, radius, darkness]) {
   const gradient = context.createRadialGradient(x, y, 0, x, y, radius);
-  for (const [place, cover] of [[0.75, darkness], [1, 0]]) gradient.addColorStop(place, `rgb(128 77 0 / ${cover})`);
+  for (const [stop, cover] of [[0.75, darkness], [1, 0]]) gradient.addColorStop(stop, `rgb(128 77 0 / ${cover})`);
   context.fillStyle = gradient;
   context.fillRect(x - radius, y - radius, 2 * radius, 2 * radius);
 }
@@ -104,12 +104,12 @@ function drawRegion(context, { regions }, { colour, x_min, y_min, x_max, y_max, 
 function drawRobot(context, look, robot) {
   const turns = { left_finger: robot.fingers[0], right_finger: robot.fingers[1] };
   context.save();
-  place(context, robot);
+  transform(context, robot);
   for (const { part, colour, loops } of look.robots[robot.body ?? "gripper"]) {
     context.save();
     if (part in turns) {
       const [x, y] = look.fingerRoots[part];
-      place(context, { x, y, angle: turns[/** @type {keyof turns} */ (part)] });
+      transform(context, { x, y, angle: turns[/** @type {keyof turns} */ (part)] });
     }
     fill(context, loops, colour);
     context.restore();

@@ -3,7 +3,7 @@
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress } from "./address.js";
 import { readTexts } from "./comments.js";
-import { onChoice, placeOf, showAddress, showChoice } from "./choice.js";
+import { onChoice, sceneIdOf, showAddress, showChoice } from "./choice.js";
 import { Controls } from "./controls.js";
 import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
@@ -30,7 +30,7 @@ const shown = {
   /** @type {(number | number[])[] | null} actions of the expert */ script: null,
   /** @type {string | number[][]} the known actions of the expert, as letters or speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
-  /** @type {import("./address.js").Place | null} the scene of the benchmark, if it is one */ place: null,
+  /** @type {import("./address.js").SceneId | null} the scene of the benchmark, if it is one */ sceneId: null,
   address: "",
 };
 let choices = 0;  // only the last choice is shown, in whatever order they are loaded
@@ -46,18 +46,18 @@ function say(what, isWrong = false) {
  * Opens a model. If that fails, the previous one stays, with its address.
  * @param {string} name
  * @param {string} address  with "#"
- * @param {() => Promise<{text: string, place: import("./address.js").Place | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
- * @param {boolean} [isNew]  whether one can go back from it
+ * @param {() => Promise<{text: string, sceneId: import("./address.js").SceneId | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
+ * @param {boolean} [isNew]  whether to add an entry to the browser's history
  */
 async function open(name, address, read, isNew = false) {
   const choice = ++choices;
   try {
-    const [mujoco, { text, place, files, expert }] = await Promise.all([loadMujoco(), read()]);
+    const [mujoco, { text, sceneId, files, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
     element("download").hidden = true;
     const world = new World(mujoco, text, files);
     shown.world?.close();
-    Object.assign(shown, { turned: shown.last, world, name, text, place, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
+    Object.assign(shown, { turned: shown.last, world, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
     stage.open(world);
     showModel(world);
@@ -68,7 +68,7 @@ async function open(name, address, read, isNew = false) {
     if (shown.world) showAddress(shown.address, false);
     say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
   }
-  showChoice(catalogue, shown.place);
+  showChoice(catalogue, shown.sceneId);
 }
 
 /** @param {World} world */
@@ -267,7 +267,7 @@ async function openFiles(files) {
   const text = texts[models.indexOf(main)];
   await open(main.name, "#file", async () => ({
     text,
-    place: await offered(text),
+    sceneId: await offered(text),
     files: new Map(await Promise.all(all.filter((file) => file !== main).map(
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
   }));
@@ -278,26 +278,26 @@ let catalogue = null;
 
 /** The scene in a file, if the page has it. Otherwise null. @param {string} text  MJCF */
 async function offered(text) {
-  const place = placeOf(readTexts(text), catalogue);
-  if (!place || catalogue.simulation === "server") return place;
-  const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
-  return scenes.length === 1 || scenes.some(({ seed }) => seed === place.seed) ? place : null;
+  const sceneId = sceneIdOf(readTexts(text), catalogue);
+  if (!sceneId || catalogue.simulation === "server") return sceneId;
+  const { scenes } = await loadEnvironment(sceneId.task, sceneId.variant, sceneId.shifts);
+  return scenes.length === 1 || scenes.some(({ seed }) => seed === sceneId.seed) ? sceneId : null;
 }
 
-/** @param {import("./address.js").Place} place @param {boolean} [isNew]  whether one can go back from it */
-async function openScene(place, isNew = true) {
-  const { task, variant, seed, shifts } = place, name = addressOf(place);
-  if (!shown.world) showChoice(catalogue, place);  // the scene that is being loaded
+/** @param {import("./address.js").SceneId} sceneId @param {boolean} [isNew]  whether to add an entry to the browser's history */
+async function openScene(sceneId, isNew = true) {
+  const { task, variant, seed, shifts } = sceneId, name = addressOf(sceneId);
+  if (!shown.world) showChoice(catalogue, sceneId);  // the scene that is being loaded
   await open(name, `#${name}`, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
       if (!reply.ok) throw new Error(await reply.text());
-      return { text: await reply.text(), place };
+      return { text: await reply.text(), sceneId };
     }
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
     if (!entry) throw new Error(`This page has the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect has all seeds.`);
-    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), place, expert: entry.expert };
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), sceneId, expert: entry.expert };
   }, isNew);
 }
 
@@ -311,11 +311,11 @@ async function openAddress() {
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
       const text = new TextDecoder().decode(contents[0]);
-      return { text, place: await offered(text), files: new Map(files) };
+      return { text, sceneId: await offered(text), files: new Map(files) };
     });
   }
-  const { unknown, ...place } = parseAddress(hash, catalogue);
-  await openScene(place, false);
+  const { unknown, ...sceneId } = parseAddress(hash, catalogue);
+  await openScene(sceneId, false);
   if (unknown) say(unknown, true);
 }
 

@@ -42,12 +42,12 @@ async function compiled(address) {
   const reply = await fetch(address);
   if (!reply.ok || !reply.body) throw new Error(`${reply.status} ${reply.statusText}`);
   const size = Number(document.documentElement.dataset.wasm) || Number(reply.headers.get("content-length"));
-  let here = 0, told = 0;
+  let loaded = 0, reported = 0;
   const counted = reply.body.pipeThrough(new TransformStream({
     transform(chunk, controller) {
-      here += chunk.byteLength;
-      const share = size && Math.min(1, here / size);
-      if (share >= told + 0.01) tell(told = share);
+      loaded += chunk.byteLength;
+      const share = size && Math.min(1, loaded / size);
+      if (share >= reported + 0.01) tell(reported = share);
       controller.enqueue(chunk);
     },
   }));

@@ -20,10 +20,10 @@ const cell = (content) => {
 function bars(counts) {
   const box = document.createElement("div"), most = Math.max(1, ...counts);
   box.className = "bars";
-  box.append(...counts.map((count, place) => {
+  box.append(...counts.map((count, bin) => {
     const bar = document.createElement("span");
     bar.style.height = `${BAR * count / most}rem`;
-    bar.title = `${count} from ${place / counts.length} on`;
+    bar.title = `${count} from ${bin / counts.length} on`;
     return bar;
   }));
   return box;

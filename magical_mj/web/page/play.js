@@ -154,7 +154,7 @@ async function replayOf(method, task, variant, seed) {
   return /** @type {any} */ (all)[`${task}-${variant}`]?.[seed] ?? null;
 }
 
-/** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether one can go back from it */
+/** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
   const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);

@@ -6,12 +6,12 @@ const KEPT = 1500;  // values per line
 const COLOURS = ["#2f6f92", "#c0632b", "#3d8a4e", "#8a4fa0", "#b03a53", "#7a7a24", "#277f86", "#666b7a"];
 
 export class Plots {
-  /** @param {HTMLElement} place @param {HTMLSelectElement} choice */
-  constructor(place, choice) {
-    this.place = place;
+  /** @param {HTMLElement} container @param {HTMLSelectElement} choice */
+  constructor(container, choice) {
+    this.container = container;
     this.choice = choice;
     choice.addEventListener("change", () => this.#choose());
-    new ResizeObserver(() => this.plot?.setSize(this.#size())).observe(place);
+    new ResizeObserver(() => this.plot?.setSize(this.#size())).observe(container);
   }
 
   /** Starts the plots of another model. @param {import("./world.js").World} world */
@@ -29,7 +29,7 @@ export class Plots {
   }
 
   #size() {
-    return { width: Math.max(200, this.place.clientWidth), height: 190 };
+    return { width: Math.max(200, this.container.clientWidth), height: 190 };
   }
 
   #choose() {
@@ -37,13 +37,13 @@ export class Plots {
     this.shown = (this.lines ?? []).filter(({ name }) => name === value || (value.endsWith("_") && name.startsWith(value))).slice(0, COLOURS.length);
     this.plot?.destroy();
     this.values = [[], ...this.shown.map(() => [])];
-    const ink = getComputedStyle(this.place).color, axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+    const ink = getComputedStyle(this.container).color, axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
     this.plot = new uPlot({
       ...this.#size(),
       scales: { x: { time: false } },
       axes: [{ ...axis }, { ...axis, size: 55 }],
       series: [{ label: "s" }, ...this.shown.map(({ name }, i) => ({ label: name, stroke: COLOURS[i], width: 1.5 }))],
-    }, this.values, this.place);
+    }, this.values, this.container);
   }
 
   /** Adds the current values. */
@@ -58,6 +58,6 @@ export class Plots {
   }
 
   draw() {
-    if (this.place.offsetParent) this.plot?.setData(this.values);
+    if (this.container.offsetParent) this.plot?.setData(this.values);
   }
 }

@@ -6,24 +6,24 @@ import { draw } from "./draw.js";
 import { asked, waits } from "./patience.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 
-/** @typedef {import("./address.js").Place} Place */
+/** @typedef {import("./address.js").SceneId} SceneId */
 const message = /** @type {HTMLElement} */ (document.getElementById("message")), loading = message.textContent;
 const begun = new AbortController();
 
 async function wait() {
   message.textContent = "";
   const catalogue = await fetchJson("catalogue.json");
-  const show = async (/** @type {Place} */ place, isNew = true, unknown = "") => {
-    showAddress(`#${addressOf(place)}`, isNew);
-    showChoice(catalogue, place);
+  const show = async (/** @type {SceneId} */ sceneId, isNew = true, unknown = "") => {
+    showAddress(`#${addressOf(sceneId)}`, isNew);
+    showChoice(catalogue, sceneId);
     message.textContent = unknown;
     message.classList.toggle("wrong", unknown !== "");
-    const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
-    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === place.seed) ?? scenes[0]).scene);
+    const { scenes } = await loadEnvironment(sceneId.task, sceneId.variant, sceneId.shifts);
+    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === sceneId.seed) ?? scenes[0]).scene);
   };
   const showHash = () => {
-    const { unknown, ...place } = parseAddress(location.hash, catalogue);
-    return show(place, false, unknown);
+    const { unknown, ...sceneId } = parseAddress(location.hash, catalogue);
+    return show(sceneId, false, unknown);
   };
   onChoice(catalogue, show);
   if (catalogue.model || location.hash === "#file") return;  // it is not a scene of the benchmark

@@ -38,7 +38,7 @@ export class Raster {
     this.mujoco.mj_kinematics(this.model, data);  // MuJoCo's step leaves the positions before the step
     this.mujoco.mj_camlight(this.model, data);
     const id = this.cameras[camera], side = 2 * size, field = this.model.cam_fovy[id];
-    const view = { place: data.cam_xpos.slice(3 * id, 3 * id + 2), axes: data.cam_xmat.slice(9 * id, 9 * id + 9) };
+    const view = { position: data.cam_xpos.slice(3 * id, 3 * id + 2), axes: data.cam_xmat.slice(9 * id, 9 * id + 9) };
     const { xpos, xmat } = data;
     const samples = new Uint32Array(side * side);
     for (const { body, colour, corners } of this.polygons) {
@@ -140,10 +140,10 @@ function packed([red, green, blue, alpha]) {
 
 /**
  * The frame of a body, relative to a camera that looks straight down: x, y, cosine and sine of the angle.
- * @param {Float64Array} place @param {Float64Array} axes  of the body @param {{place: Float64Array, axes: Float64Array}} camera
+ * @param {Float64Array} position @param {Float64Array} axes  of the body @param {{position: Float64Array, axes: Float64Array}} camera
  */
-function relative(place, axes, camera) {
-  const dx = place[0] - camera.place[0], dy = place[1] - camera.place[1];
+function relative(position, axes, camera) {
+  const dx = position[0] - camera.position[0], dy = position[1] - camera.position[1];
   const [cosA, sinA, cosB, sinB] = [camera.axes[0], camera.axes[3], axes[0], axes[3]];
   return [cosA * dx + sinA * dy, cosA * dy - sinA * dx, cosA * cosB + sinA * sinB, cosA * sinB - sinA * cosB];
 }

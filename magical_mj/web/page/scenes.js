@@ -27,10 +27,10 @@ export async function loadEnvironment(task, variant, shifts = "") {
   return { ...all, scenes: all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === shifts) };
 }
 
-/** @param {string} path  beside the page */
+/** @param {string} path  relative to the page */
 export const fetchJson = async (path) => (await fetched(path)).json();
 
-/** @param {string} path  beside the page */
+/** @param {string} path  relative to the page */
 export const fetchFile = async (path) => new Uint8Array(await (await fetched(path)).arrayBuffer());
 
 /** @param {string} path */

@@ -6,7 +6,7 @@
  * @typedef {import("./scene.js").Region} Region
  */
 
-/** @param {Region} region @param {{x: number, y: number}} thing */
+/** @param {Region} region @param {{x: number, y: number}} body */
 const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
 
 /** Indices of the blocks in a region. @param {Region} region @param {Block[]} blocks */

@@ -209,7 +209,7 @@ export class Stage {
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
     }
-    this.#place();
+    this.#updatePoses();
     this.#decorate();
     renderer.setScissorTest(false);
     renderer.setViewport(0, 0, width, height);
@@ -218,15 +218,15 @@ export class Stage {
     if (this.insets) this.#drawInsets(width, height);
   }
 
-  #place() {
-    const { data } = this.world, places = data.geom_xpos, turns = data.geom_xmat;
+  #updatePoses() {
+    const { data } = this.world, positions = data.geom_xpos, turns = data.geom_xmat;
     for (const mesh of this.meshes) {
       if (!mesh) continue;
       const { geom, group } = mesh.userData, p = 3 * geom, t = 9 * geom;
       mesh.visible = GROUPS.flat.includes(group) ? this.shown.flat : GROUPS.collision.includes(group) ? this.shown.collision
         : group < 2 ? this.shown.solid : group !== 4;
-      mesh.matrix.set(turns[t], turns[t + 1], turns[t + 2], places[p], turns[t + 3], turns[t + 4], turns[t + 5], places[p + 1],
-        turns[t + 6], turns[t + 7], turns[t + 8], places[p + 2], 0, 0, 0, 1);
+      mesh.matrix.set(turns[t], turns[t + 1], turns[t + 2], positions[p], turns[t + 3], turns[t + 4], turns[t + 5], positions[p + 1],
+        turns[t + 6], turns[t + 7], turns[t + 8], positions[p + 2], 0, 0, 0, 1);
       mesh.matrixWorldNeedsUpdate = true;
     }
   }
@@ -275,7 +275,7 @@ export class Stage {
   /** The pictures of the model's own first two cameras, in the upper right corner. @param {number} width @param {number} height */
   #drawInsets(width, height) {
     const { model, data } = this.world, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
-    this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ place) => {
+    this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ index) => {
       const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.world.controls !== null;
       const camera = model.cam_projection[id]
         ? new THREE.OrthographicCamera(-fovy / 2, fovy / 2, fovy / 2, -fovy / 2, -far, far) : new THREE.PerspectiveCamera(fovy, 1, far / 5000, far);
@@ -284,18 +284,18 @@ export class Stage {
       camera.matrix.set(turn[0], turn[1], turn[2], x, turn[3], turn[4], turn[5], y, turn[6], turn[7], turn[8], z, 0, 0, 0, 1);
       camera.matrixWorldNeedsUpdate = true;
       if (isFlat) camera.layers.set(FLAT);
-      const left = width - 8 - side, top = 8 + place * (side + 8);
+      const left = width - 8 - side, top = 8 + index * (side + 8);
       this.renderer.setScissorTest(true);
       this.renderer.setScissor(left - 1, height - top - side - 1, side + 2, side + 2);
       this.renderer.setClearColor(0x8d909b);
       this.renderer.clear();
       this.renderer.setViewport(left, height - top - side, side, side);
       this.renderer.setScissor(left, height - top - side, side, side);
-      const { background } = this.scene, places = this.meshes.filter((mesh) => mesh && isFlat && !mesh.visible && DRAWN.includes(mesh.userData.group));
+      const { background } = this.scene, hidden = this.meshes.filter((mesh) => mesh && isFlat && !mesh.visible && DRAWN.includes(mesh.userData.group));
       if (isFlat) this.scene.background = WHITE;
-      for (const mesh of places) mesh.visible = true;
+      for (const mesh of hidden) mesh.visible = true;
       this.renderer.render(this.scene, camera);
-      for (const mesh of places) mesh.visible = false;
+      for (const mesh of hidden) mesh.visible = false;
       this.scene.background = background;
     });
   }
@@ -361,9 +361,9 @@ function polyhedron(model, id) {
 function heightField(model, id) {
   const rows = model.hfield_nrow[id], columns = model.hfield_ncol[id], first = model.hfield_adr[id];
   const [x, y, top] = model.hfield_size.subarray(4 * id, 4 * id + 4);
-  const geometry = new THREE.PlaneGeometry(2 * x, 2 * y, columns - 1, rows - 1), place = geometry.attributes.position;
+  const geometry = new THREE.PlaneGeometry(2 * x, 2 * y, columns - 1, rows - 1), position = geometry.attributes.position;
   for (let row = 0; row < rows; row++) for (let column = 0; column < columns; column++) {
-    place.setZ((rows - 1 - row) * columns + column, top * model.hfield_data[first + row * columns + column]);
+    position.setZ((rows - 1 - row) * columns + column, top * model.hfield_data[first + row * columns + column]);
   }
   geometry.computeVertexNormals();
   return geometry;
