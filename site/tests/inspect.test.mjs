@@ -78,7 +78,7 @@ test("all scenes open", async () => {
   console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
-test("100 steps end where Python's do, also in models from elsewhere that need other files", async () => {
+test("after 100 steps, states equal Python's, also for other models with further files", async () => {
   /** @type {any[]} */
   const cases = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8"));
   await page.goto("about:blank");
@@ -106,7 +106,7 @@ test("100 steps end where Python's do, also in models from elsewhere that need o
   assert.deepEqual(complaints, []);
 });
 
-test("a body that is clicked is described, with what the file says of it", async () => {
+test("a clicked body is described, with the file's comment", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
   await untilOpen("MoveToCorner-Demo-0");
@@ -125,7 +125,7 @@ test("a body that is clicked is described, with what the file says of it", async
   assert.ok(found.has("world") && found.has("face"), [...found].join());
 });
 
-test("the robot is driven by keys, and helpers and plots follow", async () => {
+test("keys drive the robot, and helper geoms and plots follow", async () => {
   await page.evaluate(() => { location.hash = "#FindDupe-All-3"; });
   await untilOpen("FindDupe-All-3");
   const begun = await state();
@@ -145,12 +145,12 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   await page.keyboard.press("p");
   const driven = await state();
   await page.locator("#tree button", { hasText: /^robot$/ }).click();
-  const [place, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
+  const [position, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
     (table) => [.../** @type {HTMLTableElement} */ (table).rows].map((row) => row.cells)).map((rows, i) => i
     ? rows.filter(([name]) => /^robot_[xy]$/.test(name.textContent ?? "")).map((cells) => Number(cells[2].textContent))
     : (rows[0][1].textContent ?? "").split(" ").slice(0, 2).map(Number)));
   assert.ok(Math.hypot(...driven.qvel.slice(-12, -10)) > 0.1, "it moves");
-  assert.deepEqual(place, joints, "the place is that of the present state");
+  assert.deepEqual(position, joints, "the position is that of the current state");
   console.log(`${rate.toFixed(0)} frames/s with all helpers, by software`);
   assert.ok(driven.time > begun.time);
   assert.notDeepEqual(driven.qpos, begun.qpos);
@@ -163,7 +163,7 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   assert.deepEqual(complaints, []);
 });
 
-test("where actions are speeds, keys and the expert act, too", async () => {
+test("with actions that are speeds, keys and the expert work as well", async () => {
   await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0"; });
   await untilOpen("SweepToTop-Demo-0");
   const begun = await state();
@@ -177,7 +177,7 @@ test("where actions are speeds, keys and the expert act, too", async () => {
   assert.deepEqual(complaints, []);
 });
 
-test("the lists say which scene is displayed, and are empty for other models", async () => {
+test("the lists show the displayed scene, and are empty for other models", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
   const file = await savedModel("FindDupe-All-3"), shifted = await savedModel("FindDupe-Demo-1?shifts=clutter:2");
@@ -213,7 +213,7 @@ test("the lists say which scene is displayed, and are empty for other models", a
   assert.deepEqual(complaints, []);
 });
 
-test("what is wrong with a model is said, and the one before stays", async () => {
+test("errors of a model are shown, and the previous model stays", async () => {
   await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
   await page.waitForFunction(() => document.getElementById("message")?.textContent);
   assert.equal(await message(), "bad.xml cannot be shown.\ninvalid keyword: 'blob'\nElement 'geom', line 3\n\n3: <geom type='blob'/>");
@@ -227,7 +227,7 @@ test("what is wrong with a model is said, and the one before stays", async () =>
   assert.deepEqual(complaints, []);
 });
 
-test("the command serves any scene, or a file with those that it needs", async () => {
+test("the command serves any scene, or a file with the files that it needs", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-inspect-"));
   await mkdir(join(folder, "magical_mj"));
   await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // the fetched packages

@@ -86,7 +86,7 @@ test("all environments can be played, and SweepToTop", async () => {
   console.log(`${environments.length} environments in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
-test("the expert is watched to its full score, and what a player does is saved", async () => {
+test("the expert reaches the full score, and a player's episode is saved", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}#MatchRegions-All-2`);
   await untilStatus("Press");
   await page.keyboard.press("h");
@@ -132,7 +132,7 @@ test("shifted scenes and other bodies can be chosen and linked to", async () => 
   assert.deepEqual(complaints, []);
 });
 
-test("nothing starts by itself, whatever was pressed or stands in the address", async () => {
+test("nothing starts by itself, independent of earlier keys and the address", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}#MoveToRegion-Demo-0`);
   await page.focus("#arena");
   await untilStatus("Press");
@@ -162,7 +162,7 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   assert.deepEqual(complaints, []);
 });
 
-test("a policy acts, and its scores are said", async () => {
+test("a policy acts, and its scores are shown", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/?speed=4#MoveToRegion-Demo-0`);
   await untilStatus("Press");
@@ -184,7 +184,7 @@ test("a policy acts, and its scores are said", async () => {
   assert.deepEqual(complaints, []);
 });
 
-test("a key that was released counts once, however often it repeated itself", async () => {
+test("a released key counts once, even if it was repeated", async () => {
   const actions = await page.evaluate(async () => {
     const { Controls } = await import("./controls.js");
     const controls = new Controls(document.body, []), taken = [];
@@ -235,7 +235,7 @@ test("canvases show what the renderer shows", async () => {
   assert.ok(Math.max(...Object.values(worst)) < 1.2);  // the renderer draws stains in coarse cells
 });
 
-test("what could not be loaded once is loaded again", async () => {
+test("failed downloads are repeated", async () => {
   const fresh = await browser.context.newPage();
   const until = (/** @type {string} */ text) => fresh.waitForFunction(
     (text) => document.getElementById("status")?.textContent?.includes(text), text);
@@ -269,7 +269,7 @@ test("what could not be loaded once is loaded again", async () => {
   await fresh.close();
 });
 
-test("where data are spared, a picture waits to be pressed before megabytes come", async () => {
+test("with data saving, a picture is shown, and a press starts the download", async () => {
   const spared = await browser.context.newPage();
   await spared.addInitScript(() => Object.defineProperty(navigator, "connection", { value: { saveData: true } }));
   /** @type {string[]} */

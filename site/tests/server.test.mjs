@@ -34,7 +34,7 @@ function questionsOf(page) {
   return questions;
 }
 
-test("people play at the server and send what they did", async () => {
+test("participants play at the server and send their episodes", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
   const options = await study(folder, { Demo: 1, Layout: 1 });
   let server = serve(...options);
@@ -87,7 +87,7 @@ test("people play at the server and send what they did", async () => {
   }
 });
 
-test("a server that says nothing any more costs no episode, and no patience", async () => {
+test("if a server stops answering, no episode is lost, and the page soon reports it", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
   const server = serve(...await study(folder, { Demo: 9, Layout: 9, All: 9 }));
   const browser = await launch();
@@ -135,7 +135,7 @@ test("a server that says nothing any more costs no episode, and no patience", as
   }
 });
 
-test("a seed is chosen by keyboard without playing, and the host may be written in any way", async () => {
+test("a seed can be chosen by keyboard without playing, and the host may have any spelling", async () => {
   const server = serve("--host", "LOCALHOST");
   const browser = await launch();
   try {
@@ -159,7 +159,7 @@ test("a seed is chosen by keyboard without playing, and the host may be written 
   }
 });
 
-test("whoever comes by another address than the server's is told", async () => {
+test("requests for another address than the server's get advice", async () => {
   const server = serve("--host", "0.0.0.0");
   const browser = await launch();
   try {
