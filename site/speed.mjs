@@ -25,7 +25,7 @@ async function measured({ path, ready }, isSlow) {
   await page.waitForFunction(ready, null, { polling: 50 });
   const readyAt = Number(await page.evaluate("performance.now()"));
   const painted = Number(await page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime"));
-  await page.focus("#world, #arena");
+  await page.focus("#solids, #arena");
   await page.keyboard.down("ArrowUp");
   await page.waitForTimeout(1500);
   const rate = await page.evaluate((seconds) => new Promise((resolve) => {

@@ -115,8 +115,8 @@ test("a clicked body is described, with the file's comment", async () => {
   for (const part of ["Block 0: ", "Mass0.5", "block0_x", "slide", "feet of blocks"]) assert.ok(words?.includes(part), part);
   await page.evaluate(() => { location.hash = "#MoveToRegion-Demo-0"; });
   await untilOpen("MoveToRegion-Demo-0");
-  await page.locator("#world").scrollIntoViewIfNeeded();
-  const box = /** @type {any} */ (await page.locator("#world").boundingBox());
+  await page.locator("#solids").scrollIntoViewIfNeeded();
+  const box = /** @type {any} */ (await page.locator("#solids").boundingBox());
   const found = new Set();
   for (let x = 0.1; x < 0.8 && !found.has("face"); x += 0.08) for (let y = 0.2; y < 0.9; y += 0.06) {
     await page.mouse.click(box.x + x * box.width, box.y + y * box.height);
@@ -131,7 +131,7 @@ test("keys drive the robot, and helper geoms and plots follow", async () => {
   const begun = await state();
   for (const name of ["contacts", "joints", "inertia", "collision"]) await page.check(`[name=${name}]`);
   await page.click("#sensors summary");
-  await page.focus("#world");
+  await page.focus("#solids");
   await page.keyboard.down("ArrowUp");
   await page.evaluate(() => {
     Object.assign(window, { frames: 0 });
@@ -167,7 +167,7 @@ test("with actions that are speeds, keys and the expert work as well", async () 
   await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0"; });
   await untilOpen("SweepToTop-Demo-0");
   const begun = await state();
-  await page.focus("#world");
+  await page.focus("#solids");
   await page.keyboard.press("ArrowUp");
   await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.2);
   await page.keyboard.press("p");

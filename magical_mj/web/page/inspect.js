@@ -10,7 +10,7 @@ import { Plots } from "./plots.js";
 import { download } from "./recording.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 import { Stage } from "./stage.js";
-import { World } from "./world.js";
+import { InspectedModel } from "./inspected.js";
 
 const RATE = 8;  // actions a second
 const REST = 250;  // milliseconds without movement before the picture is drawn in full quality
@@ -21,11 +21,11 @@ const element = (id) => /** @type {any} */ (document.getElementById(id));
 /** @type {Stage} */
 let stage;
 const plots = new Plots(element("plot"), element("plotted"));
-const controls = new Controls(element("world"), []);
+const controls = new Controls(element("solids"), []);
 
 /** The current state of the page. */
 const shown = {
-  /** @type {World | null} */ world: null,
+  /** @type {InspectedModel | null} */ inspected: null,
   name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
   /** @type {(number | number[])[] | null} actions of the expert */ script: null,
   /** @type {string | number[][]} the known actions of the expert, as letters or speeds */ expert: "",
@@ -55,63 +55,63 @@ async function open(name, address, read, isNew = false) {
     const [mujoco, { text, sceneId, files, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
     element("download").hidden = true;
-    const world = new World(mujoco, text, files);
-    shown.world?.close();
-    Object.assign(shown, { turned: shown.last, world, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
+    const inspected = new InspectedModel(mujoco, text, files);
+    shown.inspected?.close();
+    Object.assign(shown, { turned: shown.last, inspected, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
-    stage.open(world);
-    showModel(world);
+    stage.open(inspected);
+    showModel(inspected);
     showAddress(address, isNew);
     say("");
   } catch (error) {
     if (choice !== choices) return;
-    if (shown.world) showAddress(shown.address, false);
+    if (shown.inspected) showAddress(shown.address, false);
     say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
   }
   showChoice(catalogue, shown.sceneId);
 }
 
-/** @param {World} world */
-function showModel(world) {
+/** @param {InspectedModel} inspected */
+function showModel(inspected) {
   document.title = `${shown.name} · Inspect a model · MAGICAL`;
-  element("legend").hidden = !world.acts;
+  element("legend").hidden = !inspected.acts;
   element("expert").hidden = !shown.expert.length;
   element("model").href = `data:text/xml;charset=utf-8,${encodeURIComponent(shown.text)}`;
   element("model").download = shown.name.endsWith(".xml") ? shown.name : `${shown.name}.xml`;
-  element("file-says").hidden = !world.comments.file;
-  element("file-says").querySelector("pre").textContent = world.comments.file;
-  element("tree").replaceChildren(...treeOf(world));
-  element("controls").hidden = !world.model.nu;
-  element("controls").querySelector("div").replaceChildren(...slidersOf(world));
-  plots.open(world);
+  element("file-says").hidden = !inspected.comments.file;
+  element("file-says").querySelector("pre").textContent = inspected.comments.file;
+  element("tree").replaceChildren(...treeOf(inspected));
+  element("controls").hidden = !inspected.model.nu;
+  element("controls").querySelector("div").replaceChildren(...slidersOf(inspected));
+  plots.open(inspected);
   select(-1);
 }
 
-/** A button for each body, below that of its parent. @param {World} world */
-function treeOf(world) {
-  const { model } = world, depths = [0];
+/** A button for each body, below that of its parent. @param {InspectedModel} inspected */
+function treeOf(inspected) {
+  const { model } = inspected, depths = [0];
   return Array.from({ length: model.nbody }, (_, body) => {
     if (body) depths[body] = depths[model.body_parentid[body]] + 1;
     const button = document.createElement("button");
-    button.textContent = world.label(body);
+    button.textContent = inspected.label(body);
     button.style.setProperty("--depth", String(depths[body]));
     button.onclick = () => select(body);
     return button;
   });
 }
 
-/** @param {World} world */
-function slidersOf(world) {
-  const { model } = world;
-  return world.names("actuator", "actuator", model.nu).map((name, id) => {
+/** @param {InspectedModel} inspected */
+function slidersOf(inspected) {
+  const { model } = inspected;
+  return inspected.names("actuator", "actuator", model.nu).map((name, id) => {
     const label = document.createElement("label"), slider = document.createElement("input"), value = document.createElement("output");
     const range = model.actuator_ctrlrange.subarray(2 * id, 2 * id + 2);  // 0 0: unlimited; MuJoCo's build gives no flags
-    const [low, high] = range[0] < range[1] ? range : [-world.most[id], world.most[id]];
+    const [low, high] = range[0] < range[1] ? range : [-inspected.most[id], inspected.most[id]];
     Object.assign(slider, { type: "range", min: low, max: high, step: (high - low) / 200 || 1 });
     slider.oninput = () => {
       shown.driven = false;
       shown.script = null;
-      world.data.ctrl[id] = Number(slider.value);
+      inspected.data.ctrl[id] = Number(slider.value);
       value.textContent = Number(slider.value).toFixed(2);
     };
     label.append(name, slider, value);
@@ -120,7 +120,7 @@ function slidersOf(world) {
 }
 
 function showSliders() {
-  const { ctrl } = /** @type {World} */ (shown.world).data;
+  const { ctrl } = /** @type {InspectedModel} */ (shown.inspected).data;
   element("controls").querySelectorAll("label").forEach((/** @type {HTMLElement} */ label, /** @type {number} */ id) => {
     const [slider, value] = /** @type {any} */ (label.querySelectorAll("input, output"));
     if (document.activeElement !== slider) slider.value = String(ctrl[id]);
@@ -141,13 +141,13 @@ function select(body) {
 
 /** Updates the description of the selected body. */
 function describe() {
-  const about = element("about"), world = /** @type {World} */ (shown.world);
+  const about = element("about"), inspected = /** @type {InspectedModel} */ (shown.inspected);
   if (shown.selected < 0) {
-    const { nbody, njnt, ngeom, nu } = world.model;
+    const { nbody, njnt, ngeom, nu } = inspected.model;
     about.replaceChildren(tag("h2", shown.name), tag("p", `${nbody} bodies, ${njnt} joints, ${ngeom} geoms, ${nu} actuators. Click a body to learn about it.`));
     return;
   }
-  const { name, about: words, facts, joints, geoms } = world.describe(shown.selected);
+  const { name, about: words, facts, joints, geoms } = inspected.describe(shown.selected);
   about.replaceChildren(tag("h2", name), ...words ? [tag("p", words)] : [], table("facts", [], facts),
     ...joints.length ? [tag("h3", `Joints: ${joints.length}`), table("list", ["Name", "Type", "Position", "Velocity", "Range", "Damping", "Dry friction"], joints)] : [],
     ...geoms.length ? [tag("h3", `Geoms: ${geoms.length}`), table("list", ["Name", "Type", "Size", "Group", "Friction", "Contype / affinity", "What it is"], geoms)] : []);
@@ -188,15 +188,15 @@ function run(running) {
 
 /** The smallest step: an action of the benchmark, or a step of MuJoCo for other models. */
 function step() {
-  const world = /** @type {World} */ (shown.world);
+  const inspected = /** @type {InspectedModel} */ (shown.inspected);
   shown.stale = true;
-  if (!world.acts) world.step();
-  else if (shown.script) world.act(shown.script[shown.done++] ?? 0);
+  if (!inspected.acts) inspected.step();
+  else if (shown.script) inspected.act(shown.script[shown.done++] ?? 0);
   else if (controls.touched || shown.driven) {
     shown.driven = true;
-    world.act(controls.next());
-  } else for (let i = 0; i < world.substeps; i++) world.step();
-  world.update();
+    inspected.act(controls.next());
+  } else for (let i = 0; i < inspected.substeps; i++) inspected.step();
+  inspected.update();
   plots.note();
 }
 
@@ -204,11 +204,11 @@ let pace = 0;  // milliseconds between pictures while something moves
 
 /** @param {number} time  milliseconds */
 function frame(time) {
-  const { world } = shown;
-  if (world) {
-    if (!shown.running && world.acts && controls.touched) run(true);
+  const { inspected } = shown;
+  if (inspected) {
+    if (!shown.running && inspected.acts && controls.touched) run(true);
     if (shown.running) {
-      const period = world.acts ? 1 / RATE : world.model.opt.timestep, speed = Number(element("speed").value);
+      const period = inspected.acts ? 1 / RATE : inspected.model.opt.timestep, speed = Number(element("speed").value);
       shown.behind = Math.min(LATE, shown.behind + (time - shown.last) / 1000);
       for (const began = performance.now(); shown.behind * speed >= period && performance.now() - began < 30; shown.behind -= period / speed) step();
       if (shown.script && shown.done >= shown.script.length) run(false);
@@ -217,19 +217,19 @@ function frame(time) {
     if (isMoving) pace = 0.9 * pace + 0.1 * (time - shown.last);
     if (pace > SLOW) stage.slow = true;
     shown.last = time;
-    if (shown.stale || (shown.rough && !isMoving)) show(world, isMoving);
+    if (shown.stale || (shown.rough && !isMoving)) show(inspected, isMoving);
   }
   requestAnimationFrame(frame);
 }
 
 let described = 0;  // when the description was last updated
 
-/** @param {World} world @param {boolean} isMoving */
-function show(world, isMoving) {
+/** @param {InspectedModel} inspected @param {boolean} isMoving */
+function show(inspected, isMoving) {
   shown.stale = false;
   shown.rough = isMoving && stage.slow;
   stage.draw(isMoving);
-  element("time").textContent = `${world.data.time.toFixed(3)} s`;
+  element("time").textContent = `${inspected.data.time.toFixed(3)} s`;
   const now = performance.now();
   if (shown.running && now - described < 150) return;
   described = now;
@@ -240,7 +240,7 @@ function show(world, isMoving) {
 
 function reset() {
   Object.assign(shown, { script: null, done: 0, driven: false, stale: true });
-  shown.world?.reset();
+  shown.inspected?.reset();
   run(false);
 }
 
@@ -252,9 +252,9 @@ function expert() {
 }
 
 function state() {
-  const world = /** @type {World} */ (shown.world), { model } = world;
-  const names = { joints: world.names("jnt", "joint", model.njnt), actuators: world.names("actuator", "actuator", model.nu) };
-  return { model: shown.name, ...world.state(), ...names };
+  const inspected = /** @type {InspectedModel} */ (shown.inspected), { model } = inspected;
+  const names = { joints: inspected.names("jnt", "joint", model.njnt), actuators: inspected.names("actuator", "actuator", model.nu) };
+  return { model: shown.name, ...inspected.state(), ...names };
 }
 
 /** Opens dropped or chosen files: one model, and the files that it needs. @param {Iterable<File>} files */
@@ -287,7 +287,7 @@ async function offered(text) {
 /** @param {import("./address.js").SceneId} sceneId @param {boolean} [isNew]  whether to add an entry to the browser's history */
 async function openScene(sceneId, isNew = true) {
   const { task, variant, seed, shifts } = sceneId, name = addressOf(sceneId);
-  if (!shown.world) showChoice(catalogue, sceneId);  // the scene that is being loaded
+  if (!shown.inspected) showChoice(catalogue, sceneId);  // the scene that is being loaded
   await open(name, `#${name}`, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
@@ -326,7 +326,7 @@ function connect() {
   element("run").onclick = () => run(!shown.running);
   element("step").onclick = () => {
     run(false);
-    if (shown.world) step();
+    if (shown.inspected) step();
   };
   element("reset").onclick = reset;
   element("expert").onclick = expert;
@@ -348,12 +348,12 @@ function connect() {
     if (elsewhere || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
   });
-  new ResizeObserver(() => { shown.stale = true; }).observe(element("world"));
-  const canvas = element("world");
+  new ResizeObserver(() => { shown.stale = true; }).observe(element("solids"));
+  const canvas = element("solids");
   let pressed = [0, 0];
   canvas.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => { pressed = [event.offsetX, event.offsetY]; });
   canvas.addEventListener("pointerup", (/** @type {PointerEvent} */ { offsetX, offsetY }) => {
-    if (shown.world && Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) < 5) select(stage.bodyAt(offsetX, offsetY));
+    if (shown.inspected && Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) < 5) select(stage.bodyAt(offsetX, offsetY));
   });
   const drop = element("stage");
   addEventListener("dragover", (event) => {
@@ -369,7 +369,7 @@ function connect() {
 }
 
 try {
-  stage = new Stage(element("world"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
+  stage = new Stage(element("solids"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
   onProgress((share) => { element("download").value = share; });
   catalogue = await fetchJson("catalogue.json");
   if (catalogue.simulation === "server") element("home").removeAttribute("href");

@@ -14,12 +14,12 @@ export class Plots {
     new ResizeObserver(() => this.plot?.setSize(this.#size())).observe(container);
   }
 
-  /** Starts the plots of another model. @param {import("./world.js").World} world */
-  open(world) {
-    const { model } = world;
-    const sensors = world.names("sensor", "sensor", model.nsensor).map((name, id) => ({ name, at: model.sensor_adr[id], from: "sensordata" }));
-    const joints = world.names("jnt", "joint", model.njnt).map((name, id) => ({ name, at: model.jnt_qposadr[id], from: "qpos" }));
-    this.world = world;
+  /** Starts the plots of another model. @param {import("./inspected.js").InspectedModel} inspected */
+  open(inspected) {
+    const { model } = inspected;
+    const sensors = inspected.names("sensor", "sensor", model.nsensor).map((name, id) => ({ name, at: model.sensor_adr[id], from: "sensordata" }));
+    const joints = inspected.names("jnt", "joint", model.njnt).map((name, id) => ({ name, at: model.jnt_qposadr[id], from: "qpos" }));
+    this.inspected = inspected;
     this.lines = sensors.length ? sensors : joints;
     const groups = Map.groupBy(this.lines, ({ name }) => name.split("_")[0]);
     this.choice.replaceChildren(...[...groups].filter(([, lines]) => lines.length > 1).map(([name]) => new Option(`${name}: all`, `${name}_`)),
@@ -48,7 +48,7 @@ export class Plots {
 
   /** Adds the current values. */
   note() {
-    const { data } = /** @type {any} */ (this.world), [times, ...rows] = /** @type {number[][]} */ (this.values);
+    const { data } = /** @type {any} */ (this.inspected), [times, ...rows] = /** @type {number[][]} */ (this.values);
     if (times.length && data.time < times[times.length - 1]) for (const row of [times, ...rows]) row.length = 0;
     if (times[times.length - 1] === data.time) return;
     times.push(data.time);

@@ -37,17 +37,17 @@ export class Stage {
     /** @type {any[]} a mesh for each geom, or null */
     this.meshes = [];
     /** @type {any} */
-    this.world = null;
+    this.inspected = null;
     /** @type {any} */
     this.lamp = null;
     this.insets = true;
   }
 
-  /** Shows another model, with the initial camera of its file. @param {import("./world.js").World} world */
-  open(world) {
+  /** Shows another model, with the initial camera of its file. @param {import("./inspected.js").InspectedModel} inspected */
+  open(inspected) {
     this.close();
-    this.world = world;
-    const { mujoco, model } = world, { stat, vis } = model;
+    this.inspected = inspected;
+    const { mujoco, model } = inspected, { stat, vis } = model;
     this.option = new mujoco.MjvOption();
     this.option.geomgroup.fill(0);  // geoms have meshes of their own
     this.perturbation = new mujoco.MjvPerturb();
@@ -78,7 +78,7 @@ export class Stage {
   }
 
   close() {
-    if (!this.world) return;
+    if (!this.inspected) return;
     for (const helper of [this.option, this.perturbation, this.eye, this.helpers]) helper.delete();
     this.scene.clear();
     for (const geometry of this.geometries?.values() ?? []) geometry.dispose();
@@ -86,7 +86,7 @@ export class Stage {
       mesh?.material.map?.dispose();
       mesh?.material.dispose();
     }
-    this.world = null;
+    this.inspected = null;
   }
 
   /** Ambient light, and a lamp with soft shadows. @param {number} extent @param {any} centre */
@@ -109,7 +109,7 @@ export class Stage {
 
   /** @param {number} geom */
   #mesh(geom) {
-    const { model } = this.world, type = model.geom_type[geom], group = model.geom_group[geom];
+    const { model } = this.inspected, type = model.geom_type[geom], group = model.geom_group[geom];
     const size = [...model.geom_size.subarray(3 * geom, 3 * geom + 3)];
     const geometry = this.#geometry(type, size, model.geom_dataid[geom]);
     if (!geometry) return null;
@@ -125,7 +125,7 @@ export class Stage {
       mesh.material.color.set(0xd0503c);
       if (model.body_weldid[model.geom_bodyid[geom]] === 0) Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });  // walls
     }
-    if (isDark() && SURROUND.includes(this.world.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
+    if (isDark() && SURROUND.includes(this.inspected.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
     mesh.receiveShadow = !isCollision;
     mesh.userData = { geom, group };
@@ -142,7 +142,7 @@ export class Stage {
 
   /** The texture of a plane, repeated according to the material. @param {number} material @param {number[]} size */
   #texture(material, size) {
-    const { model } = this.world, roles = material < 0 ? [] : [...model.mat_texid.subarray(10 * material, 10 * material + 10)];
+    const { model } = this.inspected, roles = material < 0 ? [] : [...model.mat_texid.subarray(10 * material, 10 * material + 10)];
     const texture = roles.find((id) => id >= 0);
     if (texture === undefined || model.tex_type[texture] !== 0) return null;
     const width = model.tex_width[texture], height = model.tex_height[texture], channels = model.tex_nchannel[texture], first = model.tex_adr[texture];
@@ -168,7 +168,7 @@ export class Stage {
 
   /** @param {number} type @param {number[]} size @param {number} dataid */
   #made(type, [a, b, c], dataid) {
-    const { model } = this.world;
+    const { model } = this.inspected;
     const far = 20 * (model.stat.extent || 1);
     if (type === PLANE) return new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
     if (type === SPHERE) return new THREE.SphereGeometry(a, 24, 16);
@@ -182,7 +182,7 @@ export class Stage {
 
   /** Highlights a body; -1: none. @param {number} body */
   select(body) {
-    const { model } = this.world;
+    const { model } = this.inspected;
     for (const mesh of this.meshes) {
       const isChosen = mesh && body > 0 && within(model, model.geom_bodyid[mesh.userData.geom], body);
       mesh?.material.emissive.set(isChosen ? 0x5a3c00 : 0);
@@ -194,13 +194,13 @@ export class Stage {
     const ray = new THREE.Raycaster(), { clientWidth: width, clientHeight: height } = this.canvas;
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
     const [hit] = ray.intersectObjects(this.meshes.filter((mesh) => mesh?.visible), false);
-    return hit ? this.world.model.geom_bodyid[hit.object.userData.geom] : -1;
+    return hit ? this.inspected.model.geom_bodyid[hit.object.userData.geom] : -1;
   }
 
   /** Renders the current state. @param {boolean} isMoving  whether the next picture follows immediately */
   draw(isMoving = false) {
-    const { world, renderer, canvas } = this, isRough = isMoving && this.slow;
-    if (!world) return;
+    const { inspected, renderer, canvas } = this, isRough = isMoving && this.slow;
+    if (!inspected) return;
     this.lamp.castShadow = renderer.shadowMap.needsUpdate = !isRough;
     const ratio = isRough ? ROUGH : this.fineness, { clientWidth: width, clientHeight: height } = canvas;
     if (canvas.width !== Math.floor(width * ratio) || canvas.height !== Math.floor(height * ratio)) {
@@ -219,7 +219,7 @@ export class Stage {
   }
 
   #updatePoses() {
-    const { data } = this.world, positions = data.geom_xpos, turns = data.geom_xmat;
+    const { data } = this.inspected, positions = data.geom_xpos, turns = data.geom_xmat;
     for (const mesh of this.meshes) {
       if (!mesh) continue;
       const { geom, group } = mesh.userData, p = 3 * geom, t = 9 * geom;
@@ -233,7 +233,7 @@ export class Stage {
 
   /** Places helper geoms such as joints and contacts, like MuJoCo's own viewer. */
   #decorate() {
-    const { mujoco, model, data } = this.world, { flags } = this.option;
+    const { mujoco, model, data } = this.inspected, { flags } = this.option;
     for (const [name, kinds] of Object.entries(HELPERS)) {
       for (const kind of kinds) flags[mujoco.mjtVisFlag[`mjVIS_${kind}`].value] = Number(this.shown[/** @type {keyof typeof HELPERS} */ (name)]);
     }
@@ -259,7 +259,7 @@ export class Stage {
 
   /** Limits sizes to the scale of the model, since forces range over many powers of ten. @param {number} type @param {Float32Array} size */
   #limited(type, [a, b, c]) {
-    const extent = this.world.model.stat.extent || 1, most = (/** @type {number} */ value, /** @type {number} */ limit) => limit * (1 - Math.exp(-value / limit));
+    const extent = this.inspected.model.stat.extent || 1, most = (/** @type {number} */ value, /** @type {number} */ limit) => limit * (1 - Math.exp(-value / limit));
     if (type === CYLINDER) return [Math.min(a, 0.012 * extent), Math.min(b, 0.012 * extent), Math.min(c || b, 0.002 * extent)];
     return type === ARROW || type === ARROW1 || type === ARROW2 ? [Math.min(a, 0.006 * extent), Math.min(b, 0.006 * extent), most(c, 0.1 * extent)] : [a, b, c];
   }
@@ -274,9 +274,9 @@ export class Stage {
 
   /** The pictures of the model's own first two cameras, in the upper right corner. @param {number} width @param {number} height */
   #drawInsets(width, height) {
-    const { model, data } = this.world, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
+    const { model, data } = this.inspected, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
     this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ index) => {
-      const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.world.controls !== null;
+      const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.inspected.controls !== null;
       const camera = model.cam_projection[id]
         ? new THREE.OrthographicCamera(-fovy / 2, fovy / 2, fovy / 2, -fovy / 2, -far, far) : new THREE.PerspectiveCamera(fovy, 1, far / 5000, far);
       const [x, y, z] = data.cam_xpos.subarray(3 * id, 3 * id + 3), turn = data.cam_xmat.subarray(9 * id, 9 * id + 9);

@@ -16,7 +16,7 @@ const FOLDERS = /\b(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']*)["']/g;
 /** @param {ArrayLike<number>} values @param {number} [digits] */
 const numbers = (values, digits = 4) => [...Array.from(values)].map((value) => Number(value.toPrecision(digits))).join(" ");
 
-export class World {
+export class InspectedModel {
   /**
    * @param {any} mujoco  the module
    * @param {string} text  MJCF
