@@ -189,7 +189,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.observer.set_state(state["observer"], self.physics)
 
     def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """One action in every environment.
+        """Performs an action in each environment.
 
         Args:
             actions: integers in 0..17, a tensor or an array. Shape (num_envs,).

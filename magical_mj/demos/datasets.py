@@ -29,7 +29,7 @@ __all__ = ["FORMATS", "Format", "load", "make_env_and_datasets"]
 Format = Literal["npz", "minari", "lerobot", "webdataset"]
 FORMATS: Final = ("npz", "minari", "lerobot", "webdataset")
 VALIDATED: Final = 5
-"""The number of episodes for each one that is used for validation."""
+"""One of this number of demonstrations is used for validation."""
 
 
 def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, preset: str | None = None) -> Any:

@@ -277,7 +277,7 @@ def _trusted(path: Path) -> Any:
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
-    """An ONNX network that outputs actions, or a value for each action. Then the action with the largest is taken."""
+    """An ONNX network that outputs actions, or a value for each action. The action with the largest value is taken."""
     del trust  # ONNX files contain no code
     if find_spec("onnxruntime") is None:
         raise MissingExtraError(f"{path} needs ONNX Runtime: pip install onnxruntime")

@@ -65,8 +65,8 @@ def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None
     Args:
         picture: shape (size, size, 3).
         tones: the new level, times 256, of each level of red, green and blue, shape (3, 256).
-        slope: x, y of the unit vector in which the picture gets darker, and the share of the light that is lost at 1
-            along it. At -1 nothing is lost. Shape (3,).
+        slope: x, y of the unit vector towards the darker side, and the share of the light that is lost at 1 along it.
+            At -1 nothing is lost. Shape (3,).
         bar: x, y of the shadow's normal, its distance from the origin, half its width and the width of its soft edges
             (world units), and the share of the light that it removes. Shape (6,).
         camera: see `Frame`.

@@ -274,9 +274,13 @@ def _range(part: str) -> tuple[str, int, int]:
 
 
 def _unique(settings: Iterable[dict[str, int | str]]) -> list[dict[str, int | str]]:
-    return list({shift_label(setting): setting for setting in settings}.values())
+    return list({_label(setting): setting for setting in settings}.values())
 
 
 def shift_label(shifts: Mapping[str, int | str]) -> str:
     """The label of shifts in results, such as ``"camera:3+latency:1"``. Empty for no shifts."""
-    return "+".join(f"{name}:{level}" for name, level in parse_shifts(shifts).items())
+    return _label(parse_shifts(shifts))
+
+
+def _label(levels: Mapping[str, int | str]) -> str:
+    return "+".join(f"{name}:{level}" for name, level in levels.items())

@@ -45,7 +45,7 @@ MAKERS: Final[Mapping[str, str]] = {
 XIRL_SIZE: Final = 384
 """Pixels per side, the same as in x-magical."""
 XIRL_VALID: Final = 10
-"""The number of videos of a body for each one that is used for validation."""
+"""One of this number of videos of a body is used for validation."""
 
 
 def to_webdataset(
