@@ -1,5 +1,5 @@
 // @ts-check
-/** Lighthouse's figures of the built site, on a simulated phone with 1.6 Mbit/s: node site/audit.mjs. Servers compress, as hosts do. */
+/** Prints Lighthouse's figures for the built site on a simulated phone with 1.6 Mbit/s and a compressing server: node site/audit.mjs. */
 import { fileURLToPath } from "node:url";
 import lighthouse from "../out/audit/node_modules/lighthouse/core/index.js";
 import { launch } from "../out/audit/node_modules/chrome-launcher/dist/index.js";

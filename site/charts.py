@@ -1,4 +1,4 @@
-"""Lines in a box, as HTML that fits any screen: what is pointed at, or reached by keyboard, says its figures."""
+"""Line charts as HTML that fits any screen. Columns show their figures when they are pointed at or have the focus."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ LEVELS: Final = (0, 0.25, 0.5, 0.75, 1)
 
 
 def chart(lines: Mapping[str, Sequence[float]], names: Sequence[str], about: str) -> str:
-    """Lines of figures in [0, 1] over named places, with a legend whose entries can be switched off.
+    """A chart of figures in [0, 1] over named columns. The entries of its legend show or hide lines.
 
     Args:
-        lines: what a line is called -> a figure for each place.
-        names: of the places, from left to right.
-        about: what the chart shows, for those who do not see it.
+        lines: name of a line -> a figure for each column.
+        names: the names of the columns, from left to right.
+        about: a description of the chart for screen readers.
     """
     last = len(names) - 1
     colours = dict(zip(lines, COLOURS, strict=False))
     paths = "".join(
         f'<g data-line="{escape(name)}" style="--line: {colours[name]}"><polyline points="'
-        + " ".join(f"{100 * place / last:.2f},{100 - 100 * value:.1f}" for place, value in enumerate(values))
+        + " ".join(f"{100 * column / last:.2f},{100 - 100 * value:.1f}" for column, value in enumerate(values))
         + '"/></g>'
         for name, values in lines.items()
     )
     levels = "".join(f'<span style="bottom: {100 * level:g}%">{level:g}</span>' for level in LEVELS)
-    columns = "".join(_column(names[place], place, last, lines, colours) for place in range(last + 1))
+    columns = "".join(_column(name, column, last, lines, colours) for column, name in enumerate(names))
     legend = "".join(
         f'<label style="--line: {colours[name]}"><input type="checkbox" checked value="{escape(name)}"><i></i> '
         f"{escape(name)}</label>"
@@ -51,20 +51,20 @@ def chart(lines: Mapping[str, Sequence[float]], names: Sequence[str], about: str
     )
 
 
-def _column(name: str, place: int, last: int, lines: Mapping[str, Sequence[float]], colours: Mapping[str, str]) -> str:
-    """A place of the chart: its name below, points, and the figures that it shows when pointed at."""
+def _column(name: str, column: int, last: int, lines: Mapping[str, Sequence[float]], colours: Mapping[str, str]) -> str:
+    """A column of the chart: its name, its points, and its figures, which are hidden at first."""
     points = "".join(
-        f'<i data-line="{escape(line)}" style="--line: {colours[line]}; bottom: {100 * values[place]:.1f}%"></i>'
+        f'<i data-line="{escape(line)}" style="--line: {colours[line]}; bottom: {100 * values[column]:.1f}%"></i>'
         for line, values in lines.items()
     )
-    ordered = sorted(lines, key=lambda line: -lines[line][place])
+    ordered = sorted(lines, key=lambda line: -lines[line][column])
     figures = "".join(
         f'<span data-line="{escape(line)}" style="--line: {colours[line]}">{escape(line)} '
-        f"<b>{lines[line][place]:.2f}</b></span>"
+        f"<b>{lines[line][column]:.2f}</b></span>"
         for line in ordered
     )
-    side = "left" if place > last / 2 else "right"
+    side = "left" if column > last / 2 else "right"
     return (
-        f'<button class="column {side}" style="left: {100 * place / last:.2f}%">{points}<small>{escape(name)}</small>'
+        f'<button class="column {side}" style="left: {100 * column / last:.2f}%">{points}<small>{escape(name)}</small>'
         f'<span class="figures"><strong>{escape(name)}</strong>{figures}</span></button>'
     )

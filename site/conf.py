@@ -1,4 +1,4 @@
-"""How Sphinx makes the documentation; `site/docs.py` gathers its sources."""
+"""Sphinx's configuration. `site/docs.py` collects the sources of the documentation."""
 
 import os
 import re
@@ -15,10 +15,10 @@ copybutton_prompt_text = "$ "
 copybutton_exclude = ".linenos, .gp, .go"
 exclude_patterns = ["extra"]
 myst_heading_anchors = 3
-suppress_warnings = ["myst.header"]  # README's sections start where their page says
+suppress_warnings = ["myst.header"]  # the heading levels of README's sections depend on the page that includes them
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
-default_role = "code"  # docstrings write `names` as Markdown does
+default_role = "code"  # docstrings mark `names` as in Markdown
 html_theme = "furo"
 html_title = "magical_mj"
 html_logo = "logo.svg"
@@ -33,7 +33,7 @@ html_show_sourcelink = False
 
 
 def setup(app: Any) -> None:
-    """Docstrings mean no emphasis by their asterisks; pages say what they are, and links to them show a picture."""
+    """Escapes asterisks in docstrings, and adds a description and a preview picture to each page."""
 
     def escape(*arguments: Any) -> None:
         lines: list[str] = arguments[-1]

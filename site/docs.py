@@ -1,6 +1,6 @@
-"""Writes the documentation site, out/site. What README and docs/ say is taken from there.
+"""Writes the documentation site, out/site, from README.md, docs/ and site/pages.
 
-If SITE_URL says where the site will stand, there is also a sitemap, and pages name a picture for links to them.
+If SITE_URL contains the site's address, a sitemap is written as well, and pages have preview pictures.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ BELOW: Final = {
     "adding-a-task": ("trust",),
     "integrations": ("moving",),
 }
-"""Pages of docs/ that stand below another one in the list of pages."""
+"""Pages of docs/ that are below another one in the list of pages."""
 MISSING: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>No such page · magical_mj</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
 <body style="font: 1.1rem/1.5 system-ui, sans-serif; max-width: 30rem; margin: 15vh auto; padding: 0 1rem">
-<h1>There is no such page</h1><p>It may have another name now: see the <a href="{home}">home page</a>.</p></body></html>
+<h1>This page does not exist</h1><p>It may have been renamed: see the <a href="{home}">home page</a>.</p></body></html>
 """
-MENDS: Final = {
+FIXES: Final = {
     '<p class="caption" role="heading">': '<p class="caption" role="heading" aria-level="2">',
     '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="All pages">',
     '<aside class="toc-drawer': '<aside aria-label="This page" class="toc-drawer',
     '<th class="head"><p></p></th>': '<td class="head"></td>',
 }
-"""What the theme and Markdown's tables lack for those who read by ear -> what stands there instead."""
+"""HTML of the theme and of Markdown's tables that is not accessible to screen readers -> its replacement."""
 REPOSITORY_FILES: Final = {
     "README.md": "index.md",
     "CHANGELOG.md": "changelog.md",
@@ -55,7 +55,7 @@ REPOSITORY_FILES: Final = {
 
 
 def write_docs(folder: Path) -> None:
-    """Gather all sources in one flat folder, and have Sphinx make the pages; warnings are errors."""
+    """Collects all sources in one flat folder, and runs Sphinx. Warnings are errors."""
     for old in (SOURCES, folder):
         if old.exists():
             shutil.rmtree(old)
@@ -94,22 +94,22 @@ def write_docs(folder: Path) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Mend the pages, and write what stands beside them."""
+    """Makes the pages accessible, and writes the page for errors and the sitemap."""
     for path in folder.glob("*.html"):
         text = path.read_text(encoding="utf-8")
-        for found, mended in MENDS.items():
-            text = text.replace(found, mended)
+        for found, fixed in FIXES.items():
+            text = text.replace(found, fixed)
         path.write_text(text, encoding="utf-8")
     address = os.environ.get("SITE_URL", "").rstrip("/")
     (folder / "404.html").write_text(MISSING.format(home=f"{address}/" if address else "./"), encoding="utf-8")
     if address:
         pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
-        places = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
-        (folder / "sitemap.txt").write_text(f"{places}\n", encoding="utf-8")
+        addresses = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
+        (folder / "sitemap.txt").write_text(f"{addresses}\n", encoding="utf-8")
 
 
 def _filled(found: re.Match[str], start: str) -> str:
-    """What stands for a placeholder such as `<!-- README: Quickstart -->`."""
+    """The content for a placeholder such as `<!-- README: Quickstart -->`."""
     kind, name = found.groups()
     if kind == "README":
         return _links(section((ROOT / "README.md").read_text(encoding="utf-8"), name))
@@ -117,7 +117,7 @@ def _filled(found: re.Match[str], start: str) -> str:
         return start
     if kind == "file":
         return _links((ROOT / name).read_text(encoding="utf-8"))
-    if kind == "others":  # pages of docs/ that the index does not name
+    if kind == "others":  # pages of docs/ that are not in the index
         index = (PAGES / "index.md").read_text(encoding="utf-8").split()
         index += [name for pages in BELOW.values() for name in pages]
         return "\n".join(path.stem for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in index)
@@ -128,20 +128,20 @@ def _filled(found: re.Match[str], start: str) -> str:
 
 
 def section(text: str, heading: str) -> str:
-    """The text below a heading of the second level; of the empty one, what stands between the title and the first.
+    """The text below a heading of the second level. For an empty heading, the text between the title and the first one.
 
     Raises:
-        SystemExit: if there is no such heading.
+        SystemExit: if the heading does not exist.
     """
     found = {part.partition("\n")[0]: part.partition("\n")[2] for part in f"\n{text}".split("\n## ")[1:]}
     found[""] = text.partition("\n")[2].partition("\n## ")[0]
     if heading not in found:
-        raise SystemExit(f"README.md has no section {heading!r} any more, which a page of the site takes from it")
+        raise SystemExit(f"README.md has no section {heading!r}, but a page of the site includes it")
     return found[heading].strip()
 
 
 def _links(text: str) -> str:
-    """Links between files of the repository as links between pages of the site; others as plain text."""
+    """Converts links between files of the repository to links between pages. Other relative links become plain text."""
 
     def link(found: re.Match[str]) -> str:
         label, target, anchor = found.groups()
@@ -154,7 +154,7 @@ def _links(text: str) -> str:
 
 
 def _logo() -> str:
-    """The robot."""
+    """The logo, a drawing of the robot, as SVG."""
     known: dict[str, Any] = drawing_style()
     paths = []
     for layer in known["robots"]["gripper"]:

@@ -1,4 +1,4 @@
-"""What only building and testing the site needs from npm, in out/npm."""
+"""The npm packages for building and testing the site, in out/npm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AXE: Final = Package(
     "4.14.1",
     "FHfa+lmNjQZfJz1q8wKqIDwC6DExcHt/pkjNQb09a3NPjCKg2rhu5qb2S4r76ASyFNNtuFooJpZe37OgudVGtQ==",
 )
-"""Finds what people with disabilities would stumble over; MPL-2.0."""
+"""Finds accessibility problems; MPL-2.0."""
 
 ONNX_RUNTIME: Final = Package(
     "onnxruntime-web",
@@ -33,8 +33,8 @@ ONNX_FILES: Final = {
     "wasm.js": "ort-wasm-simd-threaded.mjs",
     "ort.wasm": "ort-wasm-simd-threaded.wasm",
 }
-"""Where the page on which one plays expects a file -> that in the folder dist. Not all servers know `.mjs`."""
+"""File of the page for playing -> file in the package's folder dist. Not all servers support the suffix `.mjs`."""
 
-if __name__ == "__main__":  # for the tests in JavaScript, which import it
+if __name__ == "__main__":  # for the JavaScript tests, which import these packages
     for package in (PLAYWRIGHT, AXE):
         fetched(package, CACHE)

@@ -1,4 +1,4 @@
-"""The gallery: all environments and shifts, which move when pointed at, and from which one can play or inspect."""
+"""The gallery: an animated card for each environment, shift and body, with links to play and inspect it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ AXES: Final = {
     "count": "counts",
     "dynamics": "dynamics",
 }
-"""The axes along which variants differ from Demo, in words."""
+"""Axis of variation -> its description."""
 SHIFTED: Final = "FindDupe"
-"""The task in whose demo scene shifts are shown."""
+"""The task for the pictures of shifts, in its demo scene."""
 STRENGTH: Final = 4
 TEMPLATE: Final = """# Gallery
 
-An expert at work in each of the 60 environments, and what shifts do to one of them. Point at a picture to see it move.
+An expert in each of the 60 environments, and the effects of shifts on one of them. Point at a picture to animate it.
 
 <form class="filter" role="search" aria-label="Environments">
 <label>Task <select name="task"><option value="">all</option>{tasks}</select></label>
@@ -43,8 +43,8 @@ An expert at work in each of the 60 environments, and what shifts do to one of t
 
 ## Shifts
 
-[Shifts](shifts.md) change any environment by degrees. Here each has strength {strength} of 5, in the demo scene of
-{shifted}; the actions are those of a demonstration, which solves it without the shift.
+[Shifts](shifts.md) change any environment, with strengths from 1 to 5. Here each has strength {strength}, in the demo
+scene of {shifted}. The actions are those of a demonstration that solves the scene without the shift.
 
 <div class="cards small">{shifts}</div>
 
@@ -67,7 +67,7 @@ LINKS: Final = """<span><a href="play/#{address}" aria-label="Play {name}">Play<
 
 
 def gallery(media: Path) -> str:
-    """The page in Markdown with HTML in it; its pictures go into `media`."""
+    """The page in Markdown with HTML. Its pictures are written to `media`."""
     cards = [_card(task, variant, media) for task, variant in ENVIRONMENTS]
     shifts = [_shift(name, media) for name in SHIFTS if name != "words"]
     return TEMPLATE.format(

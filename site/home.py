@@ -1,4 +1,4 @@
-"""The home page: what the benchmark asks, shown by one policy in two scenes, and where to go from there."""
+"""The home page: the benchmark's question, shown by one policy in two scenes, and links to the main pages."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
 
 SHOWN: Final = "state-bc"
-"""The entry whose policy is shown."""
+"""The leaderboard entry of the policy on the page."""
 TASK: Final = "FindDupe"
 VARIANTS: Final = {"Demo": max, "Layout": min}
-"""The variants in which it is shown, and which of its episodes: one that it solves, and one that it does not."""
+"""The variants on the page, and the choice of the episode: one with the best score, and one with the worst."""
 INSTALL: Final = 'pip install ".[video]"'
-QUESTION: Final = (
-    "A robot has seen ten demonstrations in one scene. Does it know what they were for, once the scene is another one?"
-)
+QUESTION: Final = "A robot has seen ten demonstrations in one scene. Does it still solve the task if the scene changes?"
 TEMPLATE: Final = """<p class="question">{question}</p>
 
 <div class="sides">{sides}</div>
 
-<p>The same policy twice, learnt by behavioural cloning. It is to bring the duplicate of the block in the goal region
-there, too.</p>
+<p>The same policy twice, learnt by behavioural cloning. The task: bring another block that matches the one in the goal
+region into the region.</p>
 
 <div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
 
-<div class="doors">
+<div class="links">
 <a href="evaluation.html"><strong>Evaluate an agent</strong> 60 environments, 100 episodes each, one command</a>
 <a href="play/"><strong>Play</strong> Drive the robot yourself, or watch the expert and learnt policies</a>
 <a href="play/inspect.html"><strong>Inspect</strong> The scenes, or any MuJoCo model, in 3-D and running</a>
@@ -41,12 +39,12 @@ there, too.</p>
 
 {cards}
 
-<p>All 60 environments, and what shifts do to them: <a href="gallery.html">gallery</a>.</p>
+<p>All 60 environments, and the effects of shifts: <a href="gallery.html">gallery</a>.</p>
 
-## What methods score
+## Scores of methods
 
-<p>Mean over the tasks. All have demonstrations of Demo only. The method that infers the goal and plans towards it keeps
-its score. All methods: <a href="standings.html">leaderboard</a>.</p>
+<p>Mean over the tasks. All methods learn from demonstrations of Demo only. Only the method that infers the goal and
+plans towards it keeps its score. All methods: <a href="standings.html">leaderboard</a>.</p>
 
 {chart}
 """
@@ -57,7 +55,7 @@ SIDE: Final = """<figure><picture><source media="(prefers-reduced-motion: reduce
 
 
 def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
-    """The page's HTML; its pictures go into `media`."""
+    """The page's HTML. Its pictures are written to `media`."""
     return TEMPLATE.format(
         question=QUESTION,
         sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
@@ -68,7 +66,7 @@ def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
 
 
 def _side(method: Standing, variant: str, media: Path) -> str:
-    """The policy in one variant, moving, and what it scores there."""
+    """An animation of the policy in one variant, with its mean score."""
     played = [episode for episode in method.entry.counted if (episode.task, episode.variant) == (TASK, variant)]
     episode = VARIANTS[variant](played, key=lambda episode: episode.score)
     env, actions = Engine(TASK, variant, seed=episode.seed), actions_of(episode.actions or "")
@@ -78,7 +76,7 @@ def _side(method: Standing, variant: str, media: Path) -> str:
         moving=f"media/{moving}",
         place=f"{TASK}-{variant}",
         score=episode.score,
-        words="Where it learnt" if variant == "Demo" else "All moved",
+        words="The training scene" if variant == "Demo" else "Other poses",
         variant=variant,
         mean=method.means[TASK, variant].mean(),
         link=f"play/#{TASK}-{variant}-0@{SHOWN}",

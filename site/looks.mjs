@@ -1,5 +1,5 @@
 // @ts-check
-/** Pictures of the site on a phone, a desktop and a large screen, light and dark, to be looked at: node site/looks.mjs FOLDER [PAGE ...]. */
+/** Writes pictures of the site on a phone, a desktop and a large screen, light and dark, for visual checks: node site/looks.mjs FOLDER [PAGE ...]. */
 import { spawn } from "node:child_process";
 import { mkdir, mkdtemp, readFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
@@ -31,7 +31,7 @@ for (const name of wanted.length ? wanted : Object.keys(addresses)) {
       await page.goto("about:blank");
       await page.goto(addresses[name]);
       await page.waitForFunction(() => !document.querySelector("[role=status]")?.textContent?.endsWith("…"));
-      await page.waitForTimeout(2500);  // what is drawn, and loaded late
+      await page.waitForTimeout(2500);  // for late drawing and loading
       await page.screenshot({ path: join(folder, `${name}-${width}-${colorScheme}.png`) });
     }
   }

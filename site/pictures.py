@@ -1,4 +1,4 @@
-"""The pictures of the task pages: an expert at work, initial scenes, and examples of scores."""
+"""The pictures of the task pages: demonstrations, initial scenes, and examples of scores."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.utils.errors import InvalidSceneError
 
 ANIMATION, FILM, SCENE, EXAMPLE = 224, 192, 112, 160  # pixels
-PERIOD: Final = 1000 // CONTROL_RATE  # milliseconds from action to action
+PERIOD: Final = 1000 // CONTROL_RATE  # milliseconds between actions
 SEEDS: Final = 3
-FRAMES: Final = 130  # of an animation, at most
+FRAMES: Final = 130  # the maximum number of frames of an animation
 
 
 def animation(task: str, path: Path) -> None:
-    """A demonstration from both sides, as an animated WebP that goes round; a long one at several times its speed."""
+    """Writes a demonstration in both views as a looping animated WebP. Long ones are shown faster."""
     demo = demos.load(task)[0]
     frames = demos.render_demo(demo, ("allo", "ego"), ANIMATION)
     shown = itertools.islice(frames, 0, None, 1 + len(demo.actions) // FRAMES)
@@ -34,17 +34,17 @@ def animation(task: str, path: Path) -> None:
 
 
 def film(env: Engine, actions: Sequence[Any], path: Path, size: int = FILM, frames: int = 36) -> tuple[str, str]:
-    """An episode, played again from its actions, as an animated WebP that goes round, and its first picture.
+    """Writes an episode as a looping animated WebP, and its first picture.
 
     Args:
-        env: where the actions are taken; closed at the end.
-        actions: all of the episode.
-        path: of the files, without an ending.
+        env: the engine in which the actions are replayed. It is closed at the end.
+        actions: the actions of the whole episode.
+        path: the path of the files without a suffix.
         size: pixels per side.
-        frames: at most so many.
+        frames: the maximum number of frames.
 
     Returns:
-        The names of the still and of the moving picture.
+        The names of the first picture and of the animation.
     """
     every = 1 + len(actions) // frames
     shown: list[Image.Image] = []
@@ -70,14 +70,14 @@ def film(env: Engine, actions: Sequence[Any], path: Path, size: int = FILM, fram
 
 
 def picture(scene: Scene, path: Path, size: int) -> None:
-    """A scene from above as a small PNG."""
+    """Writes a scene from above as a small PNG."""
     env = magical_mj.Engine.of_scene(scene)
     Image.fromarray(env.render("allo", size)).quantize(64).save(path, optimize=True)
     env.close()
 
 
 def scenes(task: str, variant: str, folder: Path) -> list[Path]:
-    """Pictures of the initial scenes of the first seeds; of Demo, which has one, of that."""
+    """Writes pictures of the initial scenes of the first seeds, or of Demo's only scene. Returns their paths."""
     found = []
     for seed in range(1 if variant == "Demo" else SEEDS):
         path = folder / f"{task}-{variant}-{seed}.png"
@@ -87,7 +87,7 @@ def scenes(task: str, variant: str, folder: Path) -> list[Path]:
 
 
 def examples(task: str, folder: Path) -> list[tuple[float, Path]]:
-    """Pictures of final states of the Demo variant with score 0, with one in between if there is one, and with 1."""
+    """Writes pictures of final states in Demo with score 0, with a score in between if one is found, and with 1."""
     initial = magical_mj.sample_scene(task, "Demo", 0)
     by_score: dict[float, Scene] = {}
     for final in _final_scenes(task):
@@ -103,7 +103,7 @@ def examples(task: str, folder: Path) -> list[tuple[float, Path]]:
 
 
 def _final_scenes(task: str) -> Iterator[Scene]:
-    """States of demonstrations from their ends back; then solved ones in which a stray block lies in a region."""
+    """Yields the states of demonstrations in reverse, and then solved states with a moved block inside a region."""
     shipped = demos.load(task)[:5]
     for demo in shipped:
         yield from reversed(demo.scenes())

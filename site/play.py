@@ -1,4 +1,4 @@
-"""Writes the page on which all environments can be played, without a server: out/site/play."""
+"""Writes the page for playing all environments in the browser without a server: out/site/play."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
 LATER: Final = ("onnx", "policies", "replays", "shifted", "three")
-"""The folders whose files are kept for visits without a network only once they were used."""
+"""The folders with files that are stored for offline visits only after their first use."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
 def write_play(folder: Path) -> int:
-    """Write the page, its scenes and MuJoCo's WebAssembly build anew; returns the number of bytes."""
+    """Writes the page, its scenes and MuJoCo's WebAssembly build into an empty folder. Returns the number of bytes."""
     if folder.exists():
         shutil.rmtree(folder)
-    shutil.copytree(PAGE, folder, ignore=shutil.ignore_patterns("operator.*"))  # which needs a study's server
+    shutil.copytree(PAGE, folder, ignore=shutil.ignore_patterns("operator.*"))  # these need a study's server
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
         env = magical_mj.Engine(task, variant, seed=0)
@@ -56,15 +56,15 @@ def write_play(folder: Path) -> int:
         (folder / name).write_bytes(content)
     shutil.copytree(POLICIES, folder / "policies")
     (folder / "onnx").mkdir()
-    for name, original in ONNX_FILES.items():  # which the page loads when a policy is to act
+    for name, original in ONNX_FILES.items():  # the page loads them with the first policy
         shutil.copy(fetched(ONNX_RUNTIME, CACHE) / "dist" / original, folder / "onnx" / name)
-    size = len(libraries["mujoco/mujoco.wasm"])  # which compressed downloads do not say
+    size = len(libraries["mujoco/mujoco.wasm"])  # for the progress, since compressed downloads do not contain it
     register = '<script type="module" src="register.js"></script>\n</head>'
     packed = {name: len(gzip.compress(content)) for name, content in libraries.items()}
     for name, part in {"index.html": "mujoco/", "inspect.html": ""}.items():
         path, download = folder / name, sum(packed[one] for one in packed if one.startswith(part)) / 1e6
-        told = f'<html lang="en" data-wasm="{size}" data-download="{download:.1f} MB">'
-        text = path.read_text(encoding="utf-8").replace('<html lang="en">', told)
+        root = f'<html lang="en" data-wasm="{size}" data-download="{download:.1f} MB">'
+        text = path.read_text(encoding="utf-8").replace('<html lang="en">', root)
         path.write_text(text.replace("</head>", register), encoding="utf-8")
     shutil.copy(OFFLINE / "register.js", folder)
     (folder / "worker.js").write_text(_worker(folder), encoding="utf-8")
@@ -72,7 +72,7 @@ def write_play(folder: Path) -> int:
 
 
 def _worker(folder: Path) -> str:
-    """The service worker, which keeps what is needed to play, and all scenes, under a hash of everything."""
+    """The service worker. It stores the files for playing and all scenes, under a hash of all files."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     everything = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
     names = [path.relative_to(folder).as_posix() for path in files]
@@ -84,8 +84,7 @@ def _worker(folder: Path) -> str:
 def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
     """The same data with a model of each scene, compressed to a quarter of the size or less.
 
-    Models have most of their XML elements in common. So each model is stored as a list of indices into a list of
-    elements, whose texts make up the model.
+    Models share most of their XML elements. So each model is stored as indices into a common list of elements.
     """
     numbers: dict[str, int] = {}
     scenes = [

@@ -1,6 +1,7 @@
-"""The policies that act in the page on which one plays: trained, exported, checked and scored. `make policies`.
+"""Trains, exports, checks and scores the policies of the page for playing: `make policies`.
 
-One for each task, by behavioural cloning from states with the settings of the state track, but for a smaller network.
+There is one for each task, trained by behavioural cloning from states. The settings are those of the state track,
+except for a smaller network.
 """
 
 from __future__ import annotations
@@ -23,29 +24,29 @@ ROOT: Final = Path(__file__).parent.parent
 FOLDER: Final = ROOT / "site" / "policies"
 RUNS: Final = ROOT / "out" / "policies"
 HIDDEN: Final = 128
-"""Units of the last two layers, instead of 256: a file has 0.27 MB."""
+"""The number of units of the last two layers, instead of 256. A file then has 0.27 MB."""
 MOST_BYTES: Final = 300_000
 VARIANTS: Final = ("Demo", "Layout")
 STATES: Final = 200
-"""States in which the exported policy must prefer the same actions."""
+"""The number of states for comparing the exported policy with the trained one."""
 
 
 def make(task: str) -> dict[str, float]:
-    """Train and export the policy of a task; returns its mean scores in some variants, 100 episodes each."""
+    """Trains and exports the policy of a task. Returns its mean scores in `VARIANTS`, with 100 episodes each."""
     run, file = RUNS / task, FOLDER / f"{task}.onnx"
     changes: dict[str, Any] = {"preset": "State", "network.hidden": HIDDEN}
     train(load_settings("bc", task, **changes), run, resume=run.exists())
     export_policy(run, file, overwrite=True)
     if file.stat().st_size > MOST_BYTES:
-        raise SystemExit(f"{file} has {file.stat().st_size:,} bytes, and may have {MOST_BYTES:,}")
+        raise SystemExit(f"{file} has {file.stat().st_size:,} bytes, more than the limit of {MOST_BYTES:,}")
     check(run, file, task)
-    there = [variant for variant in VARIANTS if (task, variant) in ENVIRONMENTS]
-    scores = magical_mj.evaluate(run, tasks=task, variants=",".join(there), preset="State")
-    return {variant: round(float(scores["score"][scores["variant"] == variant].mean()), 2) for variant in there}
+    variants = [variant for variant in VARIANTS if (task, variant) in ENVIRONMENTS]
+    scores = magical_mj.evaluate(run, tasks=task, variants=",".join(variants), preset="State")
+    return {variant: round(float(scores["score"][scores["variant"] == variant].mean()), 2) for variant in variants}
 
 
 def check(run: Path, file: Path, task: str) -> None:
-    """Raise SystemExit unless the file prefers the same actions as the trained network in all states."""
+    """Raises a SystemExit unless the file chooses the same actions as the trained network."""
     demos = magical_mj.demos.load(task)
     every = np.concatenate([histories(np.asarray(magical_mj.demos.observations(demo, "State"))) for demo in demos])
     seen = every[np.linspace(0, len(every) - 1, STATES).astype(int)]

@@ -1,5 +1,5 @@
 // @ts-check
-/** Pictures of the built site, for the documentation: node site/screenshots.mjs FOLDER. */
+/** Writes pictures of the built site for the documentation: node site/screenshots.mjs FOLDER. */
 import { fileURLToPath } from "node:url";
 import { launch, serve } from "./tests/browser.mjs";
 
@@ -19,7 +19,7 @@ for (const [name, [path, width, height]] of Object.entries(shots)) {
     await page.click("#expert");
     await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 4);
     await page.keyboard.press("p");
-    await page.waitForTimeout(2000);  // until it is drawn as well as it can be
+    await page.waitForTimeout(2000);  // until it is drawn in full quality
   } else if (String(path).startsWith("play")) {
     await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
     await page.keyboard.press("h");

@@ -1,4 +1,4 @@
-"""Pictures of the built site: docs/site.png (home, a task, play on two screens, the gallery) and docs/inspect.png."""
+"""Writes pictures of the built site: docs/site.png (home, task, play on two screens, gallery) and docs/inspect.png."""
 
 from __future__ import annotations
 

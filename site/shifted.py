@@ -1,4 +1,4 @@
-"""The scenes on which the page to play has more than the 60 environments: shifted ones, and other bodies' tasks."""
+"""The scenes of the page for playing in addition to the 60 environments: with shifts, and with other bodies."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from magical_mj.web.page_data import DEMONSTRATIONS, scene_data
 
 SWEPT: Final = "SweepToTop"
 SUITE: Final[tuple[Pair, ...]] = tuple((SWEPT, variant) for variant in variants_of(task_spec(SWEPT)))
-"""What the page plays besides the 60 environments."""
+"""The environments of the page in addition to the 60."""
 PHYSICAL: Final = ("pose", "clutter", "slip", "friction", "latency")
-"""The shifts that change what happens, and so can be played without the renderer."""
+"""The shifts that the page can simulate, because they do not change pictures."""
 STRENGTHS: Final = range(1, 6)
 SEEDS: Final = range(4)
-DIGITS: Final = 5  # of speeds, which JSON has
+DIGITS: Final = 5  # digits of speeds in JSON
 
 
 def offered(task: str, variant: str) -> dict[str, list[str]]:
-    """The shifts with which an environment can be played, such as "clutter:3", by their axes: bodies are one, too."""
+    """The shifts that can be applied to an environment, such as "clutter:3", by axis. Bodies are an axis as well."""
     names = [f"body:{body}" for body in task_spec(task).bodies if body != GRIPPER]
     if task == SWEPT:
         return {"body": names}
@@ -44,12 +44,12 @@ def offered(task: str, variant: str) -> dict[str, list[str]]:
 
 
 def all_offered() -> dict[Pair, list[str]]:
-    """The same of every environment, in one list each."""
+    """The shifts of each environment as a list."""
     return {pair: [one for names in offered(*pair).values() for one in names] for pair in (*ENVIRONMENTS, *SUITE)}
 
 
 def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """The page's data of an environment with each of some shifts, and the model of each scene, as MJCF."""
+    """The page's data of an environment with each of these shifts, and the MJCF model of each scene."""
     entries, models = [], []
     for shift in shifts:
         is_fixed = variant == "Demo" and (not shift or shift.startswith("body:"))
@@ -58,13 +58,13 @@ def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], 
                 models.append(mjcf_text(engine, rounded=False))
                 entries.append({"seed": seed, "shifts": shift, **described(engine), "expert": _expert(engine, seed)})
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" and task != SWEPT else []
-    horizon = task_spec(task).horizon("paper")  # of the gripper; entries say their own
+    horizon = task_spec(task).horizon("paper")  # that of the gripper. Each entry has its own
     demonstrations = [letters_of(demo.actions) for demo in shipped]
     return {"horizon": horizon, "demonstrations": demonstrations, "scenes": entries}, models
 
 
 def described(engine: Engine) -> dict[str, Any]:
-    """What the page is told of an episode that has not begun: its scene with stains, its horizon, and `_taken`."""
+    """The page's data of an episode before it starts: its scene with stains, its horizon, and `_taken`."""
     scene, taken = scene_data(engine.initial_scene), None
     for name, values in engine.draws.items():
         shift = shift_class(name)(values)
@@ -76,7 +76,7 @@ def described(engine: Engine) -> dict[str, Any]:
 
 
 def _expert(engine: Engine, seed: int) -> list[list[float]]:
-    """What the expert of speeds does; of shifts, experts do not know."""
+    """The actions of the expert in tasks with speeds. Empty for other tasks."""
     if not engine.setup.speeds:
         return []
     expert, actions, over = expert_of(engine, SWEPT, seed), [], False
@@ -87,7 +87,7 @@ def _expert(engine: Engine, seed: int) -> list[list[float]]:
 
 
 def _taken(shift: Shift, step: int) -> int:
-    """What is done in a step: the command of so many steps before, or, as -1 less its number, always one action."""
+    """The action that a shift executes in a step: the delay of its command in steps, or -1 - n for the action n."""
     commands = tuple(range(HISTORY))
     first, second = (shift.action(tuple(one + more for one in commands), step) for more in (0, 1))
     return -1 - first if first == second else HISTORY - 1 - first

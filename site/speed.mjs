@@ -1,5 +1,5 @@
 // @ts-check
-/** How soon one can play and inspect the built site, how smoothly, and how much is loaded: node site/speed.mjs. Servers compress, as hosts do. */
+/** Measures loading times, sizes and frame rates of the built site's pages, with a compressing server: node site/speed.mjs. */
 import { fileURLToPath } from "node:url";
 import { launch, serve } from "./tests/browser.mjs";
 
@@ -10,7 +10,7 @@ const PLAY = { path: "play/#FindDupe-All-8", ready: () => document.getElementByI
 const INSPECT = { path: "play/inspect.html#FindDupe-All-3", ready: () => document.title.startsWith("FindDupe-All-3 ") };
 
 /**
- * Opens a page for the first time; its size, when something of it and all of it were there, and how often it draws while one drives.
+ * Opens a page for the first time. Returns its size, the times of the first paint and of readiness, and the frame rate while driving.
  * @param {{path: string, ready: () => boolean | undefined}} what
  * @param {boolean} isSlow  whether by 1.6 Mbit/s
  */
@@ -25,7 +25,7 @@ async function measured({ path, ready }, isSlow) {
   await page.waitForFunction(ready, null, { polling: 50 });
   const readyAt = Number(await page.evaluate("performance.now()"));
   const painted = Number(await page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime"));
-  await page.focus("#world, #arena");
+  await page.focus("#solids, #arena");
   await page.keyboard.down("ArrowUp");
   await page.waitForTimeout(1500);
   const rate = await page.evaluate((seconds) => new Promise((resolve) => {

@@ -1,4 +1,4 @@
-"""The leaderboard as a page of the site, made from results/: tables to be sorted, and episodes to be watched."""
+"""The leaderboard as a page of the site, from results/: tables that can be sorted, and episodes to watch."""
 
 from __future__ import annotations
 
@@ -26,22 +26,21 @@ HEADLINE: Final = {
     "state-gail": "GAIL from states",
     "random": "Random actions",
 }
-"""The entries that the home page's chart shows, and what it calls them."""
+"""The entries in the home page's chart, with their names there."""
 INTRODUCTION: Final = (
-    "Interquartile means of the scores over tasks and runs, in [0, 1], with 95 % intervals where runs are ours. An "
-    "agent learns from demonstrations in Demo, and is scored in all variants. Click a heading to sort. A method's row "
-    "opens what it scored in each environment, how to repeat it, and episodes to watch: its stored actions, played "
-    "again in "
-    "your browser. Those who played a part of the environments only stand last."
+    "Interquartile means of the scores over tasks and runs, in [0, 1]. Our own runs have 95 % intervals. An agent "
+    "learns from demonstrations in Demo, and is evaluated in all variants. Click a heading to sort. Click a method for "
+    "its scores in each environment, the command that repeats them, and episodes to watch: your browser replays the "
+    "stored actions. Methods that were evaluated in only some environments are listed last."
 )
 
 
 def standings_page(methods: Mapping[str, Standing]) -> str:
-    """The page in Markdown with HTML in it; `methods`: file name of an entry -> its standing."""
+    """The page in Markdown with HTML. `methods` maps the file name of an entry to its standing."""
     blocks: dict[str, list[tuple[str, Standing]]] = defaultdict(list)
     for name, method in [*methods.items(), *(("", one) for one in published())]:
         blocks["published" if method.kind == "published" else method.block].append((name, method))
-    parts = ["# Leaderboard", INTRODUCTION, "How to hand in an entry: [Entries of the leaderboard](leaderboard.md)."]
+    parts = ["# Leaderboard", INTRODUCTION, "How to submit an entry: [Entries of the leaderboard](leaderboard.md)."]
     for block, heading in {**BLOCKS, "published": "The paper's, in the original simulator †"}.items():
         rows = sorted(blocks.get(block, ()), key=lambda row: (not row[1].everywhere, -_value(row[1], OVERALL)))
         if rows:
@@ -67,7 +66,7 @@ def _table(heading: str, rows: Sequence[tuple[str, Standing]]) -> str:
 
 
 def _row(name: str, method: Standing, columns: Sequence[str]) -> str:
-    """A body of a table: the method's figures, and below them what opens."""
+    """A table body with a method's scores, and a hidden row with details."""
     cells = "".join(_cell(method.scores.get(column)) for column in columns)
     runs = len(method.entry.runs) or ""
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
@@ -107,7 +106,7 @@ def _details(name: str, method: Standing) -> str:
 
 
 def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
-    """The actions of the first run in the scenes that the page to play on has, as letters, by environment and seed."""
+    """The actions of the first run in the scenes of the page for playing, as letters, by environment and seed."""
     episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
     if method.entry.episodes:
         first = method.entry.runs[0]
@@ -119,7 +118,7 @@ def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
 
 
 def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
-    """Write a file for each method with its stored actions, `<name>.json`, and `index.json` with the methods' names."""
+    """Writes a file `<name>.json` with the stored actions of each method, and `index.json` with the methods' names."""
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():

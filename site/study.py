@@ -1,6 +1,6 @@
-"""A study with 30 simulated participants of five kinds, whose server is killed three times: python site/study.py.
+"""Simulates a study with 30 participants of five kinds, and kills its server three times: python site/study.py.
 
-Quotas must be exact, no episode may count twice, and whatever was confirmed must be on the disk.
+Quotas must be met exactly, no episode may count twice, and every confirmed episode must be on the disk.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KILLS: Final = 3
 
 
 class Person:
-    """Somebody who plays until there is nothing left, and whom lost connections do not discourage."""
+    """A participant who plays until the study is complete, and reconnects after lost connections."""
 
     def __init__(self, study: Simulation, number: int) -> None:
         self.study, self.kind, self.rng = study, KINDS[number % len(KINDS)], random.Random(number)  # noqa: S311
@@ -41,12 +41,12 @@ class Person:
         self.refusals: Counter[str] = Counter()
 
     async def play(self) -> None:
-        """Until the end."""
-        while not await self._sit():
+        """Plays until the study is complete."""
+        while not await self._visit():
             await asyncio.sleep(0.3)
 
-    async def _sit(self) -> bool:
-        """One visit. Returns whether there is nothing left to do."""
+    async def _visit(self) -> bool:
+        """Plays over one connection. Returns whether the study is complete."""
         try:
             async with connect(self.study.socket, origin=Origin(self.study.origin)) as seat:
                 reply = await self._ask(seat, {"arrive": self.name, "agree": True})
@@ -67,7 +67,7 @@ class Person:
                 same = await self._ask(other, {"arrive": self.name})
                 if same.get("next"):
                     if {key: same["next"][key] for key in scene} != scene:
-                        raise SystemExit(f"a second tab got {same['next']} beside {scene}")
+                        raise SystemExit(f"a second tab got {same['next']} instead of {scene}")
                     await self._send(other, await self._recorded(other, scene))
         reply = await self._send(seat, recording)
         if self.kind == "duplicating":
@@ -103,7 +103,7 @@ class Person:
 
 
 class Simulation:
-    """The server, which is killed and started again at the same address, and all participants."""
+    """All participants, and the server, which is killed and restarted at the same address."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.port = folder / "collected", 0
@@ -116,7 +116,7 @@ class Simulation:
         self.command += ["--collect", str(self.folder)]
 
     def start(self) -> None:
-        """Start the server."""
+        """Starts the server."""
         command = [*self.command, "--port", str(self.port)]
         self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         address = next(iter(self.server.stdout or []), "").strip()
@@ -124,12 +124,12 @@ class Simulation:
         self.port = int(self.origin.rpartition(":")[2])
 
     def stop(self) -> None:
-        """Kill it."""
+        """Kills the server."""
         self.server.kill()
         self.server.communicate()
 
     async def run(self) -> list[Person]:
-        """The whole study."""
+        """Runs the whole study. Returns the participants."""
         people = [Person(self, number) for number in range(PEOPLE)]
         tasks = [asyncio.create_task(person.play()) for person in people]
         total = sum(QUOTAS.values())
@@ -142,12 +142,12 @@ class Simulation:
         return people
 
     def saved(self) -> int:
-        """How many demonstrations are on the disk."""
+        """The number of demonstrations on the disk."""
         return len(demos.files_in(self.folder))
 
 
 def main(folder: Path) -> None:
-    """Raises where something is not as it must be."""
+    """Runs the study, and raises a SystemExit if one of the conditions is violated."""
     study = Simulation(folder)
     study.start()
     try:
@@ -158,13 +158,13 @@ def main(folder: Path) -> None:
     counts = Counter(demo.name for demo in kept)
     if counts != QUOTAS:
         log = (study.folder / LOG).read_text(encoding="utf-8")
-        raise SystemExit(f"{log}\nthe quotas {QUOTAS} were not met exactly: {dict(counts)}; above, the study's log")
+        raise SystemExit(f"{log}\nthe quotas {QUOTAS} were not met exactly: {dict(counts)}. The study's log is above")
     if len({(demo.name, demo.actions.tobytes()) for demo in kept}) != len(kept):
         raise SystemExit("an episode counts twice")
     on_disk = {tuple(demo.actions.tolist()) for demo in kept}
     lost = [actions for person in people for actions in person.confirmed if tuple(actions) not in on_disk]
     if lost:
-        raise SystemExit(f"{len(lost)} episodes were confirmed, and are lost")
+        raise SystemExit(f"{len(lost)} confirmed episodes are lost")
     refused = sum((person.refusals for person in people), Counter[str]())
     print(f"{PEOPLE} participants, {KILLS} kills: {dict(counts)}, all distinct, none lost")
     print(f"refused: {dict(refused)}")

@@ -1,4 +1,4 @@
-"""A page for each task, made from the registry and from what the task's module says of itself."""
+"""A page for each task, from the registry and from the docstring of the task's module."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
 
 
 def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
-    """Write `<Task>.md` for every task, and `tasks.md`, which shows them all; their pictures go into `media`.
+    """Writes `<Task>.md` for each task, and `tasks.md` with cards of all tasks.
 
     Args:
-        folder: for the pages.
-        media: for the pictures.
-        own: the methods whose results stand below the paper's.
+        folder: the folder of the pages.
+        media: the folder of the pictures.
+        own: the methods with results that are listed below the paper's.
 
     Returns:
         The cards of all tasks, as HTML.
@@ -42,7 +42,7 @@ def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
 
 
 def _page(task: str, methods: list[Standing], media: Path) -> str:
-    spec, said = task_spec(task), sections(task)
+    spec, texts = task_spec(task), sections(task)
     variants = [variant for known, variant in ENVIRONMENTS if known == task]
     paper, released = spec.horizon("paper"), spec.horizon("released")
     steps = f"An episode has {paper} steps, which are {paper / CONTROL_RATE:g} s"
@@ -50,24 +50,24 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
         f"# {task}",
         f"{_sentence(spec.summary)} {_play(task, 'Demo', 'Play it')}",
         _animation(task, media),
-        said["Goal"],
-        f"{steps}." if released == paper else f"{steps} (by the released code's rules {released}).",
+        texts["Goal"],
+        f"{steps}." if released == paper else f"{steps} ({released} steps under the released code's rules).",
         "## Variants",
-        said["What varies"],
+        texts["What varies"],
         _variants(task, variants, media),
         "## Score",
-        said["Score"],
+        texts["Score"],
         _examples(task, media),
         "## Results",
         _results(task, variants, methods),
         "## Differences from the original",
-        said["Differences from the original"],
+        texts["Differences from the original"],
     ]
     return "\n\n".join(parts) + "\n"
 
 
 def _animation(task: str, media: Path, loading: str = "eager") -> str:
-    """For readers who want no movement, the initial scene."""
+    """The animation of a task. Browsers with reduced motion show the initial scene instead."""
     still = next(iter(scenes(task, "Demo", media))).name
     size = f'width="{2 * ANIMATION}" height="{ANIMATION}" loading="{loading}"'
     about = "An expert at work, from above and as the robot sees it"
@@ -80,7 +80,7 @@ def _sentence(text: str) -> str:
 
 
 def _play(task: str, variant: str, text: str, seed: int = 0) -> str:
-    """A link to the page on which one plays; plain HTML, for the page is no document of Sphinx."""
+    """A link to the page for playing, in HTML, because Sphinx does not know that page."""
     return f'<a class="play" href="play/#{task}-{variant}-{seed}">{text}</a>'
 
 
@@ -92,7 +92,7 @@ def _variants(task: str, variants: list[str], media: Path) -> str:
             for seed, path in enumerate(scenes(task, variant, media))
         )
         rows.append(f"<tr><th>{variant}</th><td>{' '.join(links)}</td></tr>")
-    text = "Initial scenes of the first seeds; each opens where it can be played."
+    text = "Initial scenes of the first seeds. Click one to play it."
     return f'{text}\n\n<table class="scenes">{"".join(rows)}</table>'
 
 
@@ -116,8 +116,7 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
             cells = ["" if values is None else f"{values.mean():.2f}" for values in means]
             lines.append(f"| {label(one)} | {' | '.join(cells)} |")
     return (
-        "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
-        + "\n".join(lines)
-        + "\n\nWhat the scripted expert scores: [The experts](experts.md). "
-        "The [leaderboard](standings.md) has the commands that repeat ours."
+        "Mean scores of the runs. †: the paper's results, in the original simulator. ST was trained on this task, MT "
+        "on all tasks.\n\n" + "\n".join(lines) + "\n\nScores of the scripted expert: [The experts](experts.md). "
+        "The [leaderboard](standings.md) lists the commands that repeat our results."
     )

@@ -25,7 +25,7 @@ CONTENT: Final = {
     "rendering": "pictures by OpenGL or in software",
     "engine": "one MuJoCo simulation: steps, score, saved states, export",
     "envs": "interfaces: Gymnasium, dm_env",
-    "batched": "many worlds on one accelerator",
+    "batched": "many environments on one accelerator",
     "policies": "interface, agents, expert, loading of model files",
     "demos": "demonstrations: files, replay, export",
     "evaluation": "rollouts by the protocol, and reports",

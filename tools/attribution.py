@@ -1,4 +1,4 @@
-"""Writes the tables about intents: what demonstrations leave open, what test scenes can tell, what our policies did.
+"""Writes the tables about intents: rivals of the intents, what test scenes distinguish, and what our policies did.
 
 python -m tools.attribution                     # all of them, in half an hour on one core
 python -m tools.attribution identifiability     # or some
@@ -30,7 +30,7 @@ from tools.tables import ROOT, filled, table
 RESULTS: Final = ROOT / "results"
 SCENES: Final = 100
 CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
-"""The tasks in which some blocks have to be moved, and others not."""
+"""The tasks that require moving only some of the blocks."""
 TESTED: Final = [variant for variant in VARIANTS if variant != "Demo"]
 TELLING: Final = ("FixColour", "Colour")
 MORE: Final = 10
@@ -46,7 +46,7 @@ COMPARED: Final = (
 
 
 def left_open() -> str:
-    """For each task its intent, and how many rivals the demonstrations leave."""
+    """The intent of each task, and the number of rivals that the demonstrations do not exclude."""
     rows = []
     for task in TASKS:
         intent, rivals = EIGHT[task], task_rivals(task)
@@ -82,7 +82,7 @@ def identifiability() -> str:
 
 
 def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]:
-    """The shares of the scenes of these seeds that refute each reading; None where it does not apply to the task."""
+    """The shares of the scenes of these seeds that refute each reading. None if it does not apply to the task."""
     scenes = [sample_scene(task, variant, seed) for seed in seeds]
     intent, shown = EIGHT[task], task_shown(task)
 
@@ -99,13 +99,13 @@ def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]
 
 
 def chosen(task: str) -> bool:
-    """Whether a task is about some blocks and not about others."""
+    """Whether a task's intent selects some of the blocks."""
     relations = [RELATIONS[conjunct.relation] for conjunct in EIGHT[task].conjuncts]
     return all(relation.each is not None for relation in relations) and len(relations) > 1
 
 
 def place_or_colour() -> str:
-    """FixColour Colour, the scenes in which the demonstrated place and the demonstrated colour disagree."""
+    """The blocks that methods moved in FixColour Colour, if the demonstrated position and colour disagree."""
     rows = []
     for entry in entries():
         there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
@@ -117,14 +117,14 @@ def place_or_colour() -> str:
 
 
 def disagree(initial: Scene) -> bool:
-    """Whether place and colour name different blocks in a scene of FixColour, and the place a wrong one."""
+    """Whether position and colour select different blocks in a scene of FixColour, and the position a wrong one."""
     named, wanted = readings(task_shown("FixColour"), initial), intended_blocks(EIGHT["FixColour"], initial)
     place, colour = named["same place"], named["same colour"]
     return bool(place and colour) and not place & (colour | wanted)
 
 
 def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
-    """The shares of episodes that moved the block at the demonstrated place, another of its colour, an intended one."""
+    """The shares of episodes that moved the block at the shown position, another of its colour, an intended one."""
     flags = []
     for result in results:
         task, moved = result.episode.task, set(result.moved)
@@ -136,7 +136,7 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
 
 
 def choices() -> str:
-    """What some policies did in the tasks of choice, over the scenes of all variants."""
+    """What some policies did in the tasks `CHOICES`, over the scenes of all variants."""
     rows = []
     for entry in entries(COMPARED):
         for task in CHOICES:
@@ -146,7 +146,7 @@ def choices() -> str:
 
 
 def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
-    """The entries in results/, or some."""
+    """The entries in results/, or those with these names."""
     for folder in sorted(path for path in RESULTS.iterdir() if path.is_dir() and (not names or path.name in names)):
         yield read_entry(folder)
 
@@ -157,7 +157,7 @@ def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
 
 
 def ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> list[float]:
-    """The shares of the endings of some episodes of an entry; those with the full score need not be replayed."""
+    """The shares of the endings of some episodes of an entry. Episodes with the full score are not replayed."""
     failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
     solved = len(episodes) - len(failed)
     parts = shares(failed) if failed else dict.fromkeys(ENDINGS, 0.0)
@@ -166,7 +166,7 @@ def ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> list[float]:
 
 
 def replayed(entry: Entry, episodes: Iterable[EpisodeResult]) -> list[Attribution]:
-    """What some episodes of an entry did."""
+    """The attributions of some episodes of an entry."""
     found: list[Attribution] = []
     for result in attribute(episodes, jobs=1):
         if not isinstance(result, Attribution):
@@ -185,7 +185,7 @@ WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "place-or-colour": ("docs/intents.md", place_or_colour),
     "choices": ("docs/intents.md", choices),
 }
-"""Table -> the page that has it, and what makes it."""
+"""Table -> its page, and the function that makes it."""
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

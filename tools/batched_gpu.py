@@ -1,4 +1,4 @@
-"""Measures all figures about batched worlds that need an accelerator, in parts of less than ten minutes.
+"""Measures all figures about batched environments that need an accelerator, in parts of less than ten minutes.
 
     python tools/batched_gpu.py --list                       # the names of all parts
     python tools/batched_gpu.py --out out/batched            # all parts that are not finished

@@ -22,7 +22,7 @@ from magical_mj.utils.errors import MagicalError
 from magical_mj.variants import variants_of
 
 OFFERED = 0.9
-"""The lowest mean score at which a task may offer a body."""
+"""The mean score that a task requires to offer a body."""
 
 
 def score(task: str, variant: str, seed: int, body: str) -> float:
@@ -35,7 +35,7 @@ def score(task: str, variant: str, seed: int, body: str) -> float:
 
 
 def mean_score(task: str, body: str, variants: list[str], seeds: int) -> str:
-    """The mean score, the number of episodes, and the number of seeds for which no scene with this body exists."""
+    """The mean score, the number of episodes, and the number of seeds without a scene for this body."""
     scores, impossible = [], 0
     for seed, variant in zip(range(SPLITS["dev"], SPLITS["dev"] + seeds), itertools.cycle(variants), strict=False):
         try:

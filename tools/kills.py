@@ -40,7 +40,7 @@ from magical_mj.tasks.protocol import PROTOCOL
 SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
 """A command that was stopped is continued after a pause."""
 PAUSE: Final = 1.0
-"""Seconds for which a command is stopped."""
+"""The duration of a stop, in seconds."""
 TRIES: Final = 3
 """The most signals that are sent, as a multiple of those that must reach the command."""
 PATIENCE: Final = 20.0
@@ -70,7 +70,7 @@ try:
         files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 except KeyboardInterrupt:
     pass
-"""  # endless sampling of scenes for batched worlds in workers; without a guard for `__main__`
+"""  # endless sampling of scenes for batched environments in workers; without a guard for `__main__`
 EVALUATE: Final = (
     *("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour"),
     *("--variants", "Demo,Jitter", "--episodes", "60", "--resume", "--jobs", "2"),

@@ -1,4 +1,4 @@
-"""Prints on which systems and Python versions the package can be installed, with wheels for all dependencies.
+"""Prints the systems and Python versions that can install the package, with wheels for all dependencies.
 
 It downloads only metadata: `uv pip compile` resolves dependencies for other systems. (pip's own option --python-version
 is not used, because it evaluates the markers in requirements for the Python that runs it.)

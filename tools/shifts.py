@@ -138,7 +138,7 @@ def distance(seeds: int = 30) -> str:
 
 
 def picture(path: Path = ROOT / "docs" / "shifts.png", size: int = 144) -> None:
-    """Draws a column for each axis and a row for each strength. Each axis has a seed in which it is clearly visible."""
+    """Draws a column for each axis and a row for each strength. The seed of each axis makes it clearly visible."""
     gap, left, top = 6, 22, 22
     sheet = Image.new("RGB", (left + len(SEEN) * (size + gap), top + 6 * (size + gap)), "white")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)

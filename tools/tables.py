@@ -87,7 +87,7 @@ def tasks() -> str:
 
 
 def variants() -> str:
-    """Each variant, what is drawn anew, and which tasks lack it."""
+    """Each variant, what it varies, and its tasks."""
     rows = []
     for variant, axes in VARIANTS.items():
         missing = [task for task in TASKS if (task, variant) not in ENVIRONMENTS]
@@ -108,7 +108,7 @@ def presets() -> str:
 
 
 def _mean(standing: Standing, variants: Iterable[str], tasks: Iterable[str] = TASKS) -> float:
-    """The mean over the environments of these variants and tasks; NaN if there are none."""
+    """The mean over the environments of these variants and tasks. NaN without environments."""
     means = [
         float(values.mean())
         for (task, variant), values in standing.means.items()
@@ -122,7 +122,7 @@ def _number(value: float) -> str:
 
 
 def overview(standings: Sequence[Standing]) -> str:
-    """Each method's mean score over tasks in each variant, in blocks; (m/n): over m of the n tasks."""
+    """Each method's mean score over tasks in each variant, in blocks. (m/n): over m of the n tasks."""
     rows: list[Sequence[str]] = []
     for block, heading in BLOCKS.items():
         group = [standing for standing in standings if standing.block == block]
@@ -172,7 +172,7 @@ def _with_interval(standing: Standing, variants: Sequence[str]) -> str:
 
 
 def _above(standing: Standing, noop: Standing) -> str:
-    """The mean over the environments of (score - noop's) / (1 - noop's); empty if the rules differ."""
+    """The mean over the environments of (score - noop's) / (1 - noop's). Empty if the rules differ."""
     if standing.entry.rules != noop.entry.rules:
         return ""
     pairs = [pair for pair in ENVIRONMENTS if pair[1] in GROUPS["Generalisation"]]
@@ -182,7 +182,7 @@ def _above(standing: Standing, noop: Standing) -> str:
 
 
 def colours(standings: Iterable[Standing], paper: Iterable[Standing]) -> str:
-    """The scores in each task's Colour."""
+    """The scores in the variant Colour of each task."""
     ours = {standing.name: standing for standing in standings}
     papers = [standing for standing in paper if standing.name in ("BC (ST)", "GAIL (ST)")]
     shown = [*(ours[name] for name in IN_COLOUR), *papers]
@@ -191,7 +191,7 @@ def colours(standings: Iterable[Standing], paper: Iterable[Standing]) -> str:
 
 
 def claims(standings: Iterable[Standing], paper: Iterable[Standing]) -> str:
-    """The paper's claims, each with two of its figures, the same two of ours, and whether their order is the same."""
+    """The paper's claims, each with two figures of the paper, our figures, and whether their order is the same."""
     found = {standing.name: standing for standing in standings}
     ours = {name: found[our_name] for name, our_name in OURS.items()}
     papers = {standing.name: standing for standing in paper}
@@ -268,7 +268,7 @@ def trainings(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
 
 
 def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
-    """Of BC and BC with less: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
+    """BC and its ablations: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
     papers = {standing.name: standing for standing in paper}
     ours = {standing.name.replace(", quick", ""): standing for standing in learnt if ", quick" in standing.name}
     rows = []
@@ -329,19 +329,19 @@ def _sizes(factor: Factor) -> str:
     return kinds[factor.draw] + ", ".join(f"{size:g}" for size in sizes)
 
 
-def _place(standing: Standing) -> tuple[bool, bool, float]:
-    """By which methods are sorted."""
+def _rank(standing: Standing) -> tuple[bool, bool, float]:
+    """The key for sorting methods."""
     return standing.kind != "official", not standing.everywhere, -_mean(standing, VARIANTS)
 
 
 @cache
 def _results() -> tuple[dict[str, Standing], list[Standing], list[Standing]]:
-    """Our own learners by the names of their files, the complete ones and the best first; the agents; the paper's."""
+    """Our learners by file name, complete and best ones first, then the agents, and the paper's methods."""
     own = own_standings(ROOT / "results")
     learnt = {name: standing for name, standing in own.items() if standing.name not in AGENTS}
     paper = [standing for standing in published() if standing.name in COMPARED]
     return (
-        dict(sorted(learnt.items(), key=lambda item: _place(item[1]))),
+        dict(sorted(learnt.items(), key=lambda item: _rank(item[1]))),
         [standing for standing in own.values() if standing.name in AGENTS],
         sorted(paper, key=lambda standing: COMPARED.index(standing.name)),
     )
@@ -353,7 +353,7 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/results.md": results,
     "docs/shifts.md": shifts,
 }
-"""The pages that have such tables."""
+"""Page -> the function that makes its tables."""
 
 
 def filled(text: str, tables: Mapping[str, str], command: str = "make docs") -> str:

@@ -11,7 +11,7 @@ from magical_mj.shifts import Factor, Frame, Picture, Shift
 
 
 class Fog(Shift):
-    """Fades pictures into grey, more strongly far from their middle."""
+    """Fades pictures into grey, more strongly far from their centre."""
 
     name = "fog"
     summary = "grey fog, thicker far from the middle of the picture"

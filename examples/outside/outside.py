@@ -1,11 +1,11 @@
-"""Four tasks outside of the benchmark, to see what a method does where its author knew nothing of the task.
+"""Four tasks outside the benchmark, for testing methods on tasks that their authors did not know.
 
-- RedLeft: the red block in the left half. It names a colour.
-- VisitStar: the robot beside the star. It names a shape, and nothing need be moved.
-- PairUp: the two blocks of one colour side by side.
-- Huddle: all blocks together.
+- RedLeft: bring the red block into the left half. The goal refers to a colour.
+- VisitStar: drive next to the star. The goal refers to a shape, and no block must be moved.
+- PairUp: bring the two blocks of one colour next to each other.
+- Huddle: bring all blocks together.
 
-A fifth is PushOut, in ../push_out. The demo scenes have no goal regions.
+A fifth task is PushOut, in ../push_out. The demo scenes have no goal regions.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from magical_mj.tasks.rules import any_colours, any_shapes, coloured, pick, requ
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 LEFT: Final = -0.2
-"""The greatest x of a block in the left half: clear of the middle."""
-BESIDE: Final = 0.45
-"""The greatest distance between the centres of things that are side by side."""
+"""The largest x of a block in the left half, with a margin to the centre."""
+ADJACENT: Final = 0.45
+"""The largest distance between the centres of adjacent objects."""
 TOGETHER: Final = 0.45
-"""The greatest distance of a block from the middle of all in a huddle."""
+"""The largest distance of a block from the centroid of all blocks in a huddle."""
 DEMONSTRATIONS: Final = Path(__file__).parent / "outside_demonstrations"
-"""Where `magical-mj demos generate` puts them, as README.md shows."""
+"""The folder that `magical-mj demos generate` writes, as in README.md."""
 
 
 def _distance(first: Block | Robot, second: Block | Robot) -> float:
@@ -43,7 +43,7 @@ def _numbers(scene: Scene, fits: Callable[[Block], bool]) -> list[int]:
 
 
 def _only(name: str, count: int, what: str, fits: Callable[[Block], bool]) -> Callable[[Scene], None]:
-    """A check that so many blocks fit."""
+    """A check that this number of blocks fits."""
 
     def check(scene: Scene) -> None:
         require(len(_numbers(scene, fits)) == count, name, f"{count} {what}")
@@ -53,7 +53,7 @@ def _only(name: str, count: int, what: str, fits: Callable[[Block], bool]) -> Ca
 
 def _around(scene: Scene, block: int, least: float, most: float) -> list[Point]:
     here = scene.blocks[block]
-    return [place for place in places_anywhere() if least <= math.dist(place, (here.x, here.y)) <= most]
+    return [point for point in places_anywhere() if least <= math.dist(point, (here.x, here.y)) <= most]
 
 
 def _red(block: Block) -> bool:
@@ -73,13 +73,13 @@ def red_left(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan_red_left(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """It goes to the nearest place there."""
+    """Brings the red block to the nearest free position in the left half."""
     places = [place for place in places_anywhere() if place[0] <= LEFT - 0.15]
     return [bring(now, number, places, noise) for number in _numbers(now, _red)]
 
 
 def other_colours(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Red stays; the other blocks get uniform colours that are not red."""
+    """Gives all blocks except the red one uniform colours other than red."""
     others: list[Colour] = [colour for colour in COLOURS if colour != "red"]
     return coloured(scene, (block.colour if _red(block) else pick(rng, others) for block in scene.blocks))
 
@@ -108,25 +108,25 @@ RED_LEFT: Final = TaskSpec(
 
 
 def visit_star(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """1 if the robot is beside the star."""
-    return float(all(_distance(final.robot, final.blocks[number]) <= BESIDE for number in _numbers(final, _star)))
+    """1 if the robot is next to the star."""
+    return float(all(_distance(final.robot, final.blocks[number]) <= ADJACENT for number in _numbers(final, _star)))
 
 
 def plan_visit_star(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The robot drives beside it, and leaves it where it is."""
+    """Drives next to the star without moving it."""
     (star,) = _numbers(now, _star)
     return [drive(now, _around(now, star, 0.34, 0.4), noise, tolerance=0.06)]
 
 
 def other_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
-    """The star stays; the other blocks get uniform shapes that are none."""
+    """Gives all blocks except the star uniform shapes other than stars."""
     others: list[Shape] = [shape for shape in SHAPES if shape != "star"]
     return shaped(scene, (block.shape if _star(block) else pick(rng, others) for block in scene.blocks))
 
 
 VISIT_STAR: Final = TaskSpec(
     name="VisitStar",
-    summary="drive beside the star",
+    summary="drive next to the star",
     demo=Scene(
         Robot(0.5, -0.6, 1.0),
         (
@@ -153,24 +153,24 @@ def _pair(scene: Scene) -> list[int]:
 
 
 def pair_up(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """1 if the two blocks of one colour are side by side."""
+    """1 if the two blocks of one colour are next to each other."""
     first, second = (final.blocks[number] for number in _pair(final))
-    return float(_distance(first, second) <= BESIDE)
+    return float(_distance(first, second) <= ADJACENT)
 
 
 def plan_pair_up(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """One of them goes beside the other."""
+    """Brings one of them next to the other."""
     first, second = _pair(now)
     return [bring(now, first, _around(now, second, 0.28, 0.36), noise)]
 
 
 def check_pair(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless exactly two blocks share a colour."""
+    """Raises an `InvalidSceneError` unless exactly two blocks share a colour."""
     require(len(_pair(scene)) == 2, "PairUp", "two blocks of one colour")
 
 
 def colours_of_pair(rng: np.random.Generator, scene: Scene) -> Scene:
-    """The pair gets a uniform colour, the others another one each."""
+    """Gives the pair a uniform colour, and each other block a different one."""
     left: Sequence[str] = COLOURS
     blocks, pair = list(scene.blocks), _pair(scene)
     for numbers in (pair, *([number] for number in range(len(blocks)) if number not in pair)):
@@ -183,7 +183,7 @@ def colours_of_pair(rng: np.random.Generator, scene: Scene) -> Scene:
 
 PAIR_UP: Final = TaskSpec(
     name="PairUp",
-    summary="bring the two blocks of one colour side by side",
+    summary="bring the two blocks of one colour next to each other",
     demo=Scene(
         Robot(0.0, -0.7, 0.0),
         (
@@ -210,12 +210,12 @@ def _farthest(scene: Scene) -> float:
 
 
 def huddle(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """1 if all blocks are near their middle."""
+    """1 if all blocks are near their centroid."""
     return float(_farthest(final) <= TOGETHER)
 
 
 def plan_huddle(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """All blocks but the first go beside it."""
+    """Brings all other blocks next to the first one."""
     todo: list[Subgoal] = []
     for number in range(1, len(now.blocks)):
         if _distance(now.blocks[0], now.blocks[number]) > 0.4:
@@ -225,7 +225,7 @@ def plan_huddle(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
 
 
 def apart(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there are blocks to gather."""
+    """Raises an `InvalidSceneError` unless there are enough blocks, and they are apart."""
     require(len(scene.blocks) > 1, "Huddle", "several blocks")
 
 

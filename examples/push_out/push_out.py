@@ -36,18 +36,18 @@ DEMO: Final = Scene(
 
 
 def colour(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Independent uniform colours for the region and every block."""
+    """Gives the region and each block independent uniform colours."""
     (region,) = scene.regions
     return any_colours(rng, replace(scene, regions=(replace(region, colour=pick(rng, COLOURS)),)))
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
-    """1 to 3 blocks."""
+    """Draws 1 to 3 blocks."""
     return replace(scene, blocks=(scene.blocks * 2)[: uniform_integer(rng, 1, 3)])
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is one goal region, with a block in it."""
+    """Raises an `InvalidSceneError` unless there is one goal region, with a block in it."""
     require_regions(scene, "PushOut", 1)
     require(bool(inside(scene.regions[0], scene.blocks)), "PushOut", "a block in the goal region, and it is empty")
 

@@ -8,13 +8,13 @@ from magical_mj.integrations.lerobot import MagicalConfig
 
 
 def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None) -> dict[str, dict[int, Any]]:
-    """Suite (the task) -> number of the variant -> vector of environments, which start anew in the step that ends.
+    """Creates the environments: task -> number of the variant -> vector environment with SAME_STEP autoreset.
 
     Args:
-        n_envs: the environments in each vector.
-        use_async_envs: whether each has a process of its own.
-        cfg: a `MagicalConfig`, or another configuration of LeRobot's, of which `task` counts: a comma list of tasks,
-            or "all". Without one all tasks are made, in the scene of the demonstrations.
+        n_envs: the number of environments in each vector.
+        use_async_envs: whether each environment has its own process.
+        cfg: a `MagicalConfig`, or another configuration with the attribute `task`: a comma-separated list of tasks, or
+            "all". Without it, all tasks are created with the variant Demo.
     """
     if not isinstance(cfg, MagicalConfig):
         cfg = MagicalConfig(task=getattr(cfg, "task", None) or "all")

@@ -40,12 +40,12 @@ def make(
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
     workers: int = 0,
 ) -> BatchedEnv:
-    """A vector environment of many worlds (simulated environments) on one device.
+    """A vector environment whose environments are all simulated on one device.
 
     Args:
         task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
-        variant: a variant, or several. The worlds alternate between all pairs of task and variant that exist.
-        num_envs: the number of worlds, at least one for each pair.
+        variant: a variant, or several. The environments alternate between the existing pairs of task and variant.
+        num_envs: the number of environments, at least one for each pair.
         preset: the preset of the observations, one of `magical_mj.envs.presets.PRESETS`.
         device: "cuda", "cuda:1" or "cpu" (slow, for tests).
         seed: determines the sampled scenes if `reset` is given no seed.
@@ -62,7 +62,7 @@ def make(
             all steps.
         UnknownNameError: if the task, variant or preset does not exist.
     """
-    check_extra("batched worlds", "gpu")
+    check_extra("batched environments", "gpu")
     from magical_mj.batched.environment import BatchedEnv
 
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
@@ -71,13 +71,15 @@ def make(
     pairs = environments(task, variant)
     if whole := [name for name in dict.fromkeys(name for name, _ in pairs) if task_spec(name).trajectory]:
         raise SettingsError(
-            f"batched worlds do not store the scenes of all steps, but the score of {whole[0]} depends on them; "
+            f"batched environments do not store the scenes of all steps, but the score of {whole[0]} depends on them; "
             "use gymnasium.make or make_vec"
         )
     if num_envs < len(pairs):
-        raise SettingsError(f"num_envs={num_envs} must be at least {len(pairs)}, one world for each task and variant")
+        raise SettingsError(
+            f"num_envs={num_envs} must be at least {len(pairs)}, one environment for each task and variant"
+        )
     return BatchedEnv(
-        [pairs[world % len(pairs)] for world in range(num_envs)],
+        [pairs[env % len(pairs)] for env in range(num_envs)],
         preset=preset,
         device=device,
         seed=seed,

@@ -1,4 +1,4 @@
-"""A vector environment of hundreds to thousands of worlds. Observations, rewards and episode ends are torch tensors."""
+"""A vector environment of hundreds to thousands of environments. Observations, rewards and ends are torch tensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
-from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
+from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler, sample
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
 from magical_mj.envs.vector import check_mask, world_seeds
@@ -39,26 +39,26 @@ from magical_mj.variants import check_seed
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
 OVERFLOW: Final = (
-    "some worlds had more contacts than the allocated maximum, so that contacts were lost: do not use the episodes "
-    'marked by info["overflowed"]'
+    "some environments had more contacts than the allocated maximum, so that contacts were lost: do not use the "
+    'episodes marked by info["overflowed"]'
 )
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Worlds of one or more environments, stepped and drawn together on one device; see `magical_mj.batched.make`.
+    """Environments with one or more tasks and variants, stepped and rendered together. See `magical_mj.batched.make`.
 
-    As in every vector environment, `reset(seed=7)` starts the worlds with the scenes of seeds 7, 8, 9..., and a list
-    contains a seed for each world. With SAME_STEP, a world whose episode ends starts the next one at once: observation
-    and info are the new episode's. `info["final_obs"]` and `info["final_info"]` are those of the episodes that ended,
-    in the worlds marked by `info["_final_info"]`. With DISABLED, `reset(options={"reset_mask": mask})` resets the
-    masked worlds.
+    As in every vector environment, `reset(seed=7)` starts the environments with the scenes of seeds 7, 8, 9..., and a
+    list contains a seed for each environment. With SAME_STEP, an environment whose episode ends starts the next one at
+    once: observation and info are the new episode's. `info["final_obs"]` and `info["final_info"]` are those of the
+    ended episodes, in the environments marked by `info["_final_info"]`. With DISABLED,
+    `reset(options={"reset_mask": mask})` resets the masked environments.
 
     An info contains tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
     `broken` (the state is not finite: the episode ends with score 0), and `overflowed` (since the reset there were more
     contacts than the allocated maximum, so that some were lost).
 
     Attributes:
-        physics: the simulation of all worlds.
+        physics: the simulation of all environments.
         observer: the object that computes observations of the simulation.
     """
 
@@ -83,7 +83,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._rules: Rules = check_rules(rules)
         observed = preset_named(preset)
         if observed.depth == 1:
-            raise SettingsError(f"batched worlds cannot draw segmentations: choose another preset than {preset}")
+            raise SettingsError(f"batched environments cannot draw segmentations: choose another preset than {preset}")
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
         self._specs = [task_spec(task) for task, _ in pairs]
@@ -119,45 +119,45 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Tensor]]:
-        """Starts episodes in all worlds, or in those selected by `options["reset_mask"]`, shape (num_envs,), bool.
+        """Starts episodes in all environments, or in those selected by `options["reset_mask"]`, bool, (num_envs,).
 
         Args:
-            seed: the seed of the first world's scene. The others use the next ones. Without a mask, it also determines
-                the scenes of all later episodes. A sequence contains a seed for each world, for this episode only.
-                None: the next sampled scenes.
+            seed: the seed of the first environment's scene. The others use the next ones. Without a mask, it also
+                determines the scenes of all later episodes. A sequence contains a seed for each environment, for this
+                episode only. None: the next sampled scenes.
             options: may contain "reset_mask". Other options are ignored with a warning.
 
         Raises:
             InvalidSeedError: if a seed is not an integer, or negative.
-            SettingsError: if the number of seeds or of mask entries is not that of the worlds; if the options are not a
-                dict.
+            SettingsError: if the number of seeds or of mask entries is not that of the environments, or if the options
+                are not a dict.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         mask = check_options(options, "reset_mask").get("reset_mask")
-        worlds = np.flatnonzero(check_mask(arrays(mask), self.num_envs)).tolist()
+        envs = np.flatnonzero(check_mask(arrays(mask), self.num_envs)).tolist()
         each = world_seeds(arrays(seed), self.num_envs)
         if mask is None and as_integer(seed) is not None:
             self._sampler.seed(check_seed(seed))
-        observation = self._begin(worlds, None if seed is None else [check_seed(each[world]) for world in worlds])
+        observation = self._begin(envs, None if seed is None else [check_seed(each[env]) for env in envs])
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
-    def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
-        where = torch.tensor(worlds, dtype=torch.int64, device=self.device)
-        if worlds:
-            self._put(self._sampler.scenes(worlds, seeds), where)
+    def _begin(self, envs: list[int], seeds: list[int] | None = None) -> Observation:
+        where = torch.tensor(envs, dtype=torch.int64, device=self.device)
+        if envs:
+            self._put(self._sampler.scenes(envs, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
         return self.observer.observe_start(self.physics, where)
 
-    def _put(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Places scenes into these worlds, at rest."""
-        self._scenes.write(scenes, worlds.cpu().numpy())
-        self.physics.reset(scenes, worlds)
-        self.observer.set_scenes(scenes, worlds)
+    def _put(self, scenes: BatchScenes, envs: Tensor) -> None:
+        """Places scenes into these environments, at rest."""
+        self._scenes.write(scenes, envs.cpu().numpy())
+        self.physics.reset(scenes, envs)
+        self.observer.set_scenes(scenes, envs)
 
     def get_state(self) -> dict[str, Any]:
-        """The state of all worlds, including the pictures in the stacks, as tensors, arrays and plain values."""
+        """The state of all environments, including the pictures in the stacks, as tensors, arrays and plain values."""
         self._check_open()
         return {
             "kind": self._kind,
@@ -170,38 +170,40 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
 
     def set_state(self, state: Mapping[str, Any]) -> Observation:
-        """Restores a state of this environment, or of another one with the same worlds. Returns its observation.
+        """Restores a state of this environment, or of another one with the same settings. Returns its observation.
 
         On Warp's CPU device, the following steps are identical to the bit. On an accelerator, the state is identical,
         but the following steps agree only as well as any two runs there: the order of contacts depends on the threads'
         timing.
 
         Raises:
-            StateError: if the state is from other worlds or observations. Then nothing is changed.
+            StateError: if the state is from another batch or other observations. Then nothing is changed.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         check_state(state, self.get_state())
-        self._put(WorldScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
+        self._put(BatchScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
         self._sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]
         return self.observer.set_state(state["observer"], self.physics)
 
     def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """One action in every world.
+        """Performs an action in each environment.
 
         Args:
             actions: integers in 0..17, a tensor or an array. Shape (num_envs,).
 
         Raises:
             InvalidActionError: if the actions are invalid.
-            ResetNeeded: if the episode of a world has ended and was not reset.
+            ResetNeeded: if the episode of an environment has ended and was not reset.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         if not self._running.all():
-            raise ResetNeeded("some worlds have no running episode: reset all, or with options={'reset_mask': ...}")
+            raise ResetNeeded(
+                "some environments have no running episode: reset all, or with options={'reset_mask': ...}"
+            )
         self.physics.step(check_actions(actions, self.num_envs, self.device))
         self._steps += 1
         broken = self.physics.broken
@@ -223,12 +225,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observation, reward, torch.zeros_like(ended), ended, info
 
     def _scores(self, ended: Tensor) -> Tensor:
-        """The scores of the worlds whose episodes ended, and 0 in the others. Shape (num_envs,), float64."""
+        """The scores of the environments whose episodes ended, and 0 in the others. Shape (num_envs,), float64."""
         scores = torch.zeros(self.num_envs, dtype=torch.float64)
-        worlds = ended.nonzero()[:, 0]
-        for world, poses in zip(worlds.tolist(), self.physics.poses[worlds].cpu().numpy(), strict=True):
-            initial, final = self._scenes.scene(world), self._scenes.scene(world, poses)
-            scores[world] = self._specs[world].checked_score((initial, final), self._rules)
+        envs = ended.nonzero()[:, 0]
+        for env, poses in zip(envs.tolist(), self.physics.poses[envs].cpu().numpy(), strict=True):
+            initial, final = self._scenes.scene(env), self._scenes.scene(env, poses)
+            scores[env] = self._specs[env].checked_score((initial, final), self._rules)
         return scores.to(self.device)
 
     def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Any]:
@@ -240,7 +242,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stops the processes that sample scenes, and frees the worlds."""
+        """Stops the processes that sample scenes, and frees the environments."""
         del kwargs
         self._sampler.close()
         del self.physics, self.observer
@@ -260,15 +262,15 @@ class Arrays(gymnasium.vector.VectorWrapper[Any, Any, Any, Any]):
 
     @property
     def device(self) -> str:
-        """Warp's name of the device of the worlds."""
+        """Warp's name of the device of the environments."""
         return self.env.device
 
     def reset(self, **settings: Any) -> tuple[Any, dict[str, Any]]:
-        """Like the environment's."""
+        """See `BatchedEnv.reset`."""
         return arrays(self.env.reset(**settings))
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Like the environment's."""
+        """See `BatchedEnv.step`."""
         return arrays(self.env.step(actions))
 
     def get_state(self) -> dict[str, Any]:
@@ -276,7 +278,7 @@ class Arrays(gymnasium.vector.VectorWrapper[Any, Any, Any, Any]):
         return self.env.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> Any:
-        """Like the environment's."""
+        """See `BatchedEnv.set_state`."""
         return arrays(self.env.set_state(state))
 
 
@@ -291,28 +293,29 @@ def arrays(value: Any) -> Any:
     return value
 
 
-def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
-    """The actions on a device. Raises an `InvalidActionError` unless there is an integer in 0..17 for each world."""
+def check_actions(actions: Any, envs: int, device: str) -> Tensor:
+    """The actions on a device. Raises an `InvalidActionError` unless they are num_envs integers in 0..17."""
     try:
         given = torch.as_tensor(actions, device=device)
         whole = not (given.dtype == torch.bool or given.is_floating_point() or given.is_complex())
     except (TypeError, ValueError, RuntimeError):  # they cannot be converted to a tensor
         given, whole = torch.empty(0), False
     numbers = given.long()
-    if not whole or numbers.shape != (worlds,) or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
+    if not whole or numbers.shape != (envs,) or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
         raise InvalidActionError(
-            f"actions must be {worlds} integers in 0..{len(ACTIONS) - 1}, one for each world, not {short_repr(actions)}"
+            f"actions must be {envs} integers in 0..{len(ACTIONS) - 1}, one for each environment, not "
+            f"{short_repr(actions)}"
         )
     return numbers
 
 
 def check_state(state: Any, own: Mapping[str, Any]) -> None:
-    """Raises a `StateError` unless a user's state is of the same kind of worlds as the environment's `own` state."""
+    """Raises a `StateError` unless a user's state is of the same kind as the environment's `own` state."""
     kind = state.get("kind") if isinstance(state, Mapping) else None
     if not isinstance(kind, Mapping) or state.keys() != own.keys() or kind.keys() != own["kind"].keys():
         raise StateError(f"set_state() needs a state from get_state(), not {short_repr(state)}")
     for name, value in own["kind"].items():
         if kind[name] != value:
             raise StateError(
-                f"the state has {name} {short_repr(kind[name])} instead of these worlds' {short_repr(value)}"
+                f"the state has {name} {short_repr(kind[name])} instead of this environment's {short_repr(value)}"
             )

@@ -1,4 +1,4 @@
-"""The Warp kernel that draws a batch, with a thread for each pixel of each world.
+"""The Warp kernel that draws a batch, with a thread for each pixel of each environment.
 
 A pixel is the mean of 2 x 2 samples, rounded in the same manner as in the renderer. For each sample, the kernel finds
 the topmost object that covers it: robot, blocks, regions, or the arena's border. So pictures differ from the renderer's
@@ -24,10 +24,10 @@ ROBOT_LAYERS: Final = (
     ("left_finger_fill", 1, style.LIGHT_GREY),
     ("left_finger_outline", 1, style.GREY),
 )
-"""From top to bottom: the part; the index of what it moves with, body (0), left (1) or right finger (2); its colour."""
+"""From top to bottom: the part, the object that it moves with (0 body, 1 left finger, 2 right finger), its colour."""
 
 MAX_OBJECTS: Final = 30
-"""The maximum number of blocks and regions of a world: `neighbours` has a bit for each."""
+"""The maximum number of blocks and regions of an environment: `neighbours` has a bit for each."""
 
 _LAYERS: Final = wp.constant(len(ROBOT_LAYERS))
 _ARENA: Final = wp.constant(c.ARENA_HALF_WIDTH)
@@ -62,7 +62,7 @@ class Outlines:
     reach: wp.array(dtype=float)
     """The squared distance of each part's furthest point from its origin."""
     frames: wp.array(dtype=int)
-    """The index of what each of the robot's layers moves with, as in ROBOT_LAYERS."""
+    """The object that each of the robot's layers moves with, see ROBOT_LAYERS."""
     colours: wp.array(dtype=int)
     """The colours of the robot's layers."""
     palette: wp.array2d(dtype=int)
@@ -70,8 +70,8 @@ class Outlines:
 
 
 @wp.struct
-class Worlds:
-    """The poses of the objects in every world."""
+class Objects:
+    """The poses of the objects in every environment."""
 
     poses: wp.array2d(dtype=wp.vec4)
     """x, y, cosine and sine of the robot and of each block."""
@@ -106,9 +106,9 @@ def covers(part: int, x: float, y: float, outlines: Outlines) -> bool:
 
 
 @wp.func
-def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+def robot_colour(env: int, x: float, y: float, objects: Objects, outlines: Outlines) -> int:
     """The colour of the robot at a point, or -1."""
-    pose = worlds.poses[world, 0]
+    pose = objects.poses[env, 0]
     dx, dy = x - pose[0], y - pose[1]
     px = pose[2] * dx + pose[3] * dy
     py = pose[2] * dy - pose[3] * dx
@@ -116,7 +116,7 @@ def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outli
         qx, qy = px, py
         frame = outlines.frames[layer]
         if frame > 0:
-            turn = worlds.fingers[world, frame - 1]
+            turn = objects.fingers[env, frame - 1]
             fx = px + _ROOT_X
             if frame == 2:
                 fx = px - _ROOT_X
@@ -129,54 +129,54 @@ def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outli
 
 
 @wp.func
-def block_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+def block_colour(env: int, slot: int, x: float, y: float, objects: Objects, outlines: Outlines) -> int:
     """The colour of a block at a point, or -1."""
-    pose = worlds.poses[world, 1 + slot]
+    pose = objects.poses[env, 1 + slot]
     dx, dy = x - pose[0], y - pose[1]
     px = pose[2] * dx + pose[3] * dy
     py = pose[2] * dy - pose[3] * dx
-    part = _LAYERS + 2 * worlds.shapes[world, slot]
+    part = _LAYERS + 2 * objects.shapes[env, slot]
     if covers(part + 1, px, py, outlines):
-        return outlines.palette[1, worlds.colours[world, slot]]
+        return outlines.palette[1, objects.colours[env, slot]]
     if covers(part, px, py, outlines):
-        return outlines.palette[0, worlds.colours[world, slot]]
+        return outlines.palette[0, objects.colours[env, slot]]
     return _NOTHING
 
 
 @wp.func
-def region_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+def region_colour(env: int, slot: int, x: float, y: float, objects: Objects, outlines: Outlines) -> int:
     """The colour of a region at a point, or -1."""
-    box = worlds.regions[world, slot]
+    box = objects.regions[env, slot]
     depth = wp.min(wp.min(x - box[0], box[2] - x), wp.min(y - box[1], box[3] - y))  # negative outside
     if wp.abs(depth) <= _LINE:
-        for number in range(worlds.dashes.shape[2]):
-            dash = worlds.dashes[world, slot, number]
+        for number in range(objects.dashes.shape[2]):
+            dash = objects.dashes[env, slot, number]
             if x > dash[0] and x < dash[2] and y > dash[1] and y < dash[3]:
-                return outlines.palette[3, worlds.region_colours[world, slot]]
+                return outlines.palette[3, objects.region_colours[env, slot]]
     if depth > 0.0:
-        return outlines.palette[2, worlds.region_colours[world, slot]]
+        return outlines.palette[2, objects.region_colours[env, slot]]
     return _NOTHING
 
 
 @wp.func
-def sample(world: int, x: float, y: float, near: int, worlds: Worlds, outlines: Outlines) -> int:
+def sample(env: int, x: float, y: float, near: int, objects: Objects, outlines: Outlines) -> int:
     """The colour of the topmost object at a point; -1 for the white floor. `near` has a bit for each candidate."""
-    blocks = worlds.shapes.shape[1]
-    regions = worlds.regions.shape[1]
+    blocks = objects.shapes.shape[1]
+    regions = objects.regions.shape[1]
     if near & 1:
-        colour = robot_colour(world, x, y, worlds, outlines)
+        colour = robot_colour(env, x, y, objects, outlines)
         if colour >= 0:
             return colour
     for number in range(blocks):
         slot = blocks - 1 - number
         if (near >> (1 + slot)) & 1:
-            colour = block_colour(world, slot, x, y, worlds, outlines)
+            colour = block_colour(env, slot, x, y, objects, outlines)
             if colour >= 0:
                 return colour
     for number in range(regions):
         slot = regions - 1 - number
         if (near >> (1 + blocks + slot)) & 1:
-            colour = region_colour(world, slot, x, y, worlds, outlines)
+            colour = region_colour(env, slot, x, y, objects, outlines)
             if colour >= 0:
                 return colour
     far = wp.max(wp.abs(x), wp.abs(y))
@@ -188,21 +188,21 @@ def sample(world: int, x: float, y: float, near: int, worlds: Worlds, outlines: 
 
 
 @wp.func
-def neighbours(world: int, x: float, y: float, margin: float, worlds: Worlds) -> int:
+def neighbours(env: int, x: float, y: float, margin: float, objects: Objects) -> int:
     """The objects that may cover points within `margin` of this one, as bits of robot, blocks and regions."""
-    blocks = worlds.shapes.shape[1]
+    blocks = objects.shapes.shape[1]
     near = int(0)
-    pose = worlds.poses[world, 0]
+    pose = objects.poses[env, 0]
     if wp.length(wp.vec2(x - pose[0], y - pose[1])) < _ROBOT_REACH + margin:
         near = 1
     for slot in range(blocks):
-        if worlds.shapes[world, slot] >= 0:
-            pose = worlds.poses[world, 1 + slot]
+        if objects.shapes[env, slot] >= 0:
+            pose = objects.poses[env, 1 + slot]
             if wp.length(wp.vec2(x - pose[0], y - pose[1])) < _BLOCK_REACH + margin:
                 near = near | (1 << (1 + slot))
-    for slot in range(worlds.regions.shape[1]):
-        if worlds.region_colours[world, slot] >= 0:
-            box = worlds.regions[world, slot]
+    for slot in range(objects.regions.shape[1]):
+        if objects.region_colours[env, slot] >= 0:
+            box = objects.regions[env, slot]
             reach = margin + _LINE
             if x > box[0] - reach and x < box[2] + reach and y > box[1] - reach and y < box[3] + reach:
                 near = near | (1 << (1 + blocks + slot))
@@ -211,38 +211,38 @@ def neighbours(world: int, x: float, y: float, margin: float, worlds: Worlds) ->
 
 @wp.kernel
 def paint(
-    worlds: Worlds,
+    objects: Objects,
     outlines: Outlines,
     ego: int,
     visible: float,
     forward: float,
     out: wp.array4d(dtype=wp.uint8),
 ):
-    """Computes one pixel of one world."""
-    world, row, column = wp.tid()
+    """Computes one pixel of one environment."""
+    env, row, column = wp.tid()
     size = float(out.shape[1])
     step = visible / size
     turn = wp.vec4(0.0, 0.0, 1.0, 0.0)
     if ego > 0:
-        turn = worlds.poses[world, 0]
+        turn = objects.poses[env, 0]
     red, green, blue, alpha = int(0), int(0), int(0), int(0)
     u = step * (float(column) + 0.5) - visible / 2.0
     v = visible / 2.0 - step * (float(row) + 0.5) + forward * float(ego)
     middle_x = turn[0] + turn[2] * u - turn[3] * v
     middle_y = turn[1] + turn[3] * u + turn[2] * v
-    near = neighbours(world, middle_x, middle_y, step, worlds)
+    near = neighbours(env, middle_x, middle_y, step, objects)
     for number in range(4):
         su = u + step * (float(number % 2) * 0.5 - 0.25)
         sv = v + step * (float(number >> 1) * 0.5 - 0.25)
         x = turn[0] + turn[2] * su - turn[3] * sv
         y = turn[1] + turn[3] * su + turn[2] * sv
-        colour = sample(world, x, y, near, worlds, outlines)
+        colour = sample(env, x, y, near, objects, outlines)
         if colour >= 0:
             red += (colour >> 16) & 255
             green += (colour >> 8) & 255
             blue += colour & 255
             alpha += 255
     white = 255 - ((alpha + 2) >> 2)
-    out[world, row, column, 0] = wp.uint8(((red + 2) >> 2) + white)
-    out[world, row, column, 1] = wp.uint8(((green + 2) >> 2) + white)
-    out[world, row, column, 2] = wp.uint8(((blue + 2) >> 2) + white)
+    out[env, row, column, 0] = wp.uint8(((red + 2) >> 2) + white)
+    out[env, row, column, 1] = wp.uint8(((green + 2) >> 2) + white)
+    out[env, row, column, 2] = wp.uint8(((blue + 2) >> 2) + white)

@@ -16,9 +16,9 @@ from torch import Tensor
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
-from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Outlines, Worlds, packed_rgb, paint
+from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Objects, Outlines, packed_rgb, paint
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import WorldScenes
+from magical_mj.batched.scenes import BatchScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
@@ -33,16 +33,16 @@ _REGION: Final = STATE_NAMES.index("region0.present")
 
 
 class States:
-    """The state vectors of `magical_mj.scene.state_vector.STATE_NAMES`, shape (worlds, entries), float32."""
+    """The state vectors of `magical_mj.scene.state_vector.STATE_NAMES`, shape (envs, entries), float32."""
 
-    def __init__(self, worlds: int, device: str) -> None:
-        self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)
+    def __init__(self, envs: int, device: str) -> None:
+        self._fixed = torch.zeros((envs, len(STATE_NAMES)), device=device)
         self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
 
-    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Starts episodes in these worlds, and stores the constant entries."""
-        fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(worlds))])
-        self._fixed[worlds] = torch.from_numpy(fixed).to(self._fixed)
+    def set_scenes(self, scenes: BatchScenes, envs: Tensor) -> None:
+        """Starts episodes in these environments, and stores the constant entries."""
+        fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(envs))])
+        self._fixed[envs] = torch.from_numpy(fixed).to(self._fixed)
 
     def observe(self, physics: Physics) -> Tensor:
         """The current states, in a new tensor."""
@@ -52,9 +52,9 @@ class States:
         rows[..., 1:7] = torch.cat([poses[:, 1:], speeds[:, 1:]], dim=-1) * rows[..., :1]
         return state
 
-    def observe_start(self, physics: Physics, worlds: Tensor) -> Tensor:
-        """The observations after resets, like any others."""
-        del worlds
+    def observe_start(self, physics: Physics, envs: Tensor) -> Tensor:
+        """The observations after resets. The state vector does not depend on the past."""
+        del envs
         return self.observe(physics)
 
     def get_state(self) -> dict[str, Tensor]:
@@ -95,45 +95,45 @@ def _outlines(device: str) -> Any:
 
 
 class Painter:
-    """Draws the worlds of a batch on one of Warp's devices.
+    """Draws the environments of a batch on one of Warp's devices.
 
     Raises:
-        SettingsError: if the worlds have too many blocks and regions.
+        SettingsError: if the environments have too many blocks and regions.
     """
 
-    def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
-        worlds, blocks = scenes.shapes.shape
+    def __init__(self, scenes: BatchScenes, device: str = "cpu") -> None:
+        envs, blocks = scenes.shapes.shape
         if blocks + scenes.regions.shape[1] > MAX_OBJECTS:
-            raise SettingsError(f"batched worlds can draw at most {MAX_OBJECTS} blocks and regions: use make_vec")
+            raise SettingsError(f"batched environments can draw at most {MAX_OBJECTS} blocks and regions: use make_vec")
         self._outlines = _outlines(device)
-        self._poses = torch.zeros((worlds, 1 + blocks, 4), device=device)
-        self._fingers = torch.zeros((worlds, 2, 2), device=device)
-        self._worlds: Any = Worlds()
-        self._worlds.poses = wp.from_torch(self._poses, dtype=wp.vec4)
-        self._worlds.fingers = wp.from_torch(self._fingers, dtype=wp.vec2)
+        self._poses = torch.zeros((envs, 1 + blocks, 4), device=device)
+        self._fingers = torch.zeros((envs, 2, 2), device=device)
+        self._objects: Any = Objects()
+        self._objects.poses = wp.from_torch(self._poses, dtype=wp.vec4)
+        self._objects.fingers = wp.from_torch(self._fingers, dtype=wp.vec2)
         self._fixed: dict[str, Tensor] = {}
         for name in ("shapes", "colours", "region_colours", "regions", "dashes"):
             boxes = name in ("regions", "dashes")
             kind, entry = (torch.float32, wp.vec4) if boxes else (torch.int32, wp.int32)
             self._fixed[name] = torch.from_numpy(getattr(scenes, name)).to(device, kind)
-            setattr(self._worlds, name, wp.from_torch(self._fixed[name], dtype=entry))
+            setattr(self._objects, name, wp.from_torch(self._fixed[name], dtype=entry))
         self._device = device
         self.set_poses(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
 
-    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Replaces the scenes of some worlds."""
+    def set_scenes(self, scenes: BatchScenes, envs: Tensor) -> None:
+        """Replaces the scenes of some environments."""
         for name, tensor in self._fixed.items():
-            tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)
+            tensor[envs] = torch.from_numpy(getattr(scenes, name)).to(tensor)
 
     def set_poses(self, poses: Tensor, fingers: Tensor) -> None:
-        """Sets poses (worlds, 1 + blocks, 3), and angles of the left and right finger (worlds, 2)."""
+        """Sets poses (envs, 1 + blocks, 3), and angles of the left and right finger (envs, 2)."""
         self._poses[..., :2] = poses[..., :2]
         self._poses[..., 2], self._poses[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
         self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
 
     def draw(self, view: str, out: Tensor) -> None:
-        """Draws all worlds in the view "ego" or "allo" into `out`, of any strides, (worlds, size, size, 3) uint8."""
-        inputs = [self._worlds, self._outlines, int(view == "ego"), c.VISIBLE_SIZE]
+        """Draws all environments in the view "ego" or "allo" into `out`, shape (envs, size, size, 3), uint8."""
+        inputs = [self._objects, self._outlines, int(view == "ego"), c.VISIBLE_SIZE]
         inputs += [c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), wp.from_torch(out, dtype=wp.uint8)]
         wp.launch(paint, dim=out.shape[:3], inputs=inputs, device=self._device)
 
@@ -144,9 +144,9 @@ class Frames:
     For presets with finger angles, the dict also contains these, float32.
     """
 
-    def __init__(self, preset: Preset, size: int, scenes: WorldScenes, device: str) -> None:
+    def __init__(self, preset: Preset, size: int, scenes: BatchScenes, device: str) -> None:
         self._painter = Painter(scenes, device)
-        self._preset, worlds = preset, len(scenes.shapes)
+        self._preset, envs = preset, len(scenes.shapes)
         self._channels: list[tuple[str, str, int, int]] = []
         """For each view: the stack, the view, the first of its channels in the stack, and the index after the last."""
         channels: dict[str, int] = {}
@@ -156,15 +156,15 @@ class Frames:
             channels[name] = first + 3 * count
             self._channels.append((name, view, first, channels[name]))
         self._stacks = {
-            name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
+            name: torch.zeros((envs, size, size, count), dtype=torch.uint8, device=device)
             for name, count in channels.items()
         }
         shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self._stacks.items()}
         self.space = observation_space(preset, shapes)
 
-    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Starts episodes in these worlds."""
-        self._painter.set_scenes(scenes, worlds)
+    def set_scenes(self, scenes: BatchScenes, envs: Tensor) -> None:
+        """Starts episodes in these environments."""
+        self._painter.set_scenes(scenes, envs)
 
     def observe(self, physics: Physics) -> Observation:
         """Adds the current pictures to the stacks. Returns new tensors."""
@@ -174,13 +174,13 @@ class Frames:
         self._draw(physics)
         return self._observation(physics)
 
-    def observe_start(self, physics: Physics, worlds: Tensor) -> Observation:
-        """Fills these worlds' stacks with their current pictures. Returns new tensors, of all worlds."""
+    def observe_start(self, physics: Physics, envs: Tensor) -> Observation:
+        """Fills these environments' stacks with their current pictures. Returns new tensors, of all environments."""
         self._draw(physics)
         for name, _, first, end in self._channels:
             stack = self._stacks[name]
-            newest = stack[worlds, :, :, end - 3 : end]
-            stack[worlds, :, :, first:end] = newest.repeat(1, 1, 1, (end - first) // 3)
+            newest = stack[envs, :, :, end - 3 : end]
+            stack[envs, :, :, first:end] = newest.repeat(1, 1, 1, (end - first) // 3)
         return self._observation(physics)
 
     def get_state(self) -> dict[str, Tensor]:

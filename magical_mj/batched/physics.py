@@ -1,9 +1,12 @@
 """The physics of a batch on MuJoCo Warp. Only this file uses its API, which is still declared alpha.
 
-Warp computes in single precision, so worlds move like MuJoCo's within rounding, until heaps make that chaotic. Three
-settings are corrected: the solver's tolerance, which `put_model` raises; the friction of feet and wheels, as the
-difference of their impedance, 0.9999, and 1 has a relative error of 2e-4 in single precision; and the mid-phase, a flag
-that Warp does not support.
+MuJoCo Warp calls each environment of a batch a world (`nworld`). It computes in single precision, so environments move
+like MuJoCo's within rounding, until heaps of blocks make the movement chaotic. Three settings are corrected:
+
+- the solver's tolerance, which `put_model` raises,
+- the friction of feet and wheels, because the difference between 1 and their impedance, 0.9999, has a relative error of
+  2e-4 in single precision,
+- the mid-phase of collision detection, which Warp does not support.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
 from magical_mj.assets.coordinates import own_coordinates
 from magical_mj.assets.robot import controls, torque_caps, wheel_caps
 from magical_mj.assets.world import world_mjcf
-from magical_mj.batched.scenes import ABSENT, WorldScenes
+from magical_mj.batched.scenes import ABSENT, BatchScenes
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES, Shape
 from magical_mj.scene.scene import MAX_NUMBER
@@ -34,9 +37,9 @@ from magical_mj.utils.errors import SettingsError
 wp.config.log_level = wp.LOG_ERROR  # otherwise it reports each compiled kernel
 
 CONTACTS: Final = 64
-"""The maximum number of contacts per world on average: all share one pool. An excess is reported as an overflow."""
+"""The maximum mean number of contacts per environment: all share one pool. An excess is reported as an overflow."""
 ROWS: Final = 224
-"""The maximum number of constraints in each world: contacts, dry friction, limits."""
+"""The maximum number of constraints in each environment: contacts, dry friction, limits."""
 
 DROPPED: Final = int(
     mjw.OverflowType.NEFC
@@ -60,7 +63,7 @@ FIELDS: Final = (
     "pair_friction",
     "tendon_frictionloss",
 )
-"""The names of the model's arrays that differ between the worlds of a batch."""
+"""The names of the model's arrays that differ between the environments of a batch."""
 
 PARKED: Final = 1000.0  # world units above the plane; each geom has its own height, so that they do not collide
 OUTSIDE: Final = 10.0  # distance of slots without a block from the centre, world units; they are two apart
@@ -81,25 +84,25 @@ def check_device(name: str) -> str:
 
 
 class Physics:
-    """Steps all worlds of a batch together. Later scenes must fit into as many slots as the first ones.
+    """Steps all environments of a batch together. Later scenes must fit into as many slots as the first ones.
 
     Attributes:
-        worlds: the number of worlds.
-        blocks: the number of slots for blocks in each world.
-        model: the MuJoCo model that all worlds share.
+        num_envs: the number of environments.
+        blocks: the number of slots for blocks in each environment.
+        model: the MuJoCo model that all environments share.
         data: Warp's arrays of the simulation.
     """
 
-    def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
-        self.worlds, self.blocks = scenes.shapes.shape
+    def __init__(self, scenes: BatchScenes, device: str = "cpu") -> None:
+        self.num_envs, self.blocks = scenes.shapes.shape
         self._device = device
         self.model = slotted_model(self.blocks)
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
         self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # takes twice as long in Warp
         self._slots = [Slot.of(self.model, number) for number in range(self.blocks)]
         with wp.ScopedDevice(device):
-            self._warp = mjw.put_model(self.model, batch_sizes=dict.fromkeys(FIELDS, self.worlds))
-            self.data = mjw.make_data(self.model, nworld=self.worlds, nconmax=CONTACTS, njmax=ROWS)
+            self._warp = mjw.put_model(self.model, batch_sizes=dict.fromkeys(FIELDS, self.num_envs))
+            self.data = mjw.make_data(self.model, nworld=self.num_envs, nconmax=CONTACTS, njmax=ROWS)
         self._warp.opt.tolerance.fill_(SETTINGS.tolerance)
         self._warp.opt.warn_overflow = 0  # reported by `overflowed` instead
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
@@ -111,26 +114,26 @@ class Physics:
         self._columns = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
         self._fingers = torch.tensor(self._columns, device=device)
         self._graph: Any = None
-        self.reset(scenes, torch.arange(self.worlds, device=device))
+        self.reset(scenes, torch.arange(self.num_envs, device=device))
 
-    def reset(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Places scenes, at rest, into the worlds with these numbers, shape (n,), int64. There is a scene for each."""
+    def reset(self, scenes: BatchScenes, envs: Tensor) -> None:
+        """Places scenes, at rest, into the environments with these numbers, shape (n,), int64."""
         fields = self._fields_of(scenes)
         impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
         error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
         fields["pair_friction"][..., :2] *= error[:, None]
         for name, values in fields.items():
-            place = self._fields[name]
-            place[worlds] = torch.from_numpy(values).to(place).reshape(len(worlds), *place.shape[1:])
-        for name, place in self._state.items():
-            start = self._positions(scenes) if name == "qpos" else np.zeros((len(worlds), *place.shape[1:]))
-            place[worlds] = torch.from_numpy(start).to(place)
-        self._overflow[worlds] = 0
+            field = self._fields[name]
+            field[envs] = torch.from_numpy(values).to(field).reshape(len(envs), *field.shape[1:])
+        for name, values in self._state.items():
+            start = self._positions(scenes) if name == "qpos" else np.zeros((len(envs), *values.shape[1:]))
+            values[envs] = torch.from_numpy(start).to(values)
+        self._overflow[envs] = 0
 
-    def _fields_of(self, scenes: WorldScenes) -> Fields:
-        """The values of all `FIELDS`, a row for each world."""
-        worlds = len(scenes.shapes)
-        fields = {name: np.repeat(getattr(self.model, name)[None], worlds, axis=0) for name in FIELDS}
+    def _fields_of(self, scenes: BatchScenes) -> Fields:
+        """The values of all `FIELDS`, a row for each environment."""
+        envs = len(scenes.shapes)
+        fields = {name: np.repeat(getattr(self.model, name)[None], envs, axis=0) for name in FIELDS}
         for number, slot in enumerate(self._slots):
             heights = PARKED + 7.0 * slot.geoms
             fields["geom_pos"][:, slot.geoms] = np.stack([0 * heights, 0 * heights, heights], axis=-1)
@@ -141,13 +144,13 @@ class Physics:
         self._write_dynamics(fields, scenes.dynamics)
         return fields
 
-    def _write_block(self, fields: Fields, worlds: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
-        """Writes this block into the slot of these worlds."""
+    def _write_block(self, fields: Fields, envs: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
+        """Writes this block into the slot of these environments."""
         free: dict[Kind, list[int]] = {}
         for geom in slot.geoms.tolist():
             free.setdefault(_kind(self.model, geom), []).append(geom)
         geoms = np.array([free[kind].pop(0) for kind in block.kinds])
-        rows = worlds[:, None]
+        rows = envs[:, None]
         for name, values in block.geoms.items():
             fields[name][rows, geoms] = values.reshape(len(geoms), *fields[name].shape[2:])
         for name, values in block.bodies.items():
@@ -155,7 +158,7 @@ class Physics:
         fields["dof_invweight0"][rows, slot.joints] = block.dof_invweight0
 
     def _write_dynamics(self, fields: Fields, dynamics: NDArray[np.float64]) -> None:
-        """Writes the force caps of each world."""
+        """Writes the force caps of each environment."""
         drive, turn, finger, force, torque = dynamics.T
         feet = {f"block{number}_foot": force for number in range(len(self._slots))}
         for name, forces in (wheel_caps(drive) | feet).items():
@@ -165,8 +168,8 @@ class Physics:
         for slot in self._slots:
             fields["dof_frictionloss"][:, slot.joints[2]] = torque
 
-    def _positions(self, scenes: WorldScenes) -> NDArray[np.float64]:
-        """MuJoCo's `qpos` of the scenes, a row for each world."""
+    def _positions(self, scenes: BatchScenes) -> NDArray[np.float64]:
+        """MuJoCo's `qpos` of the scenes, a row for each environment."""
         numbers = np.arange(len(self._slots))
         qpos = np.repeat(self.model.qpos0[None], len(scenes.shapes), axis=0)
         waiting = np.stack([OUTSIDE + 2.0 * numbers, np.full(len(numbers), OUTSIDE), 0.0 * numbers], axis=-1)
@@ -181,12 +184,12 @@ class Physics:
         return {name: values.clone() for name, values in self._lasting.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
-        """Restores a state of worlds with the same scenes."""
+        """Restores a state of environments with the same scenes."""
         for name, values in self._lasting.items():
             values[:] = state[name].to(values)
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
-        """One action in 0..17 in every world, (worlds,) int64. Without `graph`, kernels can be traced one by one."""
+        """Performs an action in 0..17 in each environment, (envs,) int64. To trace kernels, set `graph` to False."""
         self._state["ctrl"][:] = self._controls[actions]
         if graph and wp.get_device(self._device).is_cuda:
             self._launch_graph()
@@ -212,30 +215,30 @@ class Physics:
 
     @property
     def poses(self) -> Tensor:
-        """x, y, angle of the robot and then of each slot. Shape (worlds, 1 + blocks, 3), float32."""
+        """x, y, angle of the robot and then of each slot. Shape (envs, 1 + blocks, 3), float32."""
         return self._state["qpos"][:, self._planar]
 
     @property
     def fingers(self) -> Tensor:
-        """Angles of the left and the right finger. Shape (worlds, 2), float32."""
+        """Angles of the left and the right finger. Shape (envs, 2), float32."""
         return self._state["qpos"][:, self._fingers]
 
     @property
     def velocities(self) -> Tensor:
-        """The velocities of `poses`, in units/s and rad/s. Shape (worlds, 1 + blocks, 3), float32."""
+        """The velocities of `poses`, in units/s and rad/s. Shape (envs, 1 + blocks, 3), float32."""
         return self._state["qvel"][:, self._planar]
 
     @property
     def broken(self) -> Tensor:
-        """Whether a world's state is not finite, or too large for MuJoCo. Shape (worlds,), bool."""
+        """Whether an environment's state is not finite, or too large for MuJoCo. Shape (envs,), bool."""
         state = torch.cat([self._state["qpos"], self._state["qvel"]], dim=-1)
         return ~(state.abs() <= MAX_NUMBER).all(-1)
 
     @property
     def overflowed(self) -> Tensor:
-        """Whether a world has exceeded the maximum of contacts or constraints since its reset, so that some were lost.
+        """Whether an environment has lost contacts or constraints since its reset, because there were too many.
 
-        Shape (worlds,), bool.
+        Shape (envs,), bool.
         """
         return (self._overflow & DROPPED) != 0
 
@@ -297,10 +300,10 @@ def _kind(model: mujoco.MjModel, geom: int) -> Kind:
 def slotted_model(blocks: int) -> mujoco.MjModel:
     """One model for many scenes. It has slots for blocks, each with the collision geoms of every shape.
 
-    In MuJoCo Warp, worlds have their own geom sizes and poses, but not their own geom types. So for each kind of geom,
-    a slot has as many as the shape with the most of them. Geoms that a world's shape does not use are parked far above
-    the plane, and slots without a block far outside the arena. The parts of a block and a force cap in the model are
-    defined by `magical_mj.assets`: blocks are copied from models with one block of each shape.
+    In MuJoCo Warp, environments have their own geom sizes and poses, but share the geom types. So for each kind of
+    geom, a slot has the maximum number over all shapes. Unused geoms are parked far above the plane, and slots without
+    a block far outside the arena. `magical_mj.assets` defines the geoms of a block and the force caps: blocks are
+    copied from models with one block of each shape.
     """
     apart = tuple(Block("circle", "red", 2.0 * index, 0.0, 0.0) for index in range(blocks))
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))

@@ -1,4 +1,4 @@
-"""Scenes of a batch as arrays with a row for each world, sampled on demand or in advance by worker processes."""
+"""Scenes of a batch as arrays with a row for each environment, sampled on demand or in advance by worker processes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ABSENT: Final = -1
 
 
 class Capacity(NamedTuple):
-    """The number of slots in each world of a batch, at least one of each, since empty arrays have no memory."""
+    """The number of slots in each environment of a batch, at least one of each, since empty arrays have no memory."""
 
     blocks: int
     regions: int
@@ -65,22 +65,24 @@ def _check_simulated(scene: Scene) -> None:
     }
     other = [what for what, is_plain in plain.items() if not is_plain]
     if other:
-        raise InvalidSceneError(f"batched worlds do not support {' or '.join(other)}; use gymnasium.make or make_vec")
+        raise InvalidSceneError(
+            f"batched environments do not support {' or '.join(other)}; use gymnasium.make or make_vec"
+        )
 
 
 @dataclass(frozen=True)
-class WorldScenes:
+class BatchScenes:
     """The scenes of a batch as arrays. All have the same slots. Unused slots are `ABSENT` and zero.
 
     Attributes:
-        poses: x, y, angle of the robot and then of each block. Shape (worlds, 1 + blocks, 3).
-        shapes: indices into `SHAPES`. Shape (worlds, blocks).
-        colours: indices into `COLOURS`. Shape (worlds, blocks).
-        regions: x_min, y_min, x_max, y_max. Shape (worlds, regions, 4).
-        region_colours: indices into `COLOURS`. Shape (worlds, regions).
-        fingers: angles of the left and the right finger. Shape (worlds, 2).
-        dynamics: the five force caps, in the order of `Dynamics`. Shape (worlds, 5).
-        dashes: the rectangles of each region's border, x_min, y_min, x_max, y_max. Shape (worlds, regions, DASHES, 4).
+        poses: x, y, angle of the robot and then of each block. Shape (envs, 1 + blocks, 3).
+        shapes: indices into `SHAPES`. Shape (envs, blocks).
+        colours: indices into `COLOURS`. Shape (envs, blocks).
+        regions: x_min, y_min, x_max, y_max. Shape (envs, regions, 4).
+        region_colours: indices into `COLOURS`. Shape (envs, regions).
+        fingers: angles of the left and the right finger. Shape (envs, 2).
+        dynamics: the five force caps, in the order of `Dynamics`. Shape (envs, 5).
+        dashes: the rectangles of each region's border, x_min, y_min, x_max, y_max. Shape (envs, regions, DASHES, 4).
     """
 
     poses: NDArray[np.float64]
@@ -93,70 +95,70 @@ class WorldScenes:
     dashes: NDArray[np.float32]
 
     @classmethod
-    def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> WorldScenes:
+    def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> BatchScenes:
         """These scenes as arrays. Raises an `InvalidSceneError` if one does not fit or is not supported."""
-        worlds = len(scenes)
+        envs = len(scenes)
         for scene in scenes:
             _check_simulated(scene)
         arrays = cls(
-            poses=np.zeros((worlds, 1 + blocks, 3)),
-            shapes=np.full((worlds, blocks), ABSENT, np.int32),
-            colours=np.zeros((worlds, blocks), np.int32),
-            regions=np.zeros((worlds, regions, 4)),
-            region_colours=np.full((worlds, regions), ABSENT, np.int32),
+            poses=np.zeros((envs, 1 + blocks, 3)),
+            shapes=np.full((envs, blocks), ABSENT, np.int32),
+            colours=np.zeros((envs, blocks), np.int32),
+            regions=np.zeros((envs, regions, 4)),
+            region_colours=np.full((envs, regions), ABSENT, np.int32),
             fingers=np.array([scene.robot.fingers for scene in scenes]),
             dynamics=np.array([astuple(scene.dynamics)[:-1] for scene in scenes]),  # without `veer`
-            dashes=np.zeros((worlds, regions, DASHES, 4), np.float32),
+            dashes=np.zeros((envs, regions, DASHES, 4), np.float32),
         )
-        for world, scene in enumerate(scenes):
+        for env, scene in enumerate(scenes):
             if len(scene.blocks) > blocks or len(scene.regions) > regions:
                 raise InvalidSceneError(
                     f"a scene with {len(scene.blocks)} blocks and {len(scene.regions)} regions does not fit in "
                     f"{blocks} and {regions} slots"
                 )
-            arrays.poses[world, 0] = scene.robot.pose
+            arrays.poses[env, 0] = scene.robot.pose
             for slot, block in enumerate(scene.blocks):
-                arrays.poses[world, 1 + slot] = block.pose
-                arrays.shapes[world, slot] = SHAPES.index(block.shape)
-                arrays.colours[world, slot] = COLOURS.index(block.colour)
+                arrays.poses[env, 1 + slot] = block.pose
+                arrays.shapes[env, slot] = SHAPES.index(block.shape)
+                arrays.colours[env, slot] = COLOURS.index(block.colour)
             for slot, region in enumerate(scene.regions):
-                arrays.regions[world, slot] = region.box
-                arrays.region_colours[world, slot] = COLOURS.index(region.colour)
+                arrays.regions[env, slot] = region.box
+                arrays.region_colours[env, slot] = COLOURS.index(region.colour)
                 quads = dash_quads(region)  # rectangles along the axes
                 dashes = np.concatenate([quads.min(axis=1), quads.max(axis=1)], axis=1)
-                arrays.dashes[world, slot, : len(dashes)] = dashes
+                arrays.dashes[env, slot, : len(dashes)] = dashes
         return arrays
 
-    def __getitem__(self, worlds: NDArray[np.int64]) -> WorldScenes:
-        """The scenes of these worlds, in this order."""
-        return WorldScenes(**{name: values[worlds] for name, values in vars(self).items()})
+    def __getitem__(self, envs: NDArray[np.int64]) -> BatchScenes:
+        """The scenes of these environments, in this order."""
+        return BatchScenes(**{name: values[envs] for name, values in vars(self).items()})
 
-    def scene(self, world: int, poses: NDArray[np.float64] | None = None) -> Scene:
-        """The scene of a world, optionally with other poses of the robot and the slots, (1 + blocks, 3)."""
-        robot, *poses_of_blocks = (self.poses[world] if poses is None else poses).tolist()
-        blocks = zip(self.shapes[world].tolist(), self.colours[world].tolist(), poses_of_blocks, strict=True)
-        regions = zip(self.region_colours[world].tolist(), self.regions[world].tolist(), strict=True)
+    def scene(self, env: int, poses: NDArray[np.float64] | None = None) -> Scene:
+        """The scene of an environment, optionally with other poses of the robot and the slots, (1 + blocks, 3)."""
+        robot, *poses_of_blocks = (self.poses[env] if poses is None else poses).tolist()
+        blocks = zip(self.shapes[env].tolist(), self.colours[env].tolist(), poses_of_blocks, strict=True)
+        regions = zip(self.region_colours[env].tolist(), self.regions[env].tolist(), strict=True)
         return Scene(
-            robot=Robot(*robot, fingers=self.fingers[world].tolist()),
+            robot=Robot(*robot, fingers=self.fingers[env].tolist()),
             blocks=tuple(Block(SHAPES[shape], COLOURS[colour], *pose) for shape, colour, pose in blocks if shape >= 0),
             regions=tuple(GoalRegion(COLOURS[colour], *box) for colour, box in regions if colour >= 0),
-            dynamics=Dynamics(*self.dynamics[world].tolist()),
+            dynamics=Dynamics(*self.dynamics[env].tolist()),
         )
 
-    def write(self, other: WorldScenes, worlds: NDArray[np.int64]) -> None:
-        """Replaces the scenes of these worlds."""
+    def write(self, other: BatchScenes, envs: NDArray[np.int64]) -> None:
+        """Replaces the scenes of these environments."""
         for name, values in vars(self).items():
-            values[worlds] = getattr(other, name)
+            values[envs] = getattr(other, name)
 
 
-def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> WorldScenes:
+def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> BatchScenes:
     """The scenes `sample_scene(task, variant, seed)`."""
     scenes = [sample_scene(task, variant, seed) for (task, variant), seed in zip(pairs, seeds, strict=True)]
-    return WorldScenes.of(scenes, *capacity)
+    return BatchScenes.of(scenes, *capacity)
 
 
 class SceneSampler:
-    """Samples the scenes of a batch. They depend only on the seed, the world's number and the episode's number.
+    """Samples the scenes of a batch. They depend only on the seed, the environment's number and the episode's number.
 
     Workers are started when they are first needed, and sample in advance. Without workers, scenes are sampled on
     demand.
@@ -167,16 +169,17 @@ class SceneSampler:
         self._seed = 0
         self._episodes = [0] * len(pairs)
         self._pool: Pool | None = None
-        self._ahead: dict[int, tuple[Future[WorldScenes], int]] = {}  # world -> its next scenes, and its row in them
+        self._ahead: dict[int, tuple[Future[BatchScenes], int]] = {}
+        """Environment -> sampled scenes, and the row with its next one."""
 
     def seed(self, seed: int) -> None:
-        """Restarts the sequences of all worlds with this seed."""
+        """Restarts the sequences of all environments with this seed."""
         for future, _ in self._ahead.values():
             future.cancel()
         self._seed, self._episodes, self._ahead = seed, [0] * len(self._pairs), {}
 
     def get_state(self) -> dict[str, Any]:
-        """The seed and the next episode's number of each world."""
+        """The seed and the next episode's number of each environment."""
         return {"seed": self._seed, "episodes": list(self._episodes)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -184,43 +187,43 @@ class SceneSampler:
         self.seed(state["seed"])
         self._episodes = list(state["episodes"])
 
-    def scenes(self, worlds: Sequence[int], seeds: Sequence[int] | None = None) -> WorldScenes:
-        """Scenes for these worlds, in this order: those of the seeds, or each world's next one.
+    def scenes(self, envs: Sequence[int], seeds: Sequence[int] | None = None) -> BatchScenes:
+        """Scenes for these environments, in this order: those of the seeds, or each environment's next one.
 
         With workers, starts to sample the following ones.
         """
         if seeds is not None or not self._workers:
-            scenes = sample([self._pairs[world] for world in worlds], seeds or self._seeds(worlds), self._capacity)
+            scenes = sample([self._pairs[env] for env in envs], seeds or self._seeds(envs), self._capacity)
         else:
-            self._prepare(worlds)
-            scenes = self._prepared(worlds)
+            self._prepare(envs)
+            scenes = self._prepared(envs)
         if seeds is None:
-            for world in worlds:
-                self._episodes[world] += 1
+            for env in envs:
+                self._episodes[env] += 1
         if self._workers:
-            self._prepare(worlds)
+            self._prepare(envs)
         return scenes
 
-    def _seeds(self, worlds: Sequence[int]) -> list[int]:
-        keys = ((world, self._episodes[world]) for world in worlds)
+    def _seeds(self, envs: Sequence[int]) -> list[int]:
+        keys = ((env, self._episodes[env]) for env in envs)
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
 
-    def _prepare(self, worlds: Sequence[int]) -> None:
-        """Starts to sample the next scenes of these worlds, unless this has been done."""
+    def _prepare(self, envs: Sequence[int]) -> None:
+        """Starts to sample the next scenes of these environments, unless this has been done."""
         self._pool = self._pool or Pool(self._workers)
-        missing = [world for world in worlds if world not in self._ahead]
+        missing = [env for env in envs if env not in self._ahead]
         for first in range(0, len(missing), CHUNK):
             chunk = missing[first : first + CHUNK]
-            work = partial(sample, [self._pairs[world] for world in chunk], capacity=self._capacity)
+            work = partial(sample, [self._pairs[env] for env in chunk], capacity=self._capacity)
             future = self._pool.submit(work, self._seeds(chunk))
-            self._ahead |= {world: (future, row) for row, world in enumerate(chunk)}
+            self._ahead |= {env: (future, row) for row, env in enumerate(chunk)}
 
-    def _prepared(self, worlds: Sequence[int]) -> WorldScenes:
-        """The prepared scenes of these worlds."""
-        sampled = groupby((self._ahead.pop(world) for world in worlds), key=itemgetter(0))
+    def _prepared(self, envs: Sequence[int]) -> BatchScenes:
+        """The prepared scenes of these environments."""
+        sampled = groupby((self._ahead.pop(env) for env in envs), key=itemgetter(0))
         parts = [future.result()[np.array([row for _, row in rows])] for future, rows in sampled]
-        names = [entry.name for entry in fields(WorldScenes)]
-        return WorldScenes(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+        names = [entry.name for entry in fields(BatchScenes)]
+        return BatchScenes(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def close(self) -> None:
         """Stops the workers. May be called twice."""

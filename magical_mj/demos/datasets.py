@@ -1,4 +1,4 @@
-"""Data sets in one call: the demonstrations of a task in the form that a tool reads.
+"""Data sets with one call: the demonstrations of a task in the format of a library.
 
 Example:
     >>> data = magical_mj.datasets.load("FindDupe", to="npz", preset="State")  # name -> array
@@ -29,26 +29,26 @@ __all__ = ["FORMATS", "Format", "load", "make_env_and_datasets"]
 Format = Literal["npz", "minari", "lerobot", "webdataset"]
 FORMATS: Final = ("npz", "minari", "lerobot", "webdataset")
 VALIDATED: Final = 5
-"""One episode of so many is for validation."""
+"""One of this number of demonstrations is used for validation."""
 
 
 def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, preset: str | None = None) -> Any:
-    """The data set of a task's demonstrations, made if it is not there yet.
+    """The data set of a task's demonstrations. It is written if it does not exist.
 
-    Other demonstrations, and more options, go through `magical-mj demos export`.
+    For other demonstrations and more options, use `magical-mj demos export`.
 
     Args:
         task: the task.
-        to: "npz" (without the steps of no-ops), "minari", "lerobot" or "webdataset".
-        folder: where data sets are made and looked for; Minari has a place of its own.
-        preset: the observations; None: "State" for Minari, otherwise "LoRes4E".
+        to: the format: "npz" (without no-op actions), "minari", "lerobot" or "webdataset".
+        folder: the folder of data sets. Minari uses its own folder instead.
+        preset: the preset of the observations. None: "State" for Minari, otherwise "LoRes4E".
 
     Returns:
         For npz the arrays by name, for minari and lerobot the library's data set, for webdataset the archive's path.
 
     Raises:
-        UnknownNameError: if there is no such task, format or preset.
-        DemonstrationError: if there are no demonstrations of the task.
+        UnknownNameError: for an unknown task, format or preset.
+        DemonstrationError: if the task has no demonstrations.
         MissingExtraError, MagicalError: if the library is not installed.
     """
     check_name("format of data sets", to, FORMATS)
@@ -80,45 +80,46 @@ def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, pres
 Arrays = dict[str, NDArray[Any]]
 
 
-def _counts(space: gymnasium.Space[Any], rows: NDArray[Any]) -> bool:
-    """Whether both are numbers of actions, of whatever type of integers."""
+def _are_numbers(space: gymnasium.Space[Any], rows: NDArray[Any]) -> bool:
+    """Whether both the space and the actions are action numbers. Their integer types may differ."""
     return isinstance(space, gymnasium.spaces.Discrete) and rows.ndim == 1 and rows.dtype.kind in "iu"
 
 
 def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any, Any], Arrays, Arrays]:
-    """An environment with the task's demonstrations for training and for validation, every fifth episode.
+    """An environment, and the task's demonstrations as training and validation data.
+
+    Every fifth demonstration is for validation.
 
     Args:
-        name: a Gymnasium id of this package, whose observations are one array.
-        options: as for `gymnasium.make`.
+        name: a Gymnasium id of this package with observations that are one array.
+        options: further arguments of `gymnasium.make`.
 
     Returns:
-        The environment, and twice the arrays `observations`, `actions`, `next_observations` and `terminals`, with a row
-        for each step. The demonstrations are those of the task, all in the demo scene, whatever the id's variant is.
+        The environment, the training data and the validation data. The data are the arrays `observations`, `actions`,
+        `next_observations` and `terminals`, with a row for each step. All demonstrations are in the task's demo scene,
+        for every variant.
 
     Raises:
-        SettingsError: if it is another id, the observations have several parts, or the demonstrations have no such
-            observations or actions as the environment.
-        DemonstrationError: if there are none with the body of the options.
+        SettingsError: for other ids, for dict observations, and if the environment's observations or actions differ
+            from those of the demonstrations.
+        DemonstrationError: if the task has no demonstrations with the body in `options`.
     """
     kwargs = gymnasium.spec(name).kwargs
     if not {"task", "preset"} <= kwargs.keys():
         raise SettingsError(f"{name} is not the id of a task's environment, such as magical_mj/FindDupe-Demo-State-v0")
     env = gymnasium.make(name, **options)
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
-        raise SettingsError(
-            f"{name} has observations with several parts: take an id with one of the presets LoRes, State"
-        )
+        raise SettingsError(f"the observations of {name} are not one array: choose an id with LoRes... or State")
     demos = demonstrations.load(kwargs["task"], body=options.get("body", GRIPPER))
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
     first = _arrays(demos[:1], kwargs["preset"])
     for space, key in ((env.observation_space, "observations"), (env.action_space, "actions")):
         rows = first[key]
-        if (space.shape, space.dtype) != (rows.shape[1:], rows.dtype) and not _counts(space, rows):
+        if (space.shape, space.dtype) != (rows.shape[1:], rows.dtype) and not _are_numbers(space, rows):
             env.close()
             raise SettingsError(
-                f"the {key} of this environment are {space}, and those of the demonstrations {rows.dtype} of shape "
+                f"the {key} of this environment are {space}, but those of the demonstrations are {rows.dtype} of shape "
                 f"{rows.shape[1:]}: leave out the options that change them"
             )
     return env, _arrays(training, kwargs["preset"]), _arrays(parts[-1], kwargs["preset"])

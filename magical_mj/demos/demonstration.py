@@ -1,9 +1,9 @@
-"""A demonstration, which is a complete episode as numbers, and its file.
+"""Demonstrations: recorded episodes, and their files.
 
-A file is a zip archive of numpy arrays, which `numpy.load` opens without pickle. `header.npy` holds JSON as bytes: all
-fields that are not arrays, the file format's version, and a SHA-256 digest of everything else. `actions.npy`,
-`qpos.npy` and `qvel.npy` are the arrays. Files are written completely or not at all, and never overwritten. What is
-read may be a stranger's: its size is bounded, it imports nothing, and everything in it is checked here.
+A file is a zip archive of numpy arrays, which `numpy.load` opens without pickle. `header.npy` contains JSON as bytes:
+all fields that are not arrays, the format's version, and a SHA-256 digest of everything else. `actions.npy`, `qpos.npy`
+and `qvel.npy` are the arrays. Files are written completely or not at all, and never overwritten. Files may come from an
+untrusted source. So reading limits their size, imports nothing, and checks all their content.
 """
 
 from __future__ import annotations
@@ -45,41 +45,41 @@ FORMAT: Final = 1
 SUFFIX: Final = ".npz"
 ARRAYS: Final = ("actions", "qpos", "qvel")
 MOST_BYTES: Final = 50_000_000
-"""The largest file, and the largest content, that is read; the longest demonstrations here have 200,000 bytes."""
+"""The maximum size of a file, and of its unpacked content. The longest shipped demonstrations have 200,000 bytes."""
 COMPRESSIONS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""The compressions that numpy writes; their readers unpack no more than was declared."""
+"""The compressions that numpy writes. Python's readers of them never unpack more than the declared size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """An episode: its initial scene, the actions, and the states before the first action and after each action."""
+    """An episode: its initial scene, the actions, and the states before the first and after each action."""
 
     task: str
     variant: str
     scene_seed: Seed
-    """`scene` is `sample_scene(task, variant, scene_seed)`, and what shifts make of it."""
+    """`scene` is `sample_scene(task, variant, scene_seed)`, changed by `shifts`."""
     demonstrator: Demonstrator
     seed: Seed
-    """The expert's seed; of others, the scene's."""
+    """The seed of the expert. For other demonstrators, that of the scene."""
     scene: Scene
     actions: NDArray[Any]
-    """Numbers, uint8, shape (steps,); where actions are speeds, as in SweepToTop, vectors, float32, (steps, 2 or 3)."""
+    """Action numbers, uint8, shape (steps,). In tasks with speeds, such as SweepToTop, float32, (steps, 2 or 3)."""
     qpos: NDArray[np.float64]
     """MuJoCo's positions, shape (steps + 1, nq)."""
     qvel: NDArray[np.float64]
     """MuJoCo's velocities, shape (steps + 1, nv)."""
     score: Annotated[float, Meta(ge=0, le=1)]
-    """The score of the last state by the paper's rules."""
+    """The score of the last state under the paper's rules."""
     package: str = __version__
     mujoco: str = version("mujoco")
     shifts: str = ""
-    """Physical shifts, such as ``"clutter:3"``: actions are those that were commanded. Files without any lack it."""
+    """Physical shifts, such as ``"clutter:3"``. `actions` are the commanded ones. Files leave it out if it is empty."""
 
     @property
     def name(self) -> str:
-        """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant.
+        """The names of task and variant, and of body and shifts if there are any.
 
-        Bodies other than the gripper and shifts stand behind them, as in ``"SweepToTop-Layout-longstick"``.
+        Examples: ``"FindDupe-Demo"``, ``"SweepToTop-Layout-longstick"``.
         """
         body = self.scene.robot.body
         others = ("" if body == GRIPPER else body, self.shifts.replace(":", ""))
@@ -87,42 +87,41 @@ class Demonstration:
 
     @property
     def digest(self) -> str:
-        """The SHA-256 digest of everything in it, which its file holds, too."""
+        """The SHA-256 digest of all content, as in its file."""
         return header_and_arrays(self)[0]["digest"]
 
     @property
     def acts(self) -> NDArray[np.bool_]:
-        """Which actions are not the no-op; of speeds, which drive or turn. Shape (steps,)."""
+        """Whether each action is not the no-op. For speeds, whether it drives or turns. Shape (steps,)."""
         return np.asarray(self.actions != NOOP if self.actions.ndim == 1 else self.actions[:, :2].any(axis=1))
 
     def scenes(self) -> list[Scene]:
-        """The scene before the first action and after each."""
+        """The scenes before the first and after each action."""
         world = World(self.scene)
         return [world.read(qpos) for qpos in self.qpos]
 
     def rescored(self, step: int | None = None) -> float:
-        """The score computed from the states, after so many steps; None: after all of them."""
+        """The score after this number of steps, computed from the states. None: at the end."""
         world, last = World(self.scene), len(self.actions) if step is None else step
         first = 1 if task_spec(self.task).trajectory else last
         return score_trajectory(self.task, (self.scene, *map(world.read, self.qpos[first : last + 1])))
 
 
 HEADER_FIELDS: Final = {name: kind for name, kind in annotated(Demonstration).items() if name not in (*ARRAYS, "scene")}
-"""The fields in a file's header besides the scene, with their types and bounds."""
+"""The fields in a file's header except the scene, with their types and bounds."""
 
 
 def write(demo: Demonstration, path: Path | str) -> None:
-    """Writes a demonstration to a file (`*.npz`) that does not exist yet. Its folder is made if missing.
+    """Writes a demonstration to a new file (`*.npz`). A missing folder is created.
 
     Raises:
-        DemonstrationError: if the name has another ending, so that it would not be found in its folder, or if the
-            arrays of the demonstration do not fit each other.
-        SettingsError: if another part is of a wrong type or out of range.
-        FileExistsError: if the file exists; nothing is overwritten.
+        DemonstrationError: if the name does not end in .npz, or the arrays of the demonstration are inconsistent.
+        SettingsError: if another field has a wrong type or value.
+        FileExistsError: if the file exists. Nothing is overwritten.
     """
     path = files.to_path(path)
     if path.suffix != SUFFIX:
-        raise DemonstrationError(f"{path} must end in {SUFFIX}")
+        raise DemonstrationError(f"the name of a demonstration's file must end in {SUFFIX}, unlike {path}")
     header, arrays = header_and_arrays(demo)
     path.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
@@ -132,7 +131,7 @@ def write(demo: Demonstration, path: Path | str) -> None:
 
 
 def header_and_arrays(demo: Demonstration) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """What a file holds of a demonstration: the header with the digest, and the arrays; raises errors as `write`."""
+    """The content of a demonstration's file: the header with the digest, and the arrays. Errors: see `write`."""
     fields = _checked_fields(vars(demo))
     _check_arrays(demo)
     arrays = {name: getattr(demo, name) for name in ARRAYS}
@@ -143,35 +142,35 @@ def header_and_arrays(demo: Demonstration) -> tuple[dict[str, Any], dict[str, ND
 def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     """Writes a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
 
-    Whatever else is in the folder, the demonstration is written.
+    Damaged files in the folder do not prevent it.
 
     Returns:
-        Its path, and whether it was written: if the folder holds the same episode already, nothing is, and the path is
-        that of the file which holds it.
+        The path, and whether a file was written. If the folder contains the same episode already, nothing is written,
+        and the path is that of the existing file.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     folder = files.to_path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     beginning = f"{demo.name}-{demo.demonstrator}-"
     for path in sorted(folder.glob(f"{beginning}*{SUFFIX}")):
-        with contextlib.suppress(Exception):  # nothing that is wrong with another file may cost this episode
+        with contextlib.suppress(Exception):  # no error of another file may prevent saving this episode
             other = read(path, demo.task, trusted=[demo.scene.robot.body])
             if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
                 return path, False
     paths = (folder / f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
     while True:
         path = next(path for path in paths if not path.exists())
-        with contextlib.suppress(FileExistsError):  # another process has taken the name meanwhile
+        with contextlib.suppress(FileExistsError):  # another process created the file in the meantime
             write(demo, path)
             return path, True
 
 
 def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
-    """The demonstration files in a folder whose names start with `beginning`, sorted; without unfinished ones.
+    """The demonstration files in a folder whose names start with `beginning`, sorted. Unfinished files are left out.
 
-    Those in its subfolders that are not hidden, such as one for each player, come after them.
+    Files in visible subfolders, such as one for each player, follow them.
     """
     folder = files.to_path(folder)
     pattern = f"{beginning or '[!.]'}*{SUFFIX}"
@@ -179,20 +178,20 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
 
 
 def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] = ()) -> Demonstration:
-    """Reads a demonstration and checks that it is undamaged.
+    """Reads a demonstration and checks its content.
 
-    A task that was given by reference when the file was written, and is announced by now, has its name.
+    If an installed package now names the task of a reference in the file, the demonstration has that name.
 
     Args:
         path: the file.
-        task: the task that it must be of.
-        trusted: besides that task, references such as "mine:SPEC" that the file may name; see docs/trust.md.
+        task: the expected task. None: any task.
+        trusted: references such as "mine:SPEC" that the file may contain, in addition to `task`. See docs/trust.md.
 
     Raises:
-        DemonstrationError: if it is truncated, altered, of another version or of another task, larger than
-            `MOST_BYTES`, or not a plain file.
+        DemonstrationError: if the file is truncated, altered, of another version or task, larger than `MOST_BYTES`, or
+            not a plain file.
         UntrustedNameError: if its task or body is a reference that is not trusted.
-        OSError: if there is no such file, or it cannot be read.
+        OSError: if the file does not exist or cannot be read.
     """
     path = files.to_path(path)
     arrays = _members(path, files.read_foreign(path, most=MOST_BYTES, error=DemonstrationError))
@@ -202,7 +201,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
 def unpacked(
     path: Path, text: bytes, arrays: Mapping[str, Any], task: str | None, trusted: Collection[str] = ()
 ) -> Demonstration:
-    """The demonstration of a header's text and of arrays that came from `path`; otherwise as `read`."""
+    """The demonstration with this header and these arrays, which were read from `path`. See `read`."""
     header = _header(path, text, arrays)
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
@@ -220,25 +219,25 @@ def unpacked(
 
 
 def _members(path: Path, content: bytes) -> dict[str, Any]:
-    """The header, as bytes, and the arrays in a file's content."""
+    """The header, an array of bytes, and the other arrays in a file's content."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
         size = sum(member.file_size for member in members)
         if size > MOST_BYTES:
-            raise DemonstrationError(f"{path} unpacks to {size:,} bytes, and at most {MOST_BYTES:,} are read")
+            raise DemonstrationError(f"{path} is not read: it unpacks to {size:,} bytes, more than {MOST_BYTES:,}")
         if any(member.compress_type not in COMPRESSIONS for member in members):
-            raise DemonstrationError(f"{path} is compressed in another way than demonstrations are, by deflate")
+            raise DemonstrationError(f"{path} is not read: its compression is not deflate")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in ("header", *ARRAYS)}
     except DemonstrationError:
         raise
     except Exception as error:  # zipfile, zlib and numpy raise some fifteen types for damaged archives
-        raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from error
+        raise DemonstrationError(f"{path} is damaged, truncated, or not a demonstration") from error
 
 
 def _header(path: Path, text: bytes, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """The fields in the header, if it is one of this format and of these arrays; the task by its present name."""
+    """The fields of a header, after checking its format and digest. The task has its current name."""
     try:
         header = json.loads(text)
         number, digest = header.get("format"), header.pop("digest", None)
@@ -247,16 +246,16 @@ def _header(path: Path, text: bytes, arrays: Mapping[str, NDArray[Any]]) -> dict
         raise DemonstrationError(f"{path} has an unreadable header: it is damaged, or not a demonstration") from None
     if number != FORMAT:
         raise DemonstrationError(
-            f"{path} has format {number!r}, and this version of magical_mj reads format {FORMAT}: "
+            f"{path} has format {number!r}, but this version of magical_mj reads format {FORMAT}: "
             "read it with the version that wrote it, or generate it again"
         )
     if not is_whole:
-        raise DemonstrationError(f"{path} was altered after it was written: its digest is not that of its content")
+        raise DemonstrationError(f"{path} was altered after it was written: its digest does not match its content")
     return {**header, "task": announced_name(header.get("task", ""))}
 
 
 def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
-    """A hash of the header and the arrays."""
+    """The SHA-256 digest of the header and the arrays."""
     digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in ARRAYS:
         array = np.ascontiguousarray(arrays[name])
@@ -266,26 +265,26 @@ def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> st
 
 
 def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a header, each of its type and within its bounds, and of an environment that exists."""
+    """The fields of a header, after checking their types and bounds, and that the environment exists."""
     environment_axes(values["task"], values["variant"])
     fields = {name: fitting(name, values[name], kind) for name, kind in HEADER_FIELDS.items() if name != "shifts"}
     shifts = fitting("shifts", values.get("shifts", ""), str)
-    check_physical(shifts)  # before any name is resolved, which could import what a file names
+    check_physical(shifts)  # before `parse_shifts`, which imports the modules of references
     shifts = shift_label(parse_shifts(shifts, values["task"]))
     return fields | ({"shifts": shifts} if shifts else {})
 
 
 def check_physical(shifts: str) -> None:
-    """Raises a `DemonstrationError` for shifts with which no demonstration is made."""
+    """Raises a `DemonstrationError` for shifts of pictures and instructions, which demonstrations do not contain."""
     if others := [part for part in filter(None, re.split("[,+]", shifts)) if named_in(part) not in PHYSICAL]:
         raise DemonstrationError(
-            f"a demonstration can have the shifts {', '.join(PHYSICAL)}, not {others[0]}: it holds states, whose "
-            "pictures and sentences are made when it is used"
+            f"a demonstration can have the shifts {', '.join(PHYSICAL)}, not {others[0]}: it contains states, and its "
+            "pictures and instructions are made when it is used"
         )
 
 
 def _check_arrays(demo: Demonstration) -> None:
-    """Raises a `DemonstrationError` if the arrays do not fit each other and the scene."""
+    """Raises a `DemonstrationError` if the arrays are inconsistent with each other or with the scene."""
     body, speeds = demo.scene.robot.body, task_spec(demo.task).speeds
     shapes = [(array.dtype, array.ndim) for array in (demo.actions, demo.qpos, demo.qvel)]
     if shapes != [(np.float32, 2) if speeds else (np.uint8, 1), (np.float64, 2), (np.float64, 2)]:
@@ -294,8 +293,8 @@ def _check_arrays(demo: Demonstration) -> None:
     steps, coordinates = len(demo.actions), len(joints(body)) + 3 * len((*demo.scene.blocks, *demo.scene.pebbles))
     if steps == 0 or not demo.qpos.shape == demo.qvel.shape == (steps + 1, coordinates):
         raise DemonstrationError(
-            f"{steps} actions in this scene have states of shape {(steps + 1, coordinates)}, not {demo.qpos.shape} and "
-            f"{demo.qvel.shape}"
+            f"for {steps} actions in this scene, qpos and qvel must have the shape {(steps + 1, coordinates)}, not "
+            f"{demo.qpos.shape} and {demo.qvel.shape}"
         )
     if not (np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all() and np.isfinite(demo.actions).all()):
         raise DemonstrationError("actions and states must be finite")
@@ -306,10 +305,10 @@ def _check_arrays(demo: Demonstration) -> None:
 
 
 def checked(demos: Iterable[Demonstration]) -> Iterator[Demonstration]:
-    """The demonstrations that a user gave.
+    """Yields the demonstrations that a user gave, after checking their type.
 
     Raises:
-        DemonstrationError: if they are something else, such as a single one or a path.
+        DemonstrationError: for anything else, such as a single demonstration or a path.
     """
     if not isinstance(demos, Iterable):
         raise DemonstrationError(f"give demonstrations in a list, not {short_repr(demos)}")
@@ -325,20 +324,20 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
     """The name of the environment of all these demonstrations, such as ``"FindDupe-Demo"``.
 
     Raises:
-        DemonstrationError: if they are of several environments, there are none, or they are something else.
+        DemonstrationError: if they are of several environments, if there are none, and for other objects.
     """
     names = sorted({demo.name for demo in checked(demos)})
     if len(names) != 1:
-        these = f"these are of {', '.join(names)}" if names else "there are none"
-        raise DemonstrationError(f"a data set holds demonstrations of one environment, and {these}")
+        given = f"these are of {', '.join(names)}" if names else "none were given"
+        raise DemonstrationError(f"a data set contains demonstrations of one environment, but {given}")
     return names[0]
 
 
 def check_seeds(demos: Sequence[Demonstration]) -> None:
-    """For files that hold seeds as 64-bit integers; a scene's may have any size.
+    """Checks seeds for file formats with 64-bit integers.
 
     Raises:
-        DemonstrationError: if a scene's seed has more.
+        DemonstrationError: if a scene's seed is 2**63 or larger.
     """
     for demo in demos:
         if demo.scene_seed >= 2**63:
@@ -349,5 +348,5 @@ def check_seeds(demos: Sequence[Demonstration]) -> None:
 
 
 def demonstrators(demos: Sequence[Demonstration]) -> list[str]:
-    """The kinds of demonstrators of these demonstrations, each once, sorted."""
+    """The different kinds of demonstrators of these demonstrations, sorted."""
     return sorted({demo.demonstrator for demo in demos})

@@ -19,16 +19,16 @@ from magical_mj.tasks.sweep_to_top import state_vector
 from magical_mj.utils.errors import DemonstrationError
 
 Observations = NDArray[Any] | dict[str, NDArray[Any]]
-"""One array with a row for each time; for presets with the layout "dict" one for each name in it."""
+"""An array with a row for each time. For presets with the layout "dict", one such array for each name."""
 
 
 class Transitions(NamedTuple):
     """The observation before each action, and the action."""
 
     observations: Observations
-    """Shape (n, ...): rows are the preset's observations, such as (96, 96, 12) uint8 for LoRes4E."""
+    """Shape (n, ...). Rows are observations of the preset, such as (96, 96, 12) uint8 for LoRes4E."""
     actions: NDArray[Any]
-    """Numbers, shape (n,); of SweepToTop vectors of speeds, shape (n, 2 or 3)."""
+    """Action numbers, shape (n,). For SweepToTop speeds, shape (n, 2 or 3)."""
 
 
 def transitions(
@@ -38,10 +38,10 @@ def transitions(
     drop_noop: bool = True,
     renderer: str | None = None,
 ) -> Transitions:
-    """All transitions of all demonstrations in one pair of arrays; see `stream` for the arguments."""
+    """All transitions of all demonstrations in one pair of arrays. See `stream` for arguments and errors."""
     parts = list(stream(demos, preset, drop_noop=drop_noop, renderer=renderer))
     if not parts:
-        raise DemonstrationError("there are no demonstrations to take transitions from")
+        raise DemonstrationError("no demonstrations were given: give at least one, or the name of a task")
     actions = np.concatenate([part.actions for part in parts])
     views = [part.observations for part in parts if isinstance(part.observations, dict)]
     if views:
@@ -57,21 +57,21 @@ def stream(
     drop_noop: bool = True,
     renderer: str | None = None,
 ) -> Iterator[Transitions]:
-    """The transitions of one demonstration after the other. Pictures are drawn only when they are needed.
+    """Yields the transitions of each demonstration. Pictures are only rendered when they are needed.
 
-    Observations are the same as those of the preset's Gymnasium environment: the first stack of an episode is filled
-    with its first picture. The state after the last action is left out, since no action follows it.
+    Observations equal those of the preset's Gymnasium environment: the first picture of an episode fills its first
+    stack. The state after the last action is left out, since no action follows it.
 
     Args:
-        demos: any demonstrations, or the name of a task, whose own are taken.
+        demos: demonstrations, or the name of a task for all of its demonstrations.
         preset: the name of a Gymnasium preset, "" for the pair of current views.
-        drop_noop: leave out the transitions with the no-op action, as the original does. Stacks still hold the frames
-            of all steps.
-        renderer: what draws pictures, as in `magical_mj.Engine`.
+        drop_noop: leave out the transitions with the no-op action, as the original does. Stacks still contain the
+            frames of all steps.
+        renderer: the renderer, see `magical_mj.Engine`.
 
     Raises:
-        DemonstrationError: if a task has none, or they are something else.
-        UnknownNameError: if there is no such task, or no such preset.
+        DemonstrationError: if a task has no demonstrations, or `demos` contains other objects.
+        UnknownNameError: for an unknown task or preset.
     """
     if isinstance(demos, str):
         demos = load(demos)
@@ -83,28 +83,28 @@ def stream(
 
 
 def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | None = None) -> Observations:
-    """The observations of the preset at the start and after each action: steps + 1 rows."""
-    how, world = preset_named(preset), World(demo.scene)
-    with np.errstate(all="ignore"):  # numbers below the smallest of float32 become 0, whatever the caller's settings
-        if how.layout == "state" and task_spec(demo.task).speeds:
+    """The observations of the preset before the first and after each action: steps + 1 rows."""
+    kind, world = preset_named(preset), World(demo.scene)
+    with np.errstate(all="ignore"):  # underflow to 0 in float32 is expected, even if the caller makes it an error
+        if kind.layout == "state" and task_spec(demo.task).speeds:
             return np.array([state_vector(scene) for scene in demo.scenes()])
-        if how.layout == "state":
+        if kind.layout == "state":
             encode, states = StateEncoder(demo.scene), zip(demo.qpos, demo.qvel, strict=True)
             return np.array(
                 [encode(world.poses(qpos), world.velocities(qvel), world.fingers(qpos)) for qpos, qvel in states]
             )
-        stacks = Stacks(how, how.image_size)
+        stacks = Stacks(kind, kind.image_size)
         rows: dict[str, NDArray[Any]] = {
             name: np.empty((len(demo.qpos), *shape), np.uint8) for name, shape in stacks.shapes.items()
         }
         for number, pictures in enumerate(
-            render_demo(demo, [view for view, _ in how.frames], how.image_size, renderer)
+            render_demo(demo, [view for view, _ in kind.frames], kind.image_size, renderer)
         ):
             (stacks.push if number else stacks.start)(copying(pictures))
             for name, latest in stacks.latest.items():
                 rows[name][number] = latest
-        if how.layout != "dict":
+        if kind.layout != "dict":
             return next(iter(rows.values()))
-        if how.fingers:
+        if kind.fingers:
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows

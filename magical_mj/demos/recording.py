@@ -1,19 +1,19 @@
-"""Recording and replaying: steps of an engine become a demonstration, as recordings of what was played elsewhere do.
+"""Records demonstrations from an engine, imports recordings of other programs, and replays demonstrations.
 
-A recording, as the page in the browser saves it, is a small JSON object in UTF-8:
+A recording is a small JSON object in UTF-8, such as the browser page saves:
 
 | key | value |
 |---|---|
 | `format` | 1 |
-| `protocol` | the `magical_mj.tasks.protocol.PROTOCOL` under which it was played |
-| `task`, `variant` | names, as in `magical_mj.ENVIRONMENTS` |
+| `protocol` | the value of `magical_mj.tasks.protocol.PROTOCOL` in the program that played it |
+| `task`, `variant` | names from `magical_mj.ENVIRONMENTS` |
 | `seed` | an integer: the episode started in `sample_scene(task, variant, seed)` |
-| `actions` | a list of integers in 0..17, one for each step of a whole episode |
-| `final` | the poses that the player saw at the end, in world units and radians; optional |
+| `actions` | a list of integers in 0..17, one for each step of a complete episode |
+| `final` | optional: the poses that the player saw at the end, in world units and radians |
 
 `final` is `{"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}`. Other keys are ignored.
-Only task, variant, seed and actions are trusted: the scene is drawn again, the actions are replayed here, and the
-demonstration holds the states and the score of this replay. `final` is compared with its end.
+Only task, variant, seed and actions are used: the scene is sampled again, and the actions are replayed. The
+demonstration contains the states and the score of this replay. `final` is compared with the end of the replay.
 """
 
 from __future__ import annotations
@@ -48,25 +48,25 @@ Floats = NDArray[np.float64]
 
 ATTEMPTS: Final = 10
 REST: Final = 80
-"""Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
+"""An expert's demonstration ends after this number of successive no-ops, or with the episode."""
 SHORT_REST: Final = 3
-"""As `REST`, in SweepToTop, where debris stays where it lies."""
+"""The same number in tasks with speeds, such as SweepToTop."""
 STRIDE: Final = 1_000_003
-"""The increment of the expert's seed between attempts, so that no two demonstrations use the same one."""
+"""The increment of the expert's seed between attempts. It is large, so that demonstrations do not share seeds."""
 MAX_BYTES: Final = 100_000
-"""The largest size of a recording: many times that of the longest episode."""
+"""The maximum size of a recording. The longest episode needs much less."""
 TOLERANCE: Final = 1e-3
-"""The difference (world units or radians) between the end of a replay and what the player saw that is accepted."""
+"""The accepted difference (world units or radians) between the end of a replay and the recording's `final`."""
 GLANCE: Final = 10  # steps between the pictures that are compared
 SIZE: Final = 96  # pixels
 ROUNDING: Final = 1e-9
 TOUCHED: Final = 0.05  # world units; a block that moved less does not count as moved
-SIDES: Final = 8  # from which a block can be taken
-SAMPLES: Final = 50  # points of a path
+SIDES: Final = 8  # the number of sides of a block that strategies distinguish
+SAMPLES: Final = 50  # the number of points on a path
 
 
 class Recorder:
-    """Steps an engine and records actions and states of one episode, at whose start it must be made.
+    """Steps an engine, and records the actions and states of one episode. Create it at the start of the episode.
 
     Raises:
         DemonstrationError: if the episode has begun already.
@@ -74,21 +74,20 @@ class Recorder:
 
     def __init__(self, env: Engine) -> None:
         if env.steps:
-            raise DemonstrationError(f"the episode began {env.steps} steps ago: reset the environment before")
+            raise DemonstrationError(f"the episode began {env.steps} steps ago: reset the environment first")
         self._env = env
         self._actions: list[Any] = []
         self._positions = [env.data.qpos.copy()]
         self._velocities = [env.data.qvel.copy()]
 
     def step(self, action: Any) -> bool:
-        """One action, as the engine takes it. Returns whether the episode is over.
+        """Performs an action, in any form that `Engine.step` accepts. Returns whether the episode is over.
 
         Raises:
-            DemonstrationError: if the episode is over, or went on without this recorder.
+            StateError: if the episode is over.
+            DemonstrationError: if the engine was reset or stepped without this recorder.
             InvalidActionError: if the action is not one of the 18.
         """
-        if self._env.over:
-            raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         self._check_complete()
         if self._env.setup.speeds:
             size = 3 if self._env.simulation.world.has_fingers else 2
@@ -112,19 +111,23 @@ class Recorder:
         return np.array(self._positions), np.array(self._velocities)
 
     def demonstration(self, demonstrator: Demonstrator, seed: int | None = None) -> Demonstration:
-        """The episode so far as a demonstration, with the present score by the paper's rules.
+        """The episode so far as a demonstration, with the current score under the paper's rules.
 
-        The seed is the expert's; None: the scene's.
+        Args:
+            demonstrator: the kind of demonstrator.
+            seed: the seed of the expert. None: that of the scene.
 
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.
-            DemonstrationError: if the episode did not begin in the scene of a seed, or went on without this recorder;
-                if it has shifts that demonstrations cannot have.
+            DemonstrationError: if the episode did not begin in the scene of a seed, if the engine was reset or stepped
+                without this recorder, or if it has shifts that demonstrations cannot have.
         """
         env = self._env
         self._check_complete()
         if env.task is None or env.seed is None:
-            raise DemonstrationError("only episodes that begin in the scene of a seed become demonstrations")
+            raise DemonstrationError(
+                "this episode cannot become a demonstration: it must begin in the scene of a seed, env.reset(seed=...)"
+            )
         task, shifts = task_name(env.task), shift_label(env.shifts)
         check_physical(shifts)
         positions, velocities = self.states()
@@ -144,20 +147,28 @@ class Recorder:
 
     def _check_complete(self) -> None:
         if self._env.steps != len(self._actions):
-            raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
+            raise DemonstrationError(
+                "the environment was reset or stepped without the recorder: create a new one after each reset"
+            )
 
 
 def demonstrate(
     task: str, variant: str, number: int, least_score: float = 1.0, body: str = GRIPPER, shifts: Shifts = None
 ) -> Demonstration:
-    """A demonstration by the expert with this body: `number` is the seed of the scene and of the expert.
+    """A demonstration by the expert.
 
-    If the expert does not reach `least_score`, experts with other seeds try. Shifts are physical ones.
+    Args:
+        task: the task.
+        variant: the variant.
+        number: the seed of the scene and of the expert.
+        least_score: the required score. If the expert does not reach it, experts with other seeds try.
+        body: the robot's body.
+        shifts: physical shifts.
 
     Raises:
         InvalidSeedError: if `number` is not an integer, or negative.
-        DemonstrationError: if none of them reaches it; for shifts that demonstrations cannot have.
-        UnknownNameError, SettingsError: for wrong shifts.
+        DemonstrationError: if no expert reaches the score, or for shifts that demonstrations cannot have.
+        UnknownNameError, SettingsError: for invalid shifts.
     """
     number = check_seed(number)
     check_physical(shift_label(parse_shifts(shifts, task)))
@@ -178,16 +189,16 @@ def demonstrate(
 
 
 def recorded(task: str, variant: str, seed: int, actions: Iterable[int], demonstrator: Demonstrator) -> Demonstration:
-    """The demonstration of somebody's actions in the scene of a seed, which are played again.
+    """The demonstration with these actions in the scene of a seed. The actions are replayed.
 
     Raises:
-        DemonstrationError: if they are not a whole episode.
+        DemonstrationError: if they are not a complete episode.
     """
     actions = list(actions)
     with closing(Engine(task, variant, seed=seed)) as env:
         if len(actions) != env.horizon:
             raise DemonstrationError(
-                f"an episode of {task} has {env.horizon} actions; this recording has {len(actions)}"
+                f"an episode of {task} has {env.horizon} actions, but this recording has {len(actions)}"
             )
         recorder = Recorder(env)
         for action in actions:
@@ -196,19 +207,19 @@ def recorded(task: str, variant: str, seed: int, actions: Iterable[int], demonst
 
 
 class Imported(NamedTuple):
-    """A demonstration, and the difference between its end and what the player saw."""
+    """An imported demonstration, and the difference between its end and the recording's `final`."""
 
     demonstration: Demonstration
     deviation: float | None
-    """The largest difference of any coordinate or angle; None if the recording has no `final`."""
+    """The largest difference of any coordinate or angle. None if the recording has no `final`."""
 
     suspect: bool
-    """Whether that is more than `TOLERANCE`: the player saw something different from the demonstration."""
+    """Whether the difference exceeds `TOLERANCE`: then the player saw other poses than the demonstration contains."""
 
 
 Pose = tuple[float, float, float]
 Name = Annotated[str, Meta(pattern=r"^[^\W\d]\w{0,59}\Z")]
-"""No "module:SPEC": a file must not choose code to load."""
+"""A name, but not a reference "module:SPEC", because a file must not choose code to import."""
 
 
 class _Final(msgspec.Struct):
@@ -228,11 +239,11 @@ class _Recording(msgspec.Struct):
 
 
 def from_recording(text: str | bytes) -> Imported:
-    """Replays a recording, whose keys are listed above, and makes a demonstration of the replay.
+    """Replays a recording, and returns the demonstration. The module's docstring describes the format.
 
     Raises:
-        DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
-        UnknownNameError: if there is no such environment.
+        DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a complete episode.
+        UnknownNameError: for an unknown environment.
     """
     recording = _decoded(text)
     demonstration = recorded(recording.task, recording.variant, recording.seed, recording.actions, "human")
@@ -240,7 +251,7 @@ def from_recording(text: str | bytes) -> Imported:
     if final is None:
         return Imported(demonstration, None, suspect=False)
     if len(final.blocks) != blocks:
-        raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
+        raise DemonstrationError(f"final must contain the poses of {blocks} blocks, not of {len(final.blocks)}")
     end = World(demonstration.scene).read(demonstration.qpos[-1])
     replayed = _Final(end.robot.pose, end.robot.fingers, [block.pose for block in end.blocks])
     deviation = float(np.abs(_numbers(replayed) - _numbers(final)).max())
@@ -249,15 +260,17 @@ def from_recording(text: str | bytes) -> Imported:
 
 def _decoded(text: str | bytes) -> _Recording:
     if not isinstance(text, str | bytes):
-        raise DemonstrationError(f"a recording is given as its text, not as {type(text).__name__}")
+        raise DemonstrationError(f"a recording must be text or bytes, not {type(text).__name__}")
     if len(text) > MAX_BYTES:
-        raise DemonstrationError(f"a recording has at most {MAX_BYTES:,} bytes; this one is longer")
+        raise DemonstrationError(f"a recording must not be longer than {MAX_BYTES:,} bytes")
     try:
         recording = msgspec.json.decode(text, type=_Recording)
     except (ValueError, RecursionError) as error:
-        raise DemonstrationError(f"this is not a whole recording: {error}") from None
+        raise DemonstrationError(f"this is not a complete recording: {error}") from None
     if recording.protocol != PROTOCOL:
-        raise DemonstrationError(f"recordings of protocol {PROTOCOL} are replayed here, not of {recording.protocol}")
+        raise DemonstrationError(
+            f"this version replays recordings of protocol {PROTOCOL}, but this recording is of {recording.protocol}"
+        )
     return recording
 
 
@@ -269,27 +282,27 @@ class Verdict(NamedTuple):
     """The result of checking a demonstration."""
 
     scene: bool
-    """The scene is still that of its seed, and the recorded states begin in it."""
+    """Whether the scene is that of its seed, and the recorded states begin in it."""
     score: bool
-    """The last state has the recorded score."""
+    """Whether the last state has the recorded score."""
     replay: bool
-    """The same actions lead to the same score, and all of them are within the episode."""
+    """Whether a replay of the actions takes the same number of steps and has the same score."""
     exact: bool
-    """The same actions lead to exactly the same states: so with the machine and versions of the recording."""
+    """Whether a replay has exactly the same states. This requires the machine and versions of the recording."""
     pictures: bool
-    """The pictures of the replay equal those of the recorded states, pixel by pixel."""
+    """Whether the pictures of the replay equal those of the recorded states, pixel by pixel."""
 
     @property
     def good(self) -> bool:
-        """Whether the demonstration is what it says it is."""
+        """Whether the demonstration has its recorded scene and score."""
         return self.problem is None
 
     @property
     def problem(self) -> str | None:
-        """What is wrong, to be said after the demonstration's name; None if nothing is."""
+        """The first problem, as a predicate for the demonstration's name. None if there is no problem."""
         if not self.scene:
-            return "does not start in the scene that its variant and seed have in this version of the world"
-        return None if self.score and self.replay else "does not replay to its score in this version of the world"
+            return "does not start in the scene of its variant and seed in this version of the package"
+        return None if self.score and self.replay else "does not replay to its score in this version of the package"
 
 
 def verify(demo: Demonstration) -> Verdict:
@@ -316,20 +329,20 @@ def verify(demo: Demonstration) -> Verdict:
 
 
 def _start(demo: Demonstration) -> dict[str, Any]:
-    """The engine's arguments for the demonstration's start: shifts draw from its seed, and may change pictures, too."""
+    """The engine's arguments for the demonstration's start. With shifts it needs the seed, since they draw from it."""
     return {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
 
 
 def render_demo(
     demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE, renderer: str | None = None
 ) -> Iterator[dict[str, Picture]]:
-    """The pictures before the first action and after each action, drawn from the recorded states.
+    """Renders the pictures before the first and after each action, from the recorded states.
 
     Args:
         demo: the demonstration.
-        views: any of "ego" and "allo", and of "ego-segmentation" and "allo-segmentation".
+        views: any of "ego", "allo", "ego-segmentation" and "allo-segmentation".
         size: side of the pictures in pixels.
-        renderer: what draws them, as in `magical_mj.Engine`.
+        renderer: the renderer, see `magical_mj.Engine`.
 
     Yields:
         View -> picture, shape (size, size, 3).
@@ -344,18 +357,18 @@ def render_demo(
 
 
 class Diversity(NamedTuple):
-    """What differs in a set of demonstrations."""
+    """The variety of a set of demonstrations."""
 
     orders: int
-    """Different orders in which blocks were moved."""
+    """The number of different orders of the moved blocks."""
     strategies: int
-    """Different orders, with the side from which each block was moved."""
+    """The number of different orders, if the side of each block that the robot approached also counts."""
     ways: float
-    """Mean distance (world units) between two paths of the robot, at equal fractions of their lengths."""
+    """The mean distance (world units) between two paths of the robot, at equal fractions of their lengths."""
 
 
 def diversity(demos: Iterable[Demonstration]) -> Diversity:
-    """Compares demonstrations of one environment."""
+    """Measures the variety of demonstrations of one environment."""
     demos = list(demos)
     plans = [strategy(demo) for demo in demos]
     orders = {tuple(block for block, _ in plan) for plan in plans}
@@ -365,7 +378,7 @@ def diversity(demos: Iterable[Demonstration]) -> Diversity:
 
 
 def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
-    """The blocks that were moved, in order, each with the side (0..7, by compass) from which the robot came."""
+    """The moved blocks in order, each with the side where the robot was: 0 (east) to 7, counter-clockwise."""
     poses = _poses(demo)
     moves = []
     for block in range(1, poses.shape[1]):
@@ -380,10 +393,10 @@ def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
 
 def _path(demo: Demonstration) -> NDArray[np.float64]:
     """Points at equal distances along the robot's path. Shape (SAMPLES, 2)."""
-    places = _poses(demo)[:, 0, :2]
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
-    at = np.linspace(0, length[-1], SAMPLES)
-    return np.stack([np.interp(at, length, places[:, axis]) for axis in (0, 1)], axis=1)
+    positions = _poses(demo)[:, 0, :2]
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+    samples = np.linspace(0, length[-1], SAMPLES)
+    return np.stack([np.interp(samples, length, positions[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _poses(demo: Demonstration) -> NDArray[np.float64]:

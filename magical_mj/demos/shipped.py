@@ -1,11 +1,12 @@
-"""The demonstrations of a task: those in a folder, or those that come with the package.
+"""Loads the demonstrations of a task from a folder, or the shipped ones from the package.
 
-The latter are all of a task in one file, which is two fifths smaller than single files.
+All shipped demonstrations of a task are in one file, which is two fifths smaller than separate files.
 
-Such a file is a numpy archive (`*.npz`) compressed by xz: `headers`, as in the files of single demonstrations, one a
-line, and for all of them together `actions`, `offsets` and `qvel`. Offsets say how far the positions are from where
-the velocities before and after each action lead, in units of the last place. Numbers are stored column by column, since
-what follows a number there resembles it. tools/pack_demonstrations.py makes these files.
+The file is a numpy archive (`*.npz`) compressed by xz. `headers` has a line for each demonstration, with the header of
+a separate file. `actions`, `offsets` and `qvel` contain the arrays of all demonstrations. A position is predicted from
+the previous one and from the velocities before and after the action. Its offset is the deviation from that prediction,
+in units of the last place. Arrays are stored column by column, because successive numbers in a column are similar.
+tools/pack_demonstrations.py writes these files.
 """
 
 from __future__ import annotations
@@ -29,21 +30,25 @@ from magical_mj.utils.errors import DemonstrationError
 FOLDER: Final = Path(__file__).parent / "data"
 SUFFIX: Final = ".npz.xz"
 FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3},)
-"""For numbers of eight bytes."""
+"""Settings of xz for numbers of eight bytes."""
 ARRAYS: Final = ("actions", "offsets", "qvel")
 LEAST: Final = 1e-290
-"""Smaller numbers count as 0 in predicted positions, since processes may be set to treat subnormal ones so."""
+"""Smaller numbers become 0 in predictions, because some processes flush subnormal numbers to 0."""
 
 
 def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> list[Demonstration]:
-    """The demonstrations that come with a task, or those in a folder: its files ``<Task>-<anything>.npz``; by one body.
+    """The demonstrations of a task by one body: the shipped ones, or those in a folder.
 
-    Those in its subfolders, such as one for each player, come after them.
+    Args:
+        task: the task.
+        folder: the folder with files ``<Task>-<anything>.npz``. Files in its subfolders, such as one for each player,
+            follow them. None: the folder that the task defines, otherwise the shipped demonstrations.
+        body: the robot's body in the demonstrations.
 
     Raises:
-        UnknownNameError: if there is no such task.
-        DemonstrationError: if there are none, or a file is damaged.
-        SettingsError: if the task is not offered with the body.
+        UnknownNameError: for an unknown task.
+        DemonstrationError: if no demonstrations are found, or a file is damaged.
+        SettingsError: if the task does not offer the body.
     """
     task, spec = task_name(task), task_spec(task)
     folder = spec.demonstrations if folder is None else folder
@@ -55,17 +60,19 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
     if demos:
         return demos
     command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"
-    where = f"in {folder}; to make some: magical-mj {command} {folder}"
+    where = f"in {folder}: make some with magical-mj {command} {folder}"
     if folder is None:
-        where = f"here: name a folder in its TaskSpec (demonstrations=...), and fill it: magical-mj {command} FOLDER"
+        where = (
+            f"in the package: make some with magical-mj {command} FOLDER, and set demonstrations=FOLDER in its TaskSpec"
+        )
     by = "" if body == GRIPPER else f" with the body {body!r}"
     raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
 
 
 def load_shipped(task: str, name: str) -> list[Demonstration]:
-    """The demonstrations of a task with this name; empty if none come with the package.
+    """The shipped demonstrations with this name. Empty if the package contains none.
 
-    Raises a `DemonstrationError` if they are those of another task that has the same name.
+    Raises a `DemonstrationError` if they belong to another task with the same name.
     """
     path = FOLDER / f"{name}{SUFFIX}"
     if not path.exists():
@@ -85,7 +92,7 @@ def load_shipped(task: str, name: str) -> list[Demonstration]:
 
 
 def pack(demos: Sequence[Demonstration], path: Path) -> None:
-    """Writes demonstrations of one scene to a file that `load_shipped` reads, over the present one."""
+    """Writes demonstrations of one scene to a file for `load_shipped`. An existing file is replaced."""
     headers = [header_and_arrays(demo)[0] for demo in demos]
     arrays = [(demo.actions, _offsets(demo.qpos, demo.qvel), demo.qvel) for demo in demos]
     content = io.BytesIO()
@@ -100,23 +107,23 @@ def pack(demos: Sequence[Demonstration], path: Path) -> None:
 
 
 def _offsets(qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.int64]:
-    foretold = np.zeros_like(qpos)
-    foretold[1:] = _flushed(qpos[:-1] + _ways(qvel))
-    return np.ascontiguousarray(qpos).view(np.int64) - foretold.view(np.int64)
+    predicted = np.zeros_like(qpos)
+    predicted[1:] = _flushed(qpos[:-1] + _movements(qvel))
+    return np.ascontiguousarray(qpos).view(np.int64) - predicted.view(np.int64)
 
 
 def _positions(offsets: NDArray[np.int64], qvel: NDArray[np.float64]) -> NDArray[np.float64]:
-    qpos = np.array(offsets, order="C").view(np.float64)  # those before the first action
-    for step, way in enumerate(_ways(qvel)):
-        foretold = _flushed(qpos[step] + way)
-        qpos[step + 1] = (foretold.view(np.int64) + offsets[step + 1]).view(np.float64)
+    qpos = np.array(offsets, order="C").view(np.float64)  # the first row contains positions, not offsets
+    for step, movement in enumerate(_movements(qvel)):
+        predicted = _flushed(qpos[step] + movement)
+        qpos[step + 1] = (predicted.view(np.int64) + offsets[step + 1]).view(np.float64)
     return qpos
 
 
-@np.errstate(all="ignore")  # numbers may be too small, whatever the caller wants of those
-def _ways(qvel: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far all coordinates move in each step, if their velocities change evenly: shape (steps, nv)."""
-    return _flushed((qvel[:-1] + qvel[1:]) / 16)  # steps of 1/8 s; a power of two, so that every machine gets the same
+@np.errstate(all="ignore")  # underflow is expected, even if the caller's settings make it an error
+def _movements(qvel: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The change of all coordinates in each step, if their velocities change linearly. Shape (steps, nv)."""
+    return _flushed((qvel[:-1] + qvel[1:]) / 16)  # the mean over 1/8 s. Division by a power of two is exact
 
 
 def _flushed(numbers: NDArray[np.float64]) -> NDArray[np.float64]:

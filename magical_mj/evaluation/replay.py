@@ -60,7 +60,7 @@ def obstacle(
         UntrustedNameError: if the episode contains another reference to a task, body or shift.
     """
     if episode.worlds != "single":
-        return f"it was played in batched worlds: {UNOFFICIAL}"
+        return f"it was played in batched environments: {UNOFFICIAL}"
     if episode.wrap:
         return f"it was played in the wrapper {episode.wrap}, which may have changed its actions and states"
     names = {"protocol": PROTOCOL} | ({"shift_protocol": SHIFT_PROTOCOL} if episode.shift else {})

@@ -33,8 +33,8 @@ from magical_mj.policies.interface import (
     is_over,
     policy_errors,
     policy_name,
+    policy_task,
     reason,
-    told_task,
     uses_instruction,
     uses_simulation,
 )
@@ -110,12 +110,12 @@ def rollouts(
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
             outcomes = play_side_by_side(
-                env, policy, [replace(episode, task=told_task(episode.task)) for episode in wave]
+                env, policy, [replace(episode, task=policy_task(episode.task)) for episode in wave]
             )
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:
-            outcome = play_episode(env, policy, replace(episode, task=told_task(episode.task)))
+            outcome = play_episode(env, policy, replace(episode, task=policy_task(episode.task)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
@@ -141,7 +141,7 @@ def _checked_facts(
         space, engine = env.action_space, engine_of(env)
         task, variant, rules = engine.task, engine.variant, engine.rules
         shifts, body = engine.shifts, engine.setup.body
-    check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"sentence"}))
+    check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"instruction"}))
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies return one of the 18 actions, but the environment takes {space}: make it without continuous "
@@ -235,7 +235,7 @@ def play_side_by_side(
 def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
     """The instruction (a sentence) of the current episode in each environment."""
     worlds: Any = envs.unwrapped
-    if not hasattr(worlds, "get_attr"):  # batched worlds, which have no shifts
+    if not hasattr(worlds, "get_attr"):  # batched environments, which have no shifts
         return [task_spec(episode.task).summary for episode in episodes]
     try:
         return worlds.get_attr("instruction")
@@ -276,7 +276,7 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
     if not isinstance(info, Mapping):
         raise EvaluationError(f"infos must be a dict, not {type(info).__name__}: leave out the wrapper")
     info = info.get("final_info", info)  # present if the next episodes have begun
-    if np.any(info.get("broken", False)):  # only batched worlds have it
+    if np.any(info.get("broken", False)):  # only batched environments have it
         raise PhysicsError("the state of a simulation is not finite any more")
     if ended.any() and not ended.all():
         raise EvaluationError("the environments of the vector differ in the length of their episodes")

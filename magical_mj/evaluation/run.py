@@ -98,7 +98,7 @@ class Evaluation:
         """Checks the settings and reads finished episodes, but plays none. Raises the errors of `evaluate`."""
         check_extra("evaluations", "eval")
         if settings.batched:
-            check_extra("batched worlds", "gpu")
+            check_extra("batched environments", "gpu")
         if settings.backend != "local":
             check_extra(f"workers of {settings.backend}", settings.backend)
         self._sources = playable(

@@ -34,10 +34,10 @@ Split = Literal["test", "dev"]
 """See `magical_mj.tasks.registry.SPLITS`."""
 Simulator = Literal["mujoco", "warp"]
 WORLDS: Final = {"mujoco": "single", "warp": "batched"}
-"""Simulator -> its name in files. MuJoCo simulates single worlds, MuJoCo Warp batches of worlds."""
+"""Simulator -> its name in files. MuJoCo simulates single environments, MuJoCo Warp batches of them."""
 DEVICE: Final = "cuda"
 UNOFFICIAL: Final = (
-    "official scores come from MuJoCo in double precision, where replays are exact; batched worlds use single "
+    "official scores come from MuJoCo in double precision, where replays are exact; batched environments use single "
     "precision, so their scores are approximate"
 )
 
@@ -135,7 +135,7 @@ class EvaluationSettings(Settings):
             raise SettingsError(f"wrap must be package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
         if self.batched and (self.wrap or self.shifts or self.body != GRIPPER):
             raise SettingsError(
-                "batched worlds support no shifts, wrappers or other bodies: leave them out, or leave out "
+                "batched environments support no shifts, wrappers or other bodies: leave them out, or leave out "
                 "--simulator warp"
             )
 

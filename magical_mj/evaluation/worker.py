@@ -20,13 +20,13 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, PolicyError, told_task, uses_instruction, uses_simulation
+from magical_mj.policies.interface import Act, Episode, PolicyError, policy_task, uses_instruction, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
-from magical_mj.utils.imports import resolve, with_place
+from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed
 
 T = TypeVar("T")
@@ -163,7 +163,7 @@ class Player:
         return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
     def _play(self, unit: Unit, playing: Playing, seconds: float, results: Results) -> Played | Split[Unit]:
-        task = told_task(unit.task, self.settings.like)
+        task = policy_task(unit.task, self.settings.like)
         outcomes = playing([Episode(task, unit.variant, seed, unit.run) for seed in unit.seeds], seconds)
         if len(outcomes) > 1 and any(outcome.failure for outcome in outcomes):
             return Split(unit.one_by_one())
@@ -244,7 +244,7 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     try:
         outer: Any = resolve(wrap)(env)
     except (Exception, SystemExit) as error:
-        raise SettingsError(f"the wrapper {wrap} cannot be used: {with_place(error)}") from error
+        raise SettingsError(f"the wrapper {wrap} cannot be used: {with_location(error)}") from error
     if (
         not isinstance(outer, gymnasium.Env)
         or outer.unwrapped is not env.unwrapped

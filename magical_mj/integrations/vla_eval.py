@@ -1,8 +1,8 @@
 """The environments as a benchmark of vla-eval, the evaluation harness for vision-language-action models.
 
-Its configurations name this class: ``benchmark: "magical_mj.integrations.vla_eval:MagicalBenchmark"``, with `params`
-as below. Episode 0 of a task is the scene of seed 0, and so on: 100 episodes per task play the official scenes. The
-metrics are the mean score and the share of episodes with score 1.
+In its configuration, write ``benchmark: "magical_mj.integrations.vla_eval:MagicalBenchmark"``, and the class's
+arguments as `params`. Episode n of a task is played in the scene of seed n, so 100 episodes per task play the official
+scenes. The metrics are the mean score and the share of episodes with score 1.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ Pictures = dict[str, NDArray[np.uint8]]
 
 
 class MagicalBenchmark(StepBenchmark):
-    """One vla-eval task for each environment, named as in ``FindDupe-Shape``; its suite is the task, ``FindDupe``.
+    """A vla-eval task for each environment, such as ``FindDupe-Shape`` in the suite ``FindDupe``.
 
     Observations are ``images`` (view -> picture, height x width x channels, uint8) and ``task_description``. Actions
-    are vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.scene.actions.to_discrete`.
+    are vectors (drive, turn, grip) in [-1, 1]. See `magical_mj.scene.actions.to_discrete`.
 
     Args:
         tasks: names of tasks, separated by commas, or "all".
         variants: names of variants, separated by commas, or "all".
         views: any of "ego" and "allo", separated by commas.
         image_size: side of the pictures in pixels.
-        shifts: shifts and their strengths, such as "camera:3,latency:1"; see docs/shifts.md.
-        body: the robot's body, one that the tasks offer; see docs/bodies.md.
+        shifts: shifts with strengths, such as "camera:3,latency:1". See docs/shifts.md.
+        body: the robot's body, one that the tasks offer. See docs/bodies.md.
 
     Raises:
-        UnknownNameError: if there is no such task, variant, view or shift.
-        SettingsError, InvalidSceneError: if a task cannot have the shifts or the body.
+        UnknownNameError: for an unknown task, variant, view or shift.
+        SettingsError, InvalidSceneError: if a task does not support the shifts or the body.
     """
 
     render_backends = frozenset({"gpu", "cpu"})
@@ -77,12 +77,12 @@ class MagicalBenchmark(StepBenchmark):
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
-        """Nothing to set: OpenGL is chosen at the first picture, software where there is no device."""
+        """Empty: no variables need to be set. The renderer is chosen at the first picture."""
         del mode
         return {}
 
     def get_tasks(self) -> list[dict[str, Any]]:
-        """One for each environment."""
+        """A vla-eval task for each environment."""
         return [
             {"name": f"{task}-{variant}", "suite": task, "task": task, "variant": variant}
             for task, variant in self._pairs
@@ -96,47 +96,43 @@ class MagicalBenchmark(StepBenchmark):
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
-        """One action; raises an `InvalidActionError` if ``action["actions"]`` is not three finite numbers."""
-        env = self._env
-        if env is None:
-            raise ResetNeeded("no episode has begun")
+        """Performs an action. Raises an `InvalidActionError` if ``action["actions"]`` is not three finite numbers."""
+        env = self._started()
         over = env.step(to_discrete(action["actions"]))
         score = env.score() if over else 0.0
         self._recorder.record_step(reward=score, done=over, success=score == 1.0)
         return StepResult(obs=self._pictures(env), reward=score, done=over, info={})
 
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
-        """The pictures, and the sentence of the episode that has begun."""
+        """The pictures, and the instruction of the current episode."""
         del task
-        if self._env is None:
-            raise ResetNeeded("no episode has begun")
-        return {"images": raw_obs, "task_description": self._env.instruction}
+        return {"images": raw_obs, "task_description": self._started().instruction}
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
-        """The score of the episode that has ended."""
+        """The result of the finished episode."""
         return {"success": step_result.reward == 1.0, "score": step_result.reward}
 
     def get_metric_keys(self) -> dict[str, str]:
-        """What is averaged over episodes."""
+        """The metrics, and how they are aggregated over episodes."""
         return {"score": "mean", "success": "mean"}
 
     def get_metadata(self) -> dict[str, Any]:
-        """The longest episode; each ends by itself at its task's horizon."""
+        """The length of the longest episode, and of actions. Each episode ends at its task's horizon."""
         bodies = {task: split_body(self._shifts, task, self._body)[1] for task, _ in self._pairs}
         longest = max(task_spec(task).horizon(body=body) for task, body in bodies.items())
         return {"max_steps": longest, "action_dim": 3}
 
     def get_hold_action(self, last_action: Mapping[str, Any] | None) -> dict[str, Any]:
-        """In real time, nothing is done while the model thinks, and the fingers stay as they were commanded."""
+        """The action while the model computes in real time: the robot stops, and keeps the last gripper command."""
         grip = 0.0 if last_action is None else np.asarray(last_action["actions"])[..., 2]
         return {"actions": np.array([0.0, 0.0, grip], np.float32)}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Drive, turn, grip."""
+        """The specification of actions: drive, turn, grip."""
         return {"action": DimSpec("action", 3, "drive_turn_grip", (-1.0, 1.0))}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
-        """A picture for each view, and a sentence."""
+        """The specification of observations: pictures and an instruction."""
         return {"image": IMAGE_RGB, "language": LANGUAGE}
 
     def cleanup(self) -> None:
@@ -144,6 +140,12 @@ class MagicalBenchmark(StepBenchmark):
         if self._env is not None:
             self._env.close()
         self._env = None
+
+    def _started(self) -> Engine:
+        """The engine of the current episode."""
+        if self._env is None:
+            raise ResetNeeded("no episode has begun: call reset first")
+        return self._env
 
     def _pictures(self, engine: Engine) -> Pictures:
         pictures = {view: engine.render(view, self._size) for view in self._views}

@@ -253,10 +253,10 @@ class RewardLearner(Learner):
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
-        """Also checks that batched worlds are installed, if they are selected."""
+        """Also checks that batched environments are installed, if they are selected."""
         super().check(settings)
         if settings.ppo.simulator == "warp":
-            check_extra("batched worlds", "gpu")
+            check_extra("batched environments", "gpu")
 
     @property
     def actor(self) -> Actor:

@@ -191,7 +191,7 @@ class BatchedEnvs(TrainingEnvs):
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        check_extra("batched worlds", "gpu")
+        check_extra("batched environments", "gpu")
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
         self._batch = BatchedEnv(

@@ -1,4 +1,4 @@
-"""What policies are, what they are told of an episode, how one is played, whose errors are whose; built-in agents."""
+"""The interface of policies, the information that they receive, their errors, and the built-in agents."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
-from magical_mj.utils.imports import place
+from magical_mj.utils.imports import location
 
 if TYPE_CHECKING:
     from magical_mj.engine import Engine
@@ -25,11 +25,11 @@ Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
 
 REASON_LENGTH: Final = 300
-"""The number of characters of an error that results show."""
+"""The maximum number of characters of an error message in results."""
 LETTERS: Final = "abcdefghijklmnopqr"
-"""One letter for each of the 18 actions: the actions of an episode are stored as a string."""
+"""One letter for each of the 18 actions. The actions of an episode are stored as a string."""
 HISTORY: Final = 4
-"""States in an observation, as many as there are frames in the paper's pictures."""
+"""The number of state vectors in an observation. The paper's pictures contain the same number of frames."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,12 @@ class Episode:
     """The information that a policy gets at the start of an episode.
 
     Attributes:
-        task: the task's name; of a task that is like another one, that one's: see `told_task`.
+        task: the name that `policy_task` gives to the episode's task.
         variant: the variant's name.
-        seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
+        seed: the scene's seed. The episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
-        instruction: the sentence that says what is to be done, as the shifts of the episode make it; "" before it is
-            played.
-        env: the engine of the environment, for policies with `uses_simulation = True`; None for all others.
+        instruction: the sentence that describes the task, including its shift. Empty before the episode starts.
+        env: the engine of the environment, for policies with `uses_simulation = True`. None for all others.
     """
 
     task: str
@@ -54,24 +53,25 @@ class Episode:
     env: Engine | None = None
 
     def rng(self) -> np.random.Generator:
-        """A random generator for the policy; it depends only on the task, the variant, the seed and the run."""
+        """A random generator for the policy, determined by task, variant, seed and run."""
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
 
 
-def told_task(task: str, like: str = "") -> str:
-    """The task that policies are told: the task itself, or the one that it is like, by its definition or by `like`."""
+def policy_task(task: str, like: str = "") -> str:
+    """The name of a task for policies: `like`, or the task that its definition names in `like`, or its own name."""
     return like or task_spec(task).like or task
 
 
 class Policy(Protocol):
-    """An agent. A plain function from observation to action is accepted too.
+    """An agent. A plain function from observation to action is also accepted.
 
-    A class attribute `uses_simulation = True` means that the policy does not use observations: none are made, which is
-    much faster, and `reset` gets the environment instead. `uses_instruction = True` means that it reads the sentence
-    that says what is to be done, `episode.instruction`: observations that are dicts then hold it, too, as
-    "instruction", and the policy can be evaluated under the shift "words". Attributes `preset`, `tasks` and
-    `observation_shapes` (a list of those that it accepts, with None for any size) say what it was trained on;
-    evaluations of anything else raise an error.
+    Optional attributes:
+        uses_simulation: True if the policy does not use observations. Then none are rendered, which is much faster, and
+            the episode passed to `reset` contains the engine.
+        uses_instruction: True if the policy reads the sentence that describes the task. Then dict observations contain
+            it as "instruction", and the policy can be evaluated with the shift "words".
+        preset, tasks, observation_shapes: the preset, the tasks and the observation shapes of its training. In a shape,
+            None means any size. Evaluations that do not match them raise an error.
     """
 
     def reset(self, episode: Episode) -> None:
@@ -83,10 +83,10 @@ class Policy(Protocol):
 
 @runtime_checkable
 class BatchPolicy(Protocol):
-    """An agent that acts in several episodes at once; used with vector environments."""
+    """An agent that acts in several episodes at once, in vector environments."""
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Called before the episodes, which start together."""
+        """Called before the episodes. They start together."""
 
     def act_batch(self, observations: Any) -> Sequence[Any]:
         """An action for each environment, given the stacked observations of the vector environment."""
@@ -94,16 +94,16 @@ class BatchPolicy(Protocol):
 
 
 def play_actions(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
-    """Takes actions in an episode that has begun, until the episode or the actions end.
+    """Executes actions in a running episode, until the episode or the actions end.
 
     Args:
         env: an engine, or an environment with the `step` of Gymnasium. In a vector environment, all episodes must end
             together.
-        actions: the actions. They may come from a generator, since each is requested only after the step before it
-            was yielded and handled.
+        actions: the actions. A generator may depend on the previous step, since each action is requested only after
+            the previous result was handled.
 
     Yields:
-        Each action, and what the environment's step returned.
+        Each action, and the result of the environment's step.
     """
     for action in actions:
         result = env.step(action)
@@ -113,15 +113,15 @@ def play_actions(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, 
 
 
 def is_over(result: Any) -> bool:
-    """Whether the step of an engine or of an environment, which returned `result`, was the last one of its episode."""
-    if isinstance(result, bool):  # of an engine
+    """Whether a step with this result, of an engine or of an environment, was the last one of its episode."""
+    if isinstance(result, bool):  # the result of an engine
         return result
     _, _, terminated, truncated, _ = result
     return bool(np.any(terminated) or np.any(truncated))
 
 
 def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
-    """Calls the policy's `reset`, if it has one, or else its `reset_batch`."""
+    """Calls the policy's `reset`. If it has none, calls its `reset_batch` if that exists."""
     reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
     if reset is not None:
         reset(episode)
@@ -130,27 +130,27 @@ def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
 
 
 def uses_simulation(policy: object) -> bool:
-    """Whether the policy gets the simulation itself, and no observations."""
+    """Whether the policy uses the engine instead of observations."""
     return bool(getattr(policy, "uses_simulation", False))
 
 
 def uses_instruction(policy: object) -> bool:
-    """Whether the policy reads the sentence that says what is to be done."""
+    """Whether the policy reads the sentence that describes the task."""
     return bool(getattr(policy, "uses_instruction", False))
 
 
 def policy_name(policy: object) -> str:
-    """The name of a policy that was given none: that of its function or class."""
+    """The default name of a policy: that of its function or class."""
     return getattr(policy, "__name__", type(policy).__name__)
 
 
 def letters_of(actions: Iterable[int]) -> str:
-    """Actions as a string, with one letter for each."""
+    """Actions as a string, with a letter for each."""
     return "".join(LETTERS[action] for action in actions)
 
 
 def actions_of(letters: str) -> list[int]:
-    """The actions of a string that `letters_of` made; raises an `InvalidActionError` for any other string."""
+    """The actions of a string that `letters_of` made. Raises an `InvalidActionError` for any other string."""
     if not set(letters) <= set(LETTERS):
         raise InvalidActionError(
             f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {short_repr(letters)}"
@@ -159,34 +159,46 @@ def actions_of(letters: str) -> list[int]:
 
 
 class PolicyError(Exception):
-    """An error that a policy has raised, which is its cause; the text is the reason in an episode's result."""
+    """A policy raised an error, which is the cause of this one. The text becomes the reason in the episode's result."""
 
 
 @contextmanager
 def policy_errors() -> Iterator[None]:
-    """Where errors are failures of the policy, unless they say that they are not."""
+    """A context for calls of a policy, in which its errors become a `PolicyError`.
+
+    Errors of the renderer, of shifts and of tasks pass through. An import error becomes a `SettingsError`.
+    """
     try:
         yield
     except (RenderingError, ShiftError, TaskError):
         raise
     except ImportError as error:
-        raise SettingsError(f"the policy lacks a package: {reason(error, place(error, full=False))}") from error
-    except (Exception, SystemExit) as error:  # a policy may raise anything
-        raise PolicyError(reason(error, place(error, full=False))) from error
+        raise SettingsError(
+            f"the policy needs a missing package: {reason(error, location(error, full=False))}"
+        ) from error
+    except (Exception, SystemExit) as error:  # a policy may raise any error
+        raise PolicyError(reason(error, location(error, full=False))) from error
 
 
 def reason(error: BaseException, where: str = "") -> str:
-    """The error's type, message and place in one line, which can be encoded: names of files may hold other bytes."""
+    """The error's type, message and location in one line. Characters that cannot be encoded are escaped."""
     try:
         message = str(error)
-    except Exception:  # noqa: BLE001 a policy's exceptions may be broken, too
+    except Exception:  # noqa: BLE001 a policy's exceptions may be broken as well
         message = "an error without a message"
     line = " ".join(f"{type(error).__name__}: {message}{where}".split())
     return line.encode(errors="backslashreplace").decode()[:REASON_LENGTH]
 
 
 def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The latest states at each step, (steps, HISTORY, names), of states (steps, names); the first one is repeated."""
+    """The latest states at each step of an episode. Before the first step, its state is repeated.
+
+    Args:
+        states: shape (steps, names).
+
+    Returns:
+        Shape (steps, HISTORY, names), oldest first.
+    """
     steps = np.arange(len(states))[:, None] + np.arange(1 - HISTORY, 1)
     return states[np.maximum(steps, 0)]
 
@@ -195,18 +207,18 @@ class History:
     """Keeps the latest HISTORY states of one or several episodes."""
 
     def __init__(self, states: NDArray[np.float32]) -> None:
-        """Episodes begin with `states`, which are repeated."""
+        """Starts episodes whose first `states` have the shape (..., names). They fill the whole history."""
         self.states = np.repeat(states[..., None, :], HISTORY, axis=-2)
-        """Shape (..., HISTORY, names), oldest first; a new array after each change."""
+        """Shape (..., HISTORY, names), oldest first. Each change creates a new array."""
 
     def add(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Takes in what came next, shape (..., names); returns `states`."""
+        """Adds the next states, shape (..., names). Returns `self.states`."""
         self.states = np.concatenate([self.states[..., 1:, :], states[..., None, :]], axis=-2)
         return self.states
 
-    def restart(self, which: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
-        """Other episodes begin in some rows, `which` (n,), with their rows of `states` (n, names)."""
-        self.states = np.where(which[:, None, None], states[:, None], self.states)
+    def restart(self, mask: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
+        """Starts new episodes in the masked rows, with their rows of `states`, shape (n, names)."""
+        self.states = np.where(mask[:, None, None], states[:, None], self.states)
 
 
 class NoopAgent:
@@ -215,7 +227,7 @@ class NoopAgent:
     uses_simulation = True
 
     def __call__(self, _: Any) -> int:
-        """An action; the observation does not matter."""
+        """The action that does nothing."""
         return NOOP
 
 
@@ -225,33 +237,33 @@ class RandomAgent:
     uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
-        """Starts the episode's own sequence."""
+        """Creates the episode's random generator."""
         self._rng = episode.rng()
 
     def __call__(self, _: Any) -> int:
-        """An action; the observation does not matter."""
+        """A random action."""
         return int(self._rng.integers(len(ACTIONS)))
 
 
 class ExpertAgent:
-    """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
+    """The scripted expert, which uses the state of the simulation. Its seed is the number of the run."""
 
     uses_simulation = True
     needs_plan = True
 
     def reset(self, episode: Episode) -> None:
-        """Makes an expert for this episode."""
+        """Creates an expert for this episode."""
         from magical_mj.policies.expert import expert_of
 
         if episode.env is None:
-            raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
+            raise SettingsError("the expert uses the simulation: it cannot play in vector environments")
         own = episode.env.task
         task = own if own is not None and task_spec(own).plan is not None else episode.task
-        self._next = expert_of(episode.env, task, episode.run)
+        self._expert = expert_of(episode.env, task, episode.run)
 
     def __call__(self, _: Any) -> int:
-        """An action; the observation does not matter."""
-        return self._next()
+        """The expert's action for the current state."""
+        return self._expert()
 
 
 AGENTS: Final[Mapping[str, Callable[[], Act]]] = MappingProxyType(

@@ -1,4 +1,4 @@
-"""Loading policies: from names, ``module:object``, model files, folders of trainings, or Python objects."""
+"""Loads policies from names, references ``module:object``, model files, folders of training runs, and objects."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from magical_mj.policies.interface import (
     Act,
     BatchPolicy,
     policy_name,
+    policy_task,
     reason,
-    told_task,
     uses_instruction,
     uses_simulation,
 )
@@ -38,33 +38,36 @@ ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 )
 WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
-"""How names of files end in which there are weights."""
+"""The suffixes of files with the weights of a network."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
-"""How a module probably defines a policy."""
+"""A line of a module that probably defines a policy."""
 TORCH: Final = (
-    "To evaluate a network of PyTorch, give --policy mine:Policy, where mine.py has a class Policy that loads it in "
-    "__init__(self) and answers in __call__(self, observation) with an action, such as "
-    "int(network(torch.as_tensor(observation)[None]).argmax()); or export it: torch.onnx.export writes a file that "
-    "--policy takes. docs/evaluation.md has both"
+    "To evaluate a PyTorch network, give --policy mine:Policy, where mine.py contains a class Policy. Its "
+    "__init__(self) loads the network, and its __call__(self, observation) returns an action, such as "
+    "int(network(torch.as_tensor(observation)[None]).argmax()). Or export it with torch.onnx.export, and give the file "
+    "to --policy. docs/evaluation.md shows both"
 )
 FOLDER_GROUP: Final = "magical_mj.policy_folders"
-"""The group of entry points that load the policy in a folder; the name of each is that of a file in its folders."""
+"""The entry-point group of functions that load the policy in a folder.
+
+The name of an entry point is the name of a file in such folders.
+"""
 
 
 @dataclass(frozen=True)
 class Source:
-    """One policy to be evaluated; small and picklable if it was given by name.
+    """The origin of one policy to be evaluated. It is small, and picklable unless the origin is the policy itself.
 
     Attributes:
         name: the method's name in tables.
         run: the number of the run of the method.
-        origin: a built-in's name, ``module:object``, a file, a folder, or the policy itself.
-        trust: whether files that hold code may be loaded.
-        digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
-            if there is no file, or any will do.
-        batches: whether it acts in batches of observations; known once it was loaded, as are
-        preset: the preset of the observations that it gets, and
-        unnoticed: which effects of shifts it does not notice.
+        origin: a built-in policy's name, ``module:object``, a file, a folder, or the policy itself.
+        trust: whether files that contain code may be loaded.
+        digest: the expected hash of the policy's file ("sha256") or module ("code"). Empty without a file, or if the
+            hash is not checked.
+        batches: whether it acts in batches of observations. Set by `playable`, like `preset` and `unnoticed`.
+        preset: the preset of its observations.
+        unnoticed: the effects of shifts that it cannot notice.
     """
 
     name: str
@@ -80,15 +83,15 @@ class Source:
         """The policy.
 
         Raises:
-            SettingsError: if there is no such policy, it is invalid, or its file is not the expected one any more.
+            SettingsError: if the policy does not exist or is invalid, or its file has changed.
             UnknownNameError, MissingExtraError: if it cannot be imported.
         """
         was_imported = isinstance(self.origin, str) and source_of(self.origin) is not None
         policy = self._load()
-        check_policy(policy, self.name)
+        check_policy(policy, self.name if isinstance(self.origin, str) else short_repr(policy))
         if self.digest and not was_imported and self.digest != self._hash():
             raise SettingsError(
-                f"{self.origin} was changed while it was evaluated, so that its scores would be of two policies: "
+                f"{self.origin} was changed while it was evaluated, so that its scores would mix two policies: "
                 "evaluate a copy"
             )
         return policy
@@ -100,10 +103,10 @@ class Source:
             return AGENTS[self.origin]()
         path = Path(self.origin)
         if not path.exists() and path.suffix in (*LOADERS, *WEIGHTS):
-            raise SettingsError(f"there is no file {path}")
+            raise SettingsError(f"the file {path} does not exist")
         if path.suffix in LOADERS:
             if not path.is_file():
-                raise SettingsError(f"{path} is not a plain file, but a folder, a pipe or a device")
+                raise SettingsError(f"{path} is not a plain file: it is a folder, a pipe or a device")
             return LOADERS[path.suffix](path, self.trust)
         if path.is_dir():
             return policy_in(path)
@@ -111,9 +114,9 @@ class Source:
             policy = imported("policy", self.origin, None, SettingsError)
             return _instantiate(policy, self.origin) if inspect.isclass(policy) else policy
         if path.suffix in WEIGHTS:
-            raise SettingsError(f"{path} holds the weights of a network and not the network. {TORCH}")
+            raise SettingsError(f"{path} contains the weights of a network, but not its code. {TORCH}")
         if not path.exists() and len(path.parts) > 1:
-            raise SettingsError(f"there is no file or folder {path}")
+            raise SettingsError(f"the file or folder {path} does not exist")
         files = (f"FILE{suffix}" for suffix in LOADERS)
         allowed = (*AGENTS, "module:object", *files, "a run's folder")
         raise unknown_name("policy", self.origin, allowed, reference_in_folder(self.origin, _POLICY))
@@ -124,35 +127,35 @@ class Source:
         return {"name": self.name, "run": self.run, "origin": origin, **self.digest}
 
     def _hash(self) -> dict[str, str]:
-        """The hash of the policy's file or module; empty if there is none."""
+        """The hash of the policy's file or module. Empty without a file."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
             return {}
-        what, file = "sha256", Path(self.origin)
+        kind, file = "sha256", Path(self.origin)
         if file.suffix not in LOADERS and file.is_dir():
             file /= _folder_loader(file).name
         elif file.suffix not in LOADERS:
-            what, file = "code", source_of(self.origin)
-        return {} if file is None else {what: hashlib.sha256(file.read_bytes()).hexdigest()}
+            kind, file = "code", source_of(self.origin)
+        return {} if file is None else {kind: hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
-    """The policies in the argument of `evaluate`; those with the same name are successive runs of one method.
+    """The origins of the policies in the argument of `evaluate`. Policies with the same name are runs of one method.
 
     Args:
-        policies: a policy or a list of them; each a name, ``module:object``, a file, a folder, any of them as
-            ``NAME=...``, a path, a mapping of such names to policies or lists of them, or a policy object.
+        policies: one policy, or a list of them, or a mapping of names to policies or lists. A policy is an object, a
+            path, or text: a name, ``module:object``, a file or a folder, optionally as ``NAME=...``.
         run: the number of the first run.
-        trust: whether files that hold code may be loaded.
+        trust: whether files that contain code may be loaded.
 
     Raises:
-        SettingsError: if it is something else, or a name cannot be printed.
+        SettingsError: for any other argument, and for names that cannot be printed.
     """
     listed: list[Source] = []
     runs: Counter[str] = Counter()
     for source in _parse_policies(policies):
         if not isinstance(source.name, str) or not source.name.strip() or not source.name.isprintable():
             raise SettingsError(
-                f"the name of a method is a text of printable characters, not {short_repr(source.name)}"
+                f"the name of a method must consist of printable characters, not {short_repr(source.name)}"
             )
         listed.append(replace(source, run=run + runs[source.name], trust=trust))
         runs[source.name] += 1
@@ -171,13 +174,19 @@ def playable(
     batched: bool = False,
     like: str = "",
 ) -> list[Source]:
-    """The policies of `sources`, each of which was loaded once and can play; if its file changes, `load` refuses it.
+    """Loads each policy of `sources` once to check it. Later, `Source.load` raises an error if its file has changed.
 
-    What is played is given as for `check_fit`; with `batched`, MuJoCo Warp simulates it. Without a preset, it is the
-    one on which all policies say that they were trained, or whose observations alone have their shapes, or else
-    `DEFAULT_PRESET`.
+    Warns if the folder of a stable-baselines3 archive contains statistics of VecNormalize, which are not used.
 
-    Warns if statistics of VecNormalize are in the folder of a stable-baselines3 archive: it is played without them.
+    Args:
+        policies: see `sources`.
+        pairs: the tasks and variants of the evaluation.
+        preset: the preset of the observations. None: the one of the policies' training if they agree, according to
+            their `preset` or to their `observation_shapes` if only one preset matches; otherwise `DEFAULT_PRESET`.
+        first_run: the number of the first run.
+        trust: whether files that contain code may be loaded.
+        batched: whether MuJoCo Warp simulates the environments.
+        like: see `check_fit`.
 
     Raises:
         SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or does not fit: see `check_fit`.
@@ -190,12 +199,12 @@ def playable(
     for source, policy in loaded:
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
-            raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
+            raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
         if statistics := statistics_of(source.origin):
             warnings.warn(
                 f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
-                stacklevel=4,  # where `evaluate` was called
+                stacklevel=4,  # the call of `evaluate`
             )
         facts: dict[str, Any] = {"preset": preset, "unnoticed": _unnoticed(policy, preset)}
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
@@ -204,7 +213,7 @@ def playable(
 
 
 def statistics_of(origin: object) -> Path | None:
-    """The statistics of VecNormalize in the folder of a stable-baselines3 archive, or in the folder of its name."""
+    """The file of VecNormalize's statistics next to a stable-baselines3 archive, or in the folder with its name."""
     path = Path(origin) if isinstance(origin, str) else Path()
     if path.suffix != ".zip":
         return None
@@ -213,7 +222,7 @@ def statistics_of(origin: object) -> Path | None:
 
 
 def _own_preset(policy: object) -> str:
-    """The preset on which a policy was trained, as far as it says so."""
+    """The preset of a policy's training, according to its attributes. `DEFAULT_PRESET` if they do not determine it."""
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     fitting = [] if shapes is None else _fitting(list(shapes))
     by_shape = fitting[0] if len(fitting) == 1 else DEFAULT_PRESET
@@ -221,10 +230,10 @@ def _own_preset(policy: object) -> str:
 
 
 def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
-    """Which effects of shifts a policy does not notice; one that uses no observations counts as seeing."""
+    """The effects of shifts that a policy cannot notice. Pictures do not count as unnoticed if it uses the engine."""
     missing: dict[Effect, bool] = {
         "pictures": preset_named(preset).layout == "state" and not uses_simulation(policy),
-        "sentence": not uses_instruction(policy),
+        "instruction": not uses_instruction(policy),
     }
     return frozenset(effect for effect, is_missing in missing.items() if is_missing)
 
@@ -240,18 +249,17 @@ def _parse_policies(policies: Any) -> Iterator[Source]:
             yield from _parse_policies(policy)
     else:
         policy = _instantiate(policies, policies.__name__) if isinstance(policies, type) else policies
-        check_policy(policy, short_repr(policy))
         yield Source(policy_name(policies), 0, policy)
 
 
 def _parse_text(text: str, *, is_path: bool) -> Iterator[Source]:
-    """The policies in a text: a path, or some separated by commas, each perhaps as ``NAME=...``."""
-    if is_path or os.path.exists(text):  # noqa: PTH110  (Path's raises errors)
+    """The policies in a text: one path, or a comma-separated list in which each item may be ``NAME=...``."""
+    if is_path or os.path.exists(text):  # noqa: PTH110  (`Path.exists` raises errors for some texts)
         yield Source(_default_name(text), 0, text)
         return
     for part in filter(None, map(str.strip, text.split(","))):
         name, equals, origin = part.partition("=")
-        if equals and not origin:  # else it would be the working directory
+        if equals and not origin:  # `Path("")` would be the working directory
             raise SettingsError(f"{part} names no policy: {ACCEPTED_POLICIES}")
         yield Source(name, 0, origin) if equals else Source(_default_name(part), 0, part)
 
@@ -267,7 +275,7 @@ def _default_name(origin: str) -> str:
 
 @cache
 def folder_plugins() -> Mapping[str, EntryPoint]:
-    """The entry points that load policies, by the names of the files that their folders hold."""
+    """The entry points that load policies, by the name of the file that their folders contain."""
     return announced(
         "policy folder",
         FOLDER_GROUP,
@@ -278,7 +286,7 @@ def folder_plugins() -> Mapping[str, EntryPoint]:
 
 
 def loader_in(folder: Path) -> EntryPoint | None:
-    """The entry point that loads the policy in a folder; None if there is no policy."""
+    """The entry point that loads the policy in a folder. None if the folder contains no policy."""
     return next((loader for name, loader in folder_plugins().items() if (folder / name).is_file()), None)
 
 
@@ -286,8 +294,8 @@ def policy_in(folder: Path) -> Act:
     """The policy in a folder.
 
     Raises:
-        SettingsError: if there is none, or what loads it fails.
-        UnknownNameError, MissingExtraError: if what loads it cannot be imported.
+        SettingsError: if the folder contains no policy, or its loader fails.
+        UnknownNameError, MissingExtraError: if its loader cannot be imported.
     """
     loader = _folder_loader(folder)
     return imported("loader of", loader.name, loader, SettingsError)(str(folder))
@@ -296,24 +304,24 @@ def policy_in(folder: Path) -> Act:
 def _folder_loader(folder: Path) -> EntryPoint:
     loader = loader_in(folder)
     if loader is None:
-        raise SettingsError(f"the folder {folder} holds no policy: no {' or '.join(folder_plugins())}")
+        raise SettingsError(f"the folder {folder} contains no policy: no {' or '.join(folder_plugins())}")
     return loader
 
 
 def check_policy(policy: Any, name: str) -> None:
-    """Raises a `SettingsError` unless a policy can be called with an observation, as far as its type says."""
+    """Raises a `SettingsError` if a policy's type shows that it does not map an observation to an action."""
     model = policy.__self__ if getattr(policy, "__name__", "") == "predict" and ismethod(policy) else policy
     kinds = type(model).__mro__
     if any("__call__" in vars(kind) and not kind.__module__.startswith("torch.") for kind in kinds):
-        return  # a function, or of a class of one's own, which may be derived from one of theirs
+        return  # a function, or an object of a user's class, which may be derived from a library's class
     modules = {kind.__module__ for kind in kinds}
     if any(module.startswith(("stable_baselines3.", "sb3_contrib.")) for module in modules):
         raise SettingsError(
-            f"{name} is of stable-baselines3, whose models answer with an action and a state: give the file that "
+            f"{name} is a model of stable-baselines3, whose predict returns an action and a state: give the file that "
             'model.save("model.zip") writes, or lambda observation: model.predict(observation, deterministic=True)[0]'
         )
     if "torch.nn.modules.module" in modules:
-        raise SettingsError(f"{name} is a network, and takes tensors. {TORCH}")
+        raise SettingsError(f"{name} is a network, whose input is a tensor. {TORCH}")
     if not callable(policy):
         raise SettingsError(
             f"{name} is not a policy: it is of the type {type(policy).__name__}, and cannot be called; give one "
@@ -322,26 +330,33 @@ def check_policy(policy: Any, name: str) -> None:
 
 
 def _instantiate(kind: type, name: str) -> Any:
-    """An instance of a policy class, made without arguments."""
+    """An instance of a policy class, created without arguments."""
     try:
         return kind()
     except (Exception, SystemExit) as error:
         raise SettingsError(
-            f"the policy {name} is a class, and calling it fails: {reason(error)}. Give a function or an object, "
-            "or a class that needs no arguments"
+            f"the policy {name} is a class, and creating an instance without arguments fails: {reason(error)}. Give a "
+            "function or an object, or a class that needs no arguments"
         ) from error
 
 
 def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = "") -> None:
-    """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
+    """Checks that a policy's training matches an evaluation.
 
-    Its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they exist. `like` is the
-    task that policies are told. A `TaskError` is raised if it needs a plan, and a task has none.
+    Args:
+        policy: its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they exist.
+        pairs: the tasks and variants of the evaluation.
+        preset: the preset of the evaluation.
+        like: the name of a task that policies receive instead of the evaluated one. Empty: see `policy_task`.
+
+    Raises:
+        SettingsError: if they do not match.
+        TaskError: if the policy needs a plan, and a task has none.
     """
     if getattr(policy, "needs_plan", False):
         for task, _ in pairs:
             if task_spec(task).plan is None:
-                task_spec(told_task(task, like)).check_plan()
+                task_spec(policy_task(task, like)).check_plan()
     trained_on = getattr(policy, "preset", preset)
     if trained_on != preset:
         raise SettingsError(
@@ -349,11 +364,11 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         )
     tasks = getattr(policy, "tasks", None)
     tasks = (tasks,) if isinstance(tasks, str) else tasks
-    others = sorted({told_task(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    others = sorted({policy_task(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
     if others:
         raise SettingsError(
-            f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as one of them "
-            "for a task that is it but for a change"
+            f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as with one of "
+            "them if your task is a modification of it"
         )
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     if shapes is not None and not uses_simulation(policy):
@@ -364,7 +379,7 @@ def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
     """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
     fitting = _fitting(accepted)
     if preset not in fitting:
-        remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has such observations"
+        remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has observations of this shape"
         gives = _shape_of(preset) or "a dict"
         raise SettingsError(
             f"the policy takes observations of shape {accepted[0]}, and {preset} gives {gives}: {remedy}"
@@ -372,7 +387,7 @@ def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
 
 
 def _shape_of(preset: str) -> tuple[int, ...]:
-    """The shape of a preset's observations; empty if they are dicts."""
+    """The shape of a preset's observations. Empty for dicts."""
     kind = PRESETS[preset]
     return observation_space(kind, Stacks(kind, kind.image_size).shapes).shape or ()
 

@@ -1,11 +1,11 @@
 """Trained models from files: stable-baselines3 archives and ONNX.
 
-Files may be somebody else's: what is read is bounded, by declared and by actual size, and so are networks.
+Files may come from an untrusted source. So the sizes of files and networks are limited.
 
-A stable-baselines3 archive contains pickles, and reading a pickle runs whatever code it contains. So none is read
-unless the user sets ``trust``: standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
-plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. (TorchScript is not
-supported: its files are programs too, and PyTorch has deprecated it.)
+A stable-baselines3 archive contains pickles, and loading a pickle can run any code. So pickles are only loaded if the
+user sets ``trust``. Without it, standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
+plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. TorchScript is not
+supported: its files contain programs as well, and PyTorch has deprecated it.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError
 
 OTHER_ACTIONS: Final = (
-    f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
-    "function that ends in magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
+    f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
+    "function that converts them with magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
 )
 MOST_OF_POLICY: Final = 1_000_000_000
-"""The largest content of a model's file that is read."""
+"""The maximum size of a model's file, in bytes."""
 MOST_SETTINGS: Final = 100_000_000
-"""The largest settings in a stable-baselines3 archive that are read; they hold the last observations, too."""
+"""The maximum size of the settings in a stable-baselines3 archive, in bytes. They include the last observations."""
 MOST_PARAMETERS: Final = 100_000_000
-"""The largest number of parameters of a network that is rebuilt; those of the paper have 2 million."""
+"""The maximum number of parameters of a rebuilt network. The paper's networks have 2 million."""
 MOST_OBSERVED: Final = 10_000_000
-"""The largest number of values in an observation of such a network."""
+"""The maximum number of values in an observation of a rebuilt network."""
 MOST_MEMORY: Final = 2_000_000_000
-"""The largest number of bytes that all ONNX networks of a process may take, weights and values in between."""
+"""The maximum number of bytes that all ONNX networks of a process may allocate for weights and activations."""
 FOLDED: Final = "10000000"
-"""The largest number of bytes of a value that ONNX Runtime computes when it loads a network, outside that bound."""
+"""The maximum number of bytes of a constant that ONNX Runtime folds while loading. `MOST_MEMORY` does not limit it."""
 LONGEST_ARGUMENTS: Final = 10_000
-"""The greatest length of what says how such a network is built."""
+"""The maximum length of the text of a rebuilt network's constructor arguments."""
 Shape = tuple[int | None, ...]
-"""The shape of an observation; None stands for any size."""
+"""The shape of an observation. None means any size."""
 
-TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
+TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: use it only for files that you trust"
 
 
 class Model:
@@ -61,12 +61,12 @@ class Model:
 
     Args:
         act: the mapping.
-        shapes: the accepted shapes of single observations; None if unknown.
-        remembers: whether it maps `History.states` instead, and observations are states.
+        shapes: the accepted shapes of single observations. None if unknown.
+        remembers: whether observations are states, and `act` maps their `History.states`.
 
     Attributes:
-        tasks: on which it was trained, and
-        preset: the preset of the observations, where the file says so.
+        tasks: the tasks of its training. Missing if the file does not contain them.
+        preset: the preset of its training. Missing if the file does not contain it.
     """
 
     tasks: tuple[str, ...]
@@ -80,12 +80,12 @@ class Model:
         self.observation_shapes = shapes
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Episodes begin, side by side."""
+        """Starts a batch of episodes."""
         del episodes
         self._history = None
 
     def reset(self, episode: Episode) -> None:
-        """An episode begins."""
+        """Starts an episode."""
         self.reset_batch([episode])
 
     def act_batch(self, observations: Any) -> Any:
@@ -104,9 +104,10 @@ class Model:
 
 @contextmanager
 def torch_settings(threads: int | None = None) -> Iterator[None]:
-    """A context in which PyTorch computes as it does unless its user has set something: float32, gradients, exactly.
+    """A context with PyTorch's default settings: float32, gradients, the highest precision, the CPU.
 
-    Policies act on one of its threads: sums depend on how they are split, and workers share the cores. None: as before.
+    Policies act on one thread, because sums depend on the number of threads, and workers share the cores. With None,
+    the number of threads is not changed.
     """
     import torch
 
@@ -116,7 +117,7 @@ def torch_settings(threads: int | None = None) -> Iterator[None]:
         stack.enter_context(torch.enable_grad())
         for device in filter(torch.is_autocast_enabled, ("cpu", "cuda")):
             stack.enter_context(torch.autocast(device, enabled=False))
-        if torch.empty(0).device.type != "cpu":  # as is made by default
+        if torch.empty(0).device.type != "cpu":
             stack.enter_context(torch.device("cpu"))
         try:
             _set_torch(threads or before[0], torch.float32, "highest")
@@ -134,20 +135,20 @@ def _set_torch(threads: int, kind: Any, precision: str) -> None:
 
 
 def load_sb3(path: Path, trust: bool = False) -> Model:
-    """The policy of a stable-baselines3 archive; it acts deterministically."""
+    """The policy of a stable-baselines3 archive. It acts deterministically."""
     try:
-        import stable_baselines3  # noqa: F401  (which needs PyTorch)
+        import stable_baselines3  # noqa: F401  (imports PyTorch)
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     data, weights = _content(path)
-    with _refused(f"{path} does not say how its network is built"), torch_settings():
+    with _refused(f"{path} does not describe its network"), torch_settings():
         policy = _trusted(path) if trust else _rebuilt(path, data, weights)
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
-        raise SettingsError(f"{path} acts in {policy.action_space}, and {OTHER_ACTIONS}")
+        raise SettingsError(f"{path} has the action space {policy.action_space}, but {OTHER_ACTIONS}")
     try:
         policy.load_state_dict(weights)
     except RuntimeError as error:
-        raise SettingsError(f"{path} is not of a standard network; {TRUST}") from error
+        raise SettingsError(f"{path} does not contain a standard network; {TRUST}") from error
     policy.set_training_mode(False)
     return Model(lambda observations: _best_actions(policy, observations), _accepted(policy.observation_space))
 
@@ -161,18 +162,18 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         packed = _member(path, archive, "policy.pth", MOST_OF_POLICY)
     try:
         _check_packed(path, packed)
-        with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
+        with warnings.catch_warnings(action="ignore"):  # about rejected pickles
             weights = _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
     except SettingsError:
         raise
-    except Exception as error:  # whose message advises to load pickles
+    except Exception as error:  # PyTorch's message would recommend loading pickles
         raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
     return data, weights
 
 
 @contextmanager
 def _refused(fault: str) -> Iterator[None]:
-    """Makes any error a `SettingsError` that begins with the fault; reading a damaged file may raise anything."""
+    """A context that turns any error into a `SettingsError`. Reading a damaged file may raise any error."""
     try:
         yield
     except SettingsError:
@@ -182,32 +183,32 @@ def _refused(fault: str) -> Iterator[None]:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """A member of an archive; raises a `SettingsError` if it is larger than `most` bytes."""
+    """A member of an archive. Raises a `SettingsError` if it is larger than `most` bytes."""
     with archive.open(name) as file:
         content = b"" if archive.getinfo(name).file_size > most else file.read(most + 1)
     if archive.getinfo(name).file_size > most or len(content) > most:
-        raise SettingsError(f"{path} holds {name} of more than {most:,} bytes, and is not read")
+        raise SettingsError(f"{path} is not read: its {name} has more than {most:,} bytes")
     return content
 
 
 def _check_packed(path: Path, packed: bytes) -> None:
-    """Checks PyTorch's file of weights, which is an archive, too, before PyTorch unpacks it."""
+    """Checks PyTorch's file of weights, which is a zip archive, before PyTorch unpacks it."""
     with zipfile.ZipFile(io.BytesIO(packed)) as inner:
         if sum(member.file_size for member in inner.infolist()) > MOST_OF_POLICY:
-            raise SettingsError(f"{path} holds weights of more than {MOST_OF_POLICY:,} bytes, and is not read")
+            raise SettingsError(f"{path} is not read: its weights have more than {MOST_OF_POLICY:,} bytes")
         pickles = [member.filename for member in inner.infolist() if member.filename.endswith(".pkl")]
-        if any(b"bytearray" in inner.read(name) for name in pickles):  # PyTorch would make one of any size
-            raise ValueError("bytes where tensors should be")
+        if any(b"bytearray" in inner.read(name) for name in pickles):  # PyTorch would allocate any requested size
+            raise ValueError("the weights contain a bytearray")
 
 
 def _named(values: Any) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise TypeError(f"a {type(values).__name__} where names and values should be")
+        raise TypeError(f"expected a dict, not {type(values).__name__}")
     return values
 
 
 def _best_actions(policy: Any, observations: Any) -> Any:
-    """Shape (n,)."""
+    """The policy's deterministic actions. Shape (n,)."""
     import torch
 
     if not hasattr(policy, "get_distribution"):
@@ -226,9 +227,9 @@ def _check_numbers(values: NDArray[Any]) -> None:
 
 
 def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
-    """The shapes of observations that a stable-baselines3 policy accepts; it transposes pictures itself."""
+    """The observation shapes that a stable-baselines3 policy accepts. It also accepts transposed pictures."""
     shape = space.shape
-    if shape is None:  # of a dict
+    if shape is None:  # a dict
         return None
     return [shape, (*shape[1:], shape[0]), (shape[-1], *shape[:-1])] if len(shape) == 3 else [shape]
 
@@ -242,23 +243,23 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     observed, acted = data.get("observation_space", {}), data.get("action_space", {})
     plain = isinstance(arguments, dict) and ":serialized:" not in arguments
     if not plain or "action_net.weight" not in weights or not observed.get("_shape"):
-        raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
+        raise SettingsError(f"{path} describes its network in a pickle; {TRUST}")
     if "n" not in acted or int(acted["n"]) != len(ACTIONS):
-        raise SettingsError(f"{path} was trained with other actions, and {OTHER_ACTIONS}")
+        raise SettingsError(f"{path} was trained with other actions, but {OTHER_ACTIONS}")
     shape, pictures = tuple(int(n) for n in _plain(observed["_shape"])), observed.get("dtype") == "uint8"
     if math.prod(shape) > MOST_OBSERVED or len(str(arguments)) > LONGEST_ARGUMENTS:
         raise SettingsError(
-            f"{path} looks at more than {MOST_OBSERVED:,} values at a time, or describes its network by more than "
-            f"{LONGEST_ARGUMENTS:,} characters, and is not loaded"
+            f"{path} is not loaded: its observations have more than {MOST_OBSERVED:,} values, or its policy_kwargs "
+            f"have more than {LONGEST_ARGUMENTS:,} characters"
         )
     space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
     convolutional = any(name.startswith("features_extractor.cnn") for name in weights)
     kind = ActorCriticCnnPolicy if convolutional else ActorCriticPolicy
     outline = type("Outline", (kind,), {"device": property(lambda _: torch.device("meta"))})
-    with torch.device("meta"):  # where parameters have shapes, and take no memory
+    with torch.device("meta"):  # to count the parameters without allocating memory
         planned = outline(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments).state_dict()
     if sum(parameter.numel() for parameter in planned.values()) > MOST_PARAMETERS:
-        raise SettingsError(f"{path} has a network of more than {MOST_PARAMETERS:,} parameters, and is not loaded")
+        raise SettingsError(f"{path} is not loaded: its network has more than {MOST_PARAMETERS:,} parameters")
     return kind(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments)
 
 
@@ -267,7 +268,7 @@ def _plain(value: Any) -> Any:
 
 
 def _trusted(path: Path) -> Any:
-    """Any network, loaded with the archive's pickles."""
+    """Any network, loaded from the archive's pickles."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
     data: Any = load_from_zip_file(path, device="cpu")[0] or {}
@@ -276,33 +277,35 @@ def _trusted(path: Path) -> Any:
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
-    """An ONNX network that outputs actions, or a value for each action, of which the best is taken."""
+    """An ONNX network that outputs actions, or a value for each action. The action with the largest value is taken."""
     del trust  # ONNX files contain no code
     if find_spec("onnxruntime") is None:
         raise MissingExtraError(f"{path} needs ONNX Runtime: pip install onnxruntime")
     onnxruntime = onnx_runtime()
     if path.stat().st_size > MOST_OF_POLICY:
-        raise SettingsError(f"{path} has more than {MOST_OF_POLICY:,} bytes, and is not read")
+        raise SettingsError(f"{path} is not read: it has more than {MOST_OF_POLICY:,} bytes")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # errors are raised, too
+    options.log_severity_level = 4  # no log of errors, since they are raised as well
     _bound_memory()
     options.add_session_config_entry("session.use_env_allocators", "1")
     options.add_session_config_entry("optimization.constant_folding_max_output_size_in_bytes", FOLDED)
-    with _refused(f"{path} is not an ONNX file that can be run"):
+    with _refused(f"{path} is not a valid ONNX file"):
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     entries, output = session.get_inputs(), session.get_outputs()[0]
     if len(entries) != 1:
-        raise SettingsError(f"{path} wants {len(entries)} inputs, and presets give one array: choose its preset")
+        raise SettingsError(
+            f"{path} has {len(entries)} inputs, but observations are one array: export it with one input"
+        )
     entry = entries[0]
-    most = entry.shape[0] if len(entry.shape) > 1 else 0  # a name, or None, where the batch may have any size
+    most = entry.shape[0] if len(entry.shape) > 1 else 0  # a name or None if the batch may have any size
     if isinstance(most, int) and most != 1:
         raise SettingsError(
-            f"{path} has an input of shape {entry.shape}, whose first axis should be a batch of any size: export it "
+            f"{path} has an input of shape {entry.shape}. The first axis must be a batch of any size: export it "
             'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/evaluation.md'
         )
     if len(output.shape) == 2 and isinstance(output.shape[1], int) and output.shape[1] not in (1, len(ACTIONS)):
-        raise SettingsError(f"{path} gives {output.shape[1]} values, and there are {len(ACTIONS)} actions")
+        raise SettingsError(f"{path} outputs {output.shape[1]} values, but there are {len(ACTIONS)} actions")
     kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
     kind = kinds.get(entry.type, np.float32)
 
@@ -311,24 +314,24 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
             rows = np.asarray(observations, kind)
             batches = rows[:, None] if most == 1 else [rows]
             values = np.concatenate([session.run([output.name], {entry.name: batch})[0] for batch in batches])
-        except Exception as error:  # ONNX Runtime's own have no common base
+        except Exception as error:  # ONNX Runtime's errors have no common base class
             if "Available memory" not in str(error):
                 raise
-            raise MemoryError(f"{path} needs more than the {MOST_MEMORY:,} bytes that networks may take") from error
+            raise MemoryError(f"{path} needs more than the {MOST_MEMORY:,} bytes that networks may use") from error
         _check_numbers(values)
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
     shape = tuple(size if isinstance(size, int) else None for size in entry.shape[1:])
     remembers = shape == (HISTORY, len(STATE_NAMES))
     model = Model(act, [shape[1:] if remembers else shape], remembers=remembers)
-    known = session.get_modelmeta().custom_metadata_map  # which `export_policy` wrote
+    known = session.get_modelmeta().custom_metadata_map  # written by `export_policy`
     if {"task", "preset"} <= known.keys():
         model.tasks, model.preset = (known["task"],), known["preset"]
     return model
 
 
 def onnx_runtime() -> Any:
-    """The module, imported with its telemetry off, which writes into the user's home."""
+    """The module `onnxruntime`, without its telemetry, which would write into the user's home folder."""
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime
 
@@ -337,18 +340,18 @@ def onnx_runtime() -> Any:
 
 @cache
 def _bound_memory() -> None:
-    """Has all networks of this process take their memory from one arena, whose size is bounded."""
+    """Makes all networks of this process allocate memory from one arena of limited size."""
     onnxruntime = onnx_runtime()
     kind, use = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, onnxruntime.OrtMemType.DEFAULT
     bound = {
         "max_mem": MOST_MEMORY,
-        "arena_extend_strategy": 1,  # as much as is needed, and not twice as much each time
+        "arena_extend_strategy": 1,  # grows by the requested size, instead of doubling
         "initial_chunk_size_bytes": -1,
         "max_dead_bytes_per_chunk": -1,
     }
-    place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, use)
-    onnxruntime.create_and_register_allocator(place, onnxruntime.OrtArenaCfg(bound))
+    memory = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, use)
+    onnxruntime.create_and_register_allocator(memory, onnxruntime.OrtArenaCfg(bound))
 
 
 LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}
-"""By the ending of the file's name."""
+"""The function that loads a file with this suffix."""

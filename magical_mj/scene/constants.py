@@ -1,9 +1,9 @@
-"""The constants of the world: sizes, masses, speeds and force caps.
+"""The constants of the simulation: sizes, masses, speeds and force caps.
 
-Units are world units (the workspace is 2 x 2), seconds, radians and mass units. The values are those of
-the original benchmark (Toyer et al. 2020, appendix "Additional benchmark details", and measurements on
-its released simulation). If the two differ, the paper's are used. Only for Jitter, the paper gives too little
-detail ("up to 5% of the maximum possible range"): its values are those of the released code.
+Lengths are in world units: the workspace is 2 x 2. Other units are seconds, radians and mass units. The values are
+those of the original benchmark (Toyer et al. 2020, appendix "Additional benchmark details", and measurements on its
+released simulation). If the two differ, the paper's are used. Only for Jitter, the paper gives too little detail ("up
+to 5% of the maximum possible range"): its values are those of the released code.
 """
 
 from __future__ import annotations

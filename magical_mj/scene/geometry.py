@@ -37,7 +37,7 @@ MAX_ANGLE: Final = 500.0
 
 
 class Part(NamedTuple):
-    """A solid part in the world: its core geometry, enlarged by `radius`."""
+    """A solid part in world coordinates: its core geometry, enlarged by `radius`."""
 
     core: BaseGeometry
     radius: float = 0.0

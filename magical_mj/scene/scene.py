@@ -123,12 +123,12 @@ class GoalRegion:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """x, y of the middle."""
+        """x, y of the centre."""
         return (self.x_min + self.x_max) / 2, (self.y_min + self.y_max) / 2
 
-    def contains(self, thing: Robot | Block) -> bool:
-        """Whether the centre of `thing` is in the region, borders included."""
-        return self.x_min <= thing.x <= self.x_max and self.y_min <= thing.y <= self.y_max
+    def contains(self, body: Robot | Block) -> bool:
+        """Whether the centre of `body` is in the region, borders included."""
+        return self.x_min <= body.x <= self.x_max and self.y_min <= body.y <= self.y_max
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +144,9 @@ class Pebble:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five force caps of the world, all positive. The Dynamics variant draws other values.
+    """The five force caps of the simulation, all positive. The Dynamics variant draws other values.
 
-    `veer` is the angle (rad) by which the robot turns for each world unit that it drives, as with unequal wheels. Only
+    `veer` is the angle (rad) that the robot turns for each world unit that it drives, as with unequal wheels. Only
     shifts change it. MuJoCo's lowest coefficient of friction limits the caps' effect: even with smaller caps,
     blocks resist with at least 0.1, and the robot drives with at least 0.2.
     """
@@ -171,7 +171,7 @@ _LISTS: Final = {"blocks": Block, "regions": GoalRegion, "pebbles": Pebble}
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable.
+    """The robot, the blocks, the goal regions and the dynamics, at rest. Immutable and hashable.
 
     The inner faces of the walls are at x, y = -half_width and half_width.
     """
@@ -263,13 +263,13 @@ def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
         return [_plain(item, left_out) for item in value]
     if not dataclasses.is_dataclass(value):
         return value
-    told = {}
+    plain = {}
     for entry in dataclasses.fields(value):
         default = entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
         own = getattr(value, entry.name)
         if own != default or (left_out is not None and entry.name not in left_out):
-            told[entry.name] = _plain(own, left_out)
-    return told
+            plain[entry.name] = _plain(own, left_out)
+    return plain
 
 
 def check_scene_type(scene: object) -> Scene:

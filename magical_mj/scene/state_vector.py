@@ -32,7 +32,7 @@ VIEWS: Final = ("ego", "allo")
 """The two views of the benchmark, both from above. "ego" moves and turns with the robot, "allo" shows the workspace."""
 
 SOLID_VIEW: Final = "scene"
-"""The name of the view for people: the world in 3-D with lights and shadows, seen from above a corner."""
+"""The name of the view for people: the scene in 3-D with lights and shadows, seen from above a corner."""
 
 SEGMENTATIONS: Final = tuple(f"{view}-segmentation" for view in VIEWS)
 """The class of each pixel in the two views, as one number (`magical_mj.rendering.software`)."""

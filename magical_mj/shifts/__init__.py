@@ -1,4 +1,4 @@
-"""Shifts: axes with strengths from 0 to 5 along which any environment can differ, beside the 60 and their variants."""
+"""Shifts: changes with strengths from 0 to 5 that can be applied to any environment, in addition to its variant."""
 
 from __future__ import annotations
 

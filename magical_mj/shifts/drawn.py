@@ -1,4 +1,4 @@
-"""Shifts of what is seen: camera, light, ground, colours, and the sensor."""
+"""Shifts of the pictures: camera, light, ground, colours, and sensor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CONSTANT: Final = (1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 class Camera(Shift):
-    """Both cameras look from elsewhere, in the frames in which they are: "ego" in that of the robot."""
+    """Moves, turns and zooms both cameras. The "ego" camera moves in the robot's frame, "allo" in the world frame."""
 
     name = "camera"
     summary = "offset, heading and zoom of both cameras"
@@ -26,7 +26,7 @@ class Camera(Shift):
         Factor("x", "offset to the right, in sides of the view", (0.04, 0.08, 0.16, 0.24, 0.32)),
         Factor("y", "offset upwards, in sides of the view", (0.04, 0.08, 0.16, 0.24, 0.32)),
         Factor("heading", "degrees", (3, 6, 12, 20, 30)),
-        Factor("zoom", "change of the side of what is seen, relative", (0.03, 0.06, 0.12, 0.2, 0.3)),
+        Factor("zoom", "change of the side of the view, relative", (0.03, 0.06, 0.12, 0.2, 0.3)),
     )
 
     def model(self, model: Any) -> None:
@@ -39,38 +39,41 @@ class Camera(Shift):
                 model.cam_fovy[camera] = c.VISIBLE_SIZE * (1 + self.values["zoom"])
 
     def ground(self, ground: Picture) -> Picture:
-        """As it is, without an end: the model's ends where the cameras of the benchmark see no further."""
+        """Returns it unchanged. Overriding this method makes the ground unlimited.
+
+        The model's own ground ends where the unshifted cameras' view ends.
+        """
         return ground
 
 
 class Light(Shift):
-    """Brightness, contrast, colour of the light, a gradient over the ground, and the shadow of a bar outside.
+    """Brightness, contrast, colour of the light, a gradient over the ground, and the shadow of a bar outside the view.
 
-    Nothing gets brighter than white, so that pale things stay distinct from the white ground.
+    No level is clipped at white, so that pale objects stay distinct from the white ground.
     """
 
     name = "light"
     summary = "brightness, contrast, colour cast, gradient, shadow"
     factors = (
-        Factor("brightness", "lost part of all levels", (0.05, 0.1, 0.18, 0.28, 0.4), "positive"),
+        Factor("brightness", "lost share of all levels", (0.05, 0.1, 0.18, 0.28, 0.4), "positive"),
         Factor("contrast", "change of all distances from white, relative", (0.06, 0.12, 0.2, 0.3, 0.4)),
         Factor("red", "change of red levels, relative", (0.02, 0.04, 0.07, 0.11, 0.16)),
         Factor("blue", "change of blue levels, relative", (0.02, 0.04, 0.07, 0.11, 0.16)),
         Factor(
             "slope",
-            "lost part of all levels at a wall, 0 at the opposite one",
+            "lost share of all levels at a wall, 0 at the opposite one",
             (0.05, 0.1, 0.18, 0.28, 0.4),
             "positive",
         ),
         Factor("towards", "direction of the slope, half turns", CONSTANT),
-        Factor("shadow", "part of the light that the shadow takes", (0.06, 0.12, 0.22, 0.34, 0.48), "exact"),
+        Factor("shadow", "share of the light that the shadow removes", (0.06, 0.12, 0.22, 0.34, 0.48), "exact"),
         Factor("across", "direction across the shadow, half turns", CONSTANT),
-        Factor("away", "distance of the shadow from the middle, world units", CONSTANT),
+        Factor("away", "distance of the shadow from the centre, world units", CONSTANT),
     )
 
     @cached_property
     def _numbers(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-        """Tones, slope and bar, as `kernels.relight` takes them."""
+        """The arguments `tones`, `slope` and `bar` of `kernels.relight`."""
         v = self.values
         levels = np.arange(256.0)
         tint = np.array([1 + v["red"], 1.0, 1 + v["blue"]])
@@ -82,7 +85,7 @@ class Light(Shift):
         return np.round(256 * tones).astype(np.int32), slope, bar
 
     def picture(self, picture: Picture, frame: Frame) -> Picture:
-        """In the other light."""
+        """Applies the light."""
         from magical_mj.shifts.kernels import relight
 
         relight(picture, *self._numbers, frame.camera)
@@ -93,45 +96,45 @@ TINTS, TILES, WOOD, CLOUDS = range(4)
 
 
 class Texture(Shift):
-    """Ground and surroundings are tinted plainly, tiled, of wood or cloudy, each in two colours of its own."""
+    """Gives ground and surroundings a plain tint, tiles, wood or clouds, each with two colours of its own."""
 
     name = "texture"
     summary = "tints, tiles, wood and clouds on the ground and around it"
     factors = (
-        Factor("pattern", "0 plain tints, 1 tiles, 2 wood, 3 clouds", (4, 4, 4, 4, 4), "choice"),
-        Factor("opacity", "of the pattern over the plain ground", (0.08, 0.16, 0.3, 0.5, 0.8), "exact"),
-        Factor("size", "of the pattern, in doublings", CONSTANT),
-        Factor("turn", "of the pattern, half turns", CONSTANT),
+        Factor("pattern", "0 plain tint, 1 tiles, 2 wood, 3 clouds", (4, 4, 4, 4, 4), "choice"),
+        Factor("opacity", "opacity of the pattern over the plain ground", (0.08, 0.16, 0.3, 0.5, 0.8), "exact"),
+        Factor("size", "size of the pattern, in doublings", CONSTANT),
+        Factor("turn", "angle of the pattern, half turns", CONSTANT),
     )
 
     def ground(self, ground: Picture) -> Picture:
-        """With the pattern."""
+        """Adds the pattern."""
         cells, rng = len(ground), self.rng(0)
-        middle = (np.arange(cells, dtype=np.float32) + 0.5) * np.float32(2 * GROUND_REACH / cells) - GROUND_REACH
+        centres = (np.arange(cells, dtype=np.float32) + 0.5) * np.float32(2 * GROUND_REACH / cells) - GROUND_REACH
         angle, scale = math.pi * self.values["turn"], 2.0 ** self.values["size"]
-        east, north = middle[None, :] / np.float32(scale), -middle[:, None] / np.float32(scale)
+        east, north = centres[None, :] / np.float32(scale), -centres[:, None] / np.float32(scale)
         u = np.float32(math.cos(angle)) * east + np.float32(math.sin(angle)) * north
         v = np.float32(math.cos(angle)) * north - np.float32(math.sin(angle)) * east
         index = np.clip(255 * _pattern(int(self.values["pattern"]), u, v, rng), 0, 255).astype(np.uint8)
         inside = slice(round(len(ground) * (0.5 - 0.5 / GROUND_REACH)), round(len(ground) * (0.5 + 0.5 / GROUND_REACH)))
         opacity = self.values["opacity"]
         textured = ground.copy()
-        for where in ((slice(None), slice(None)), (inside, inside)):
+        for area in ((slice(None), slice(None)), (inside, inside)):
             first, second = _tint(rng), _tint(rng)
             mixed = first + np.linspace(0, 1, 256)[:, None] * (second - first)
-            blend = (opacity * mixed + (1 - opacity) * ground[where][0, 0]).astype(np.uint8)
-            textured[where] = blend.take(index[where], axis=0)
+            blend = (opacity * mixed + (1 - opacity) * ground[area][0, 0]).astype(np.uint8)
+            textured[area] = blend.take(index[area], axis=0)
         return textured
 
 
 def _tint(rng: np.random.Generator) -> NDArray[np.float64]:
-    """A colour of any hue, neither pale nor bright: unlike those of blocks and regions. Levels, shape (3,)."""
+    """A random colour of medium saturation and brightness, unlike those of blocks and regions. Levels, shape (3,)."""
     hue, saturation, value = rng.random(), 0.15 + 0.4 * rng.random(), 0.45 + 0.35 * rng.random()
     return 255 * value * (1 - saturation * np.clip(np.abs((hue * 6 + np.array([0, 4, 2])) % 6 - 3) - 1, 0, 1))
 
 
 def _pattern(pattern: int, u: NDArray[Any], v: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-    """How much of its second colour a pattern has at u, v (world units), from 0 to 1. Shape (cells, cells)."""
+    """The share of a pattern's second colour at u, v (world units), from 0 to 1. Shape (cells, cells)."""
     if pattern == TINTS:
         return np.zeros_like(u)
     if pattern == TILES:
@@ -149,7 +152,7 @@ def _pattern(pattern: int, u: NDArray[Any], v: NDArray[Any], rng: np.random.Gene
 
 
 class Palette(Shift):
-    """All hues are turned by the same angle, so that the four colours keep their order, and saturation changes."""
+    """Turns all hues by the same angle, so that the four colours keep their order, and changes the saturation."""
 
     name = "palette"
     summary = "hue and saturation of every colour"
@@ -159,13 +162,19 @@ class Palette(Shift):
     )
 
     def model(self, model: Any) -> None:
-        """Turns the colours of everything that is drawn."""
+        """Changes the colours of all geoms and skins."""
         for colours in (model.geom_rgba, *([model.skin_rgba] if model.nskin else [])):
             colours[:, :3] = turned(colours[:, :3], self.values["hue"], self.values["saturation"])
 
 
 def turned(colours: NDArray[Any], degrees: float, change: float) -> NDArray[Any]:
-    """Colours with hues turned, and saturations changed relatively, of the same brightest channel. Shape (n, 3)."""
+    """Colours with turned hues and changed saturation. Their largest channel keeps its value. Shape (n, 3).
+
+    Args:
+        colours: RGB in [0, 1], shape (n, 3).
+        degrees: the angle by which hues turn.
+        change: the relative change of saturation.
+    """
     most, least = colours.max(axis=1, keepdims=True), colours.min(axis=1, keepdims=True)
     spread = np.where(most > least, most - least, 1)
     r, g, b = ((colours - least) / spread).T
@@ -185,18 +194,18 @@ NOISE_SAMPLES: Final = 2**17
 
 
 class Sensor(Shift):
-    """One fault of the sensor an episode: noise, blur, blocks as of JPEG, a spot of dirt, or lost frames (grey).
+    """One fault of the sensor per episode: noise, blur, block artefacts, a spot of dirt, or lost frames (grey).
 
-    Noise and losses are drawn for every step.
+    Noise and lost frames are drawn at every step.
     """
 
     name = "sensor"
-    summary = "noise, blur, blocks, dirt or lost frames: one an episode"
+    summary = "noise, blur, block artefacts, dirt or lost frames: one per episode"
     factors = (
-        Factor("fault", "0 noise, 1 blur, 2 blocks, 3 dirt, 4 lost frames", (5, 5, 5, 5, 5), "choice"),
-        Factor("grade", "how bad it is", (1, 2, 3, 4, 5), "exact"),
-        Factor("x", "position of the dirt to the right, in half sides of the picture", (0.7,) * 5),
-        Factor("y", "position of the dirt upwards, in half sides of the picture", (0.7,) * 5),
+        Factor("fault", "0 noise, 1 blur, 2 block artefacts, 3 dirt, 4 lost frames", (5, 5, 5, 5, 5), "choice"),
+        Factor("grade", "severity of the fault", (1, 2, 3, 4, 5), "exact"),
+        Factor("x", "x of the dirt, in half sides of the picture", (0.7,) * 5),
+        Factor("y", "y of the dirt, in half sides of the picture", (0.7,) * 5),
     )
 
     @cached_property
@@ -206,18 +215,18 @@ class Sensor(Shift):
         return np.clip(levels, -127, 127).astype(np.int8)
 
     def _dirt(self, size: int) -> NDArray[np.uint8]:
-        """How thick the dirt is, 0 to 255; soft at the edge. Shape (size, size)."""
+        """The opacity of the dirt, 0 to 255, with a soft edge. Shape (size, size)."""
         if self._mask.shape != (size, size):
             radius = DIRT_RADII[int(self.values["grade"]) - 1]
-            at = (np.arange(size) + 0.5) / size - 0.5
-            across, down = at[None, :] - self.values["x"] / 2, at[:, None] + self.values["y"] / 2
+            centres = (np.arange(size) + 0.5) / size - 0.5
+            across, down = centres[None, :] - self.values["x"] / 2, centres[:, None] + self.values["y"] / 2
             self._mask = np.clip(255 * 1.6 * (1.2 - np.hypot(across, down) / radius), 0, 240).astype(np.uint8)
         return self._mask
 
     _mask: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
 
     def picture(self, picture: Picture, frame: Frame) -> Picture:
-        """As the sensor gives it."""
+        """Applies the fault."""
         from magical_mj.shifts import kernels
 
         fault, grade = int(self.values["fault"]), int(self.values["grade"]) - 1

@@ -1,4 +1,4 @@
-"""What shifts do to pixels, compiled by numba, with integers where pixels are combined: the same bytes everywhere."""
+"""Pixel operations of shifts, compiled by numba. Integer arithmetic gives the same bytes on every machine."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ BLOCK: Final = 4
 """Pixels per side of a block whose coefficients `quantise` rounds."""
 BITS: Final = 24
 ONE: Final = float(1 << BITS)
-"""A cell of the ground, in the steps in which places on it are counted."""
+"""The side of a ground cell in fixed-point coordinates."""
 WHITE: Final = 255
 _FRAME: Final = "UniTuple(f8, 4)"
 
 
 @compiled(f"void(u1[:, :, :], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
 def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
-    """Puts a picture of the ground under what was drawn on white.
+    """Replaces the white ground of a picture by another one, in place.
 
     Args:
-        picture: what was drawn, and is changed. Shape (size, size, 3).
-        bare: how many of the four samples of a pixel show the ground. Shape (size, size).
-        ground: top row first, for the square around the origin. Shape (n, n, 3).
-        reach: half a side of that square (world units); beyond it, its edge goes on.
-        camera: as in `Frame`.
+        picture: shape (size, size, 3).
+        bare: the number of each pixel's four samples that show the ground, shape (size, size).
+        ground: a picture of the square around the origin, top row first, shape (n, n, 3).
+        reach: half the side of that square (world units). Beyond it, the pixels of its edge continue.
+        camera: see `Frame`.
     """
     size, last = len(picture), len(ground) - 1
     x, y, angle, side = camera
@@ -41,14 +41,14 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
         lift = half - row
         j = int(((x + reach) * scale - half * right - lift * up) * ONE)
         i = int(((reach - y) * scale + half * up - lift * right) * ONE)
-        for column in range(size):  # a loop without branches, of which the processor takes several steps at once
+        for column in range(size):  # without branches, so that the compiler can vectorise it
             seen[column] = 3 * (min(max(i >> BITS, 0), last) * (last + 1) + min(max(j >> BITS, 0), last))
             i += stride_i
             j += stride_j
         for column in range(size):
             count, cell = np.int32(bare[row, column]), seen[column]
             plain = levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
-            if count == 0 or plain:  # it is as it was drawn
+            if count == 0 or plain:
                 continue
             for k in range(3):
                 level = np.int32(levels[cell + np.uint32(k)])
@@ -60,16 +60,16 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
 
 @compiled(f"void(u1[:, :, ::1], i4[:, ::1], f8[::1], f8[::1], {_FRAME})")
 def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
-    """Other light: tones of each channel, a gradient over the ground, and the shadow of a bar.
+    """Changes the light of a picture in place: tones of each channel, a gradient over the ground, the shadow of a bar.
 
     Args:
-        picture: is changed. Shape (size, size, 3).
-        tones: the level that each level of red, green and blue becomes, times 256. Shape (3, 256).
-        slope: x, y of the direction in which it gets darker, and the part of the light that is lost at 1 that way, none
-            of which is lost at -1. Shape (3,).
-        bar: x, y of the shadow's normal, its distance from the origin, half its width, the width of its soft edges
-            (world units), and how much of the light it takes. Shape (6,).
-        camera: as in `Frame`.
+        picture: shape (size, size, 3).
+        tones: the new level, times 256, of each level of red, green and blue, shape (3, 256).
+        slope: x, y of the unit vector towards the darker side, and the share of the light that is lost at 1 along it.
+            At -1 nothing is lost. Shape (3,).
+        bar: x, y of the shadow's normal, its distance from the origin, half its width and the width of its soft edges
+            (world units), and the share of the light that it removes. Shape (6,).
+        camera: see `Frame`.
     """
     size = len(picture)
     x, y, angle, side = camera
@@ -92,18 +92,18 @@ def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None
 
 @compiled("void(u1[::1], i1[::1], i8)")
 def add_noise(pixels: Any, noise: Any, first: int) -> None:
-    """Adds noise to all levels, from its entry `first` on."""
+    """Adds noise to all levels in place, starting with the noise's entry `first`."""
     for k in range(len(pixels)):
         pixels[k] = np.uint8(min(max(np.int32(pixels[k]) + np.int32(noise[first + k]), 0), 255))
 
 
 @njit
 def _blur_rows(picture: Any, width: int, before: Any) -> None:
-    """The means along rows, into `before`, shape (size, 3 * size)."""
+    """Writes the means along rows into `before`, shape (size, 3 * size)."""
     size, count = len(picture), 2 * width + 1
     share = np.int32(65536 // count)
     line = np.empty(3 * (size + count), np.int32)
-    for row in range(size):  # along the row, with a sum that moves on
+    for row in range(size):  # a moving sum along the row
         for i in range(size + count):
             for k in range(3):
                 line[3 * i + k] = picture[row, min(max(i - width, 0), size - 1), k]
@@ -121,7 +121,7 @@ def _blur_rows(picture: Any, width: int, before: Any) -> None:
 
 @compiled("void(u1[:, :, ::1], i8)")
 def blur(picture: Any, width: int) -> None:
-    """The mean of `width` pixels to either side and of the pixel itself, along rows and then along columns."""
+    """Replaces each pixel by the mean of itself and `width` pixels on either side, along rows and then columns."""
     size, count = len(picture), 2 * width + 1
     share = np.int32(65536 // count)
     before = np.empty((size, 3 * size), np.int32)
@@ -132,21 +132,21 @@ def blur(picture: Any, width: int) -> None:
             sums[i] += before[min(max(row, 0), size - 1), i]
     pixels = picture.reshape(size, 3 * size)
     for row in range(size):
-        after, gone = min(row + width + 1, size - 1), max(row - width, 0)
+        entering, leaving = min(row + width + 1, size - 1), max(row - width, 0)
         for i in range(3 * size):
             pixels[row, i] = np.uint8(min((sums[i] * share + 32768) >> 16, 255))
-            sums[i] += before[after, i] - before[gone, i]
+            sums[i] += before[entering, i] - before[leaving, i]
 
 
 @njit
 def _mixed(a: float, b: float, c: float, d: float) -> Any:
-    """The Hadamard transform of four numbers, by frequency; twice gives four times the numbers."""
+    """The Hadamard transform of four numbers, ordered by frequency. Applied twice, it multiplies them by four."""
     return a + b + c + d, a + b - c - d, a - b - c + d, a - b + c - d
 
 
 @njit
 def _round(block: Any, step: int) -> None:
-    """Rounds the coefficients of a block of whole numbers. Shape (4, 4)."""
+    """Rounds the Hadamard coefficients of a block in place, shape (4, 4)."""
     for i in range(BLOCK):
         block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
     for j in range(BLOCK):
@@ -161,7 +161,10 @@ def _round(block: Any, step: int) -> None:
 
 @njit
 def _fill(picture: Any, top: int, left: int, plain: Any) -> bool:
-    """Replaces the levels of a block if all pixels are equal, as in most: only its mean is not 0. Whether they are."""
+    """Quantises a block quickly if all its pixels are equal, as in most blocks. Returns whether they are.
+
+    Only the mean of such a block is not 0; `plain` maps it to the rounded level.
+    """
     for i in range(top, top + BLOCK):
         for j in range(left, left + BLOCK):
             for k in range(3):
@@ -177,9 +180,9 @@ def _fill(picture: Any, top: int, left: int, plain: Any) -> bool:
 
 @compiled("void(u1[:, :, ::1], i8)")
 def quantise(picture: Any, step: int) -> None:
-    """Rounds the coefficients of blocks of 4 x 4 pixels to multiples of a step, the mean finer, as JPEG does.
+    """Rounds the coefficients of blocks of 4 x 4 pixels in place. Higher frequencies get larger steps, as in JPEG.
 
-    They are those of the Hadamard transform, which are whole numbers. What does not fill a block stays.
+    The coefficients are those of the Hadamard transform, which are integers. Pixels outside whole blocks are unchanged.
     """
     size = len(picture) // BLOCK * BLOCK
     block, plain = np.empty((BLOCK, BLOCK), np.float64), np.empty(256, np.uint8)
@@ -202,7 +205,7 @@ def quantise(picture: Any, step: int) -> None:
 
 @compiled("void(u1[:, :, ::1], u1[:, ::1], i8)")
 def add_dirt(picture: Any, mask: Any, level: int) -> None:
-    """Covers a picture with dirt of a grey level, as thick as the mask says: 255 hides all. Shape (size, size)."""
+    """Blends a grey level over a picture in place, with the opacities 0 to 255 of `mask`, shape (size, size)."""
     for row in range(len(picture)):
         for column in range(len(picture)):
             cover = np.int32(mask[row, column])

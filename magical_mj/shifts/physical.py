@@ -1,4 +1,4 @@
-"""Shifts of the scene and its dynamics: where things start, pebbles, friction, and a worn robot."""
+"""Shifts of the scene and its dynamics: initial poses, pebbles, friction, latency, and a worn robot."""
 
 from __future__ import annotations
 
@@ -19,49 +19,51 @@ from magical_mj.variants.placement import along, layout
 from magical_mj.variants.rules import VariationRules, axis_generator, supported_axes
 
 TRACK: Final = 2 * c.ROBOT_RADIUS
-"""The distance of the wheels of which one is larger, in world units."""
+"""The distance between the robot's wheels in the shift `slip`, in world units."""
 MAX_TRIES: Final = 10_000
 
 
 class Pose(Shift):
-    """Everything starts somewhere on the way from its pose to that in the Layout scene of the same seed.
+    """Interpolates all poses and region sizes between the scene and the Layout scene of the same seed.
 
-    Regions change their sizes likewise. Where things would touch they are moved aside, as little as some tries find.
+    Objects that would overlap are moved apart, by a small distance that is found by sampling.
     """
 
     name = "pose"
-    summary = "start poses on the way to those of Layout"
-    factors = (Factor("way", "part of the way to the poses of Layout", (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1), "exact"),)
+    summary = "initial poses, interpolated towards those of Layout"
+    factors = (
+        Factor("way", "share of the distance to the poses of Layout", (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1), "exact"),
+    )
 
     @classmethod
     def supports(cls, task: str) -> str | None:
-        """Tasks whose layout can vary, but not by a rule of their own: what is on the way may not follow that rule."""
+        """Supports tasks with the variant Layout, unless they define a rule for it: interpolation could violate it."""
         if callable((spec := task_spec(task)).layout):
-            return "its layouts follow a rule of its own"
+            return "it defines its own rule for layouts"
         return None if "layout" in supported_axes(spec) else "it has no variant Layout"
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """The scene between."""
-        way = self.values["way"]
-        if way == 0:
+        """The interpolated scene."""
+        share = self.values["way"]
+        if share == 0:
             return scene
         rng = axis_generator(rules.name, "layout", int(self.values["seed"]))
         other = layout(scene, rng, rules.region_size, rules.inner_margin)
-        return along(scene, other, way, self.rng(0))
+        return along(scene, other, share, self.rng(0))
 
 
 class Clutter(Shift):
-    """Small grey pebbles lie about, loose, and stains are on the floor. Scores do not count them."""
+    """Small grey pebbles that the robot can push, and stains on the floor. Neither affects scores directly."""
 
     name = "clutter"
-    summary = "loose pebbles and stains, which belong to no task"
+    summary = "loose pebbles, and stains on the floor"
     factors = (
         Factor("pebbles", "number of pebbles", (1, 2, 3, 5, 8), "exact"),
         Factor("stains", "number of stains on the floor", (1, 2, 3, 5, 8), "exact"),
     )
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """The scene with pebbles, of which lower strengths have the first ones; they may lie in regions."""
+        """Adds pebbles, also in regions. A lower strength has the first pebbles of a higher one."""
         del rules
         rng, pebbles = self.rng(0), list(scene.pebbles)
         taken = [*solids(scene).values(), *map(pebble_solid, pebbles)]
@@ -72,13 +74,13 @@ class Clutter(Shift):
                 if inside_walls(solid, half_width=scene.half_width) and not any(touch(solid, other) for other in taken):
                     break
             else:
-                raise PlacementError("found no room for a pebble; use fewer blocks, or less clutter")
+                raise PlacementError("found no free position for a pebble; use fewer blocks, or less clutter")
             pebbles.append(pebble)
             taken.append(solid)
         return replace(scene, pebbles=tuple(pebbles))
 
     def ground(self, ground: Picture) -> Picture:
-        """With the stains."""
+        """Adds the stains."""
         stained = ground.copy()
         per_unit = len(ground) / (2 * GROUND_REACH)
         for x, y, size, darkness in self.stains():
@@ -93,7 +95,10 @@ class Clutter(Shift):
         return stained
 
     def stains(self) -> Iterator[tuple[float, float, float, float]]:
-        """Round spots, of which lower strengths have the first ones: x, y, radius (world units), darkness in [0, 1]."""
+        """Yields x, y, radius (world units) and darkness (in [0, 1]) of each stain.
+
+        A lower strength has the first stains of a higher one.
+        """
         rng = self.rng(1)
         for _ in range(int(self.values["stains"])):
             x, y, size, shade = rng.random(4).tolist()
@@ -101,7 +106,7 @@ class Clutter(Shift):
 
 
 class Friction(Shift):
-    """Blocks resist more or less than in any demonstration, beyond the range of Dynamics."""
+    """Changes the friction between blocks and ground, beyond the range of the variant Dynamics."""
 
     name = "friction"
     summary = "friction of blocks with the ground, beyond the range of Dynamics"
@@ -111,7 +116,7 @@ class Friction(Shift):
     )
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """The scene with other friction."""
+        """Changes the dynamics of the scene."""
         del rules
         dynamics = scene.dynamics
         force = dynamics.block_friction_force * 2 ** self.values["force"]
@@ -122,7 +127,7 @@ class Friction(Shift):
 class Slip(Shift):
     """A worn robot: one wheel is larger, motors are weaker, and some actions are replaced.
 
-    Half of the replaced actions are the one before, the others are any of the 18.
+    One half of these are replaced by the previous action, the other half by a random one of the 18.
     """
 
     name = "slip"
@@ -131,19 +136,19 @@ class Slip(Shift):
         Factor("replaced", "probability that an action is replaced", (0.02, 0.05, 0.1, 0.2, 0.3), "exact"),
         Factor("wheels", "difference of the wheels, relative", (0.03, 0.06, 0.12, 0.2, 0.3)),
         Factor(
-            "motors", "lost part of the force of drive, turning and fingers", (0.03, 0.06, 0.12, 0.2, 0.3), "positive"
+            "motors", "lost share of the force of drive, turning and fingers", (0.03, 0.06, 0.12, 0.2, 0.3), "positive"
         ),
     )
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """The scene with the dynamics of a worn robot."""
+        """Changes the dynamics of the scene."""
         del rules
-        dynamics, left = scene.dynamics, 1 - self.values["motors"]
-        weak = {name: left * getattr(dynamics, name) for name in ("drive_force", "turn_torque", "finger_torque")}
+        dynamics, power = scene.dynamics, 1 - self.values["motors"]
+        weak = {name: power * getattr(dynamics, name) for name in ("drive_force", "turn_torque", "finger_torque")}
         return replace(scene, dynamics=replace(dynamics, veer=dynamics.veer + self.values["wheels"] / TRACK, **weak))
 
     def action(self, commands: Sequence[int], step: int) -> int:
-        """The commanded action, the one before, or any."""
+        """The commanded action, the previous one, or a random one."""
         which = self.uniform(step)
         if which >= self.values["replaced"]:
             return commands[-1]
@@ -153,21 +158,21 @@ class Slip(Shift):
 
 
 class Latency(Shift):
-    """Actions take effect some steps late; until the first one does, nothing is done."""
+    """Delays actions by some steps. Until the first one takes effect, the robot does nothing."""
 
     name = "latency"
-    summary = "actions take effect late"
+    summary = "delayed actions"
     factors = (
-        Factor("steps", "steps of delay", (1, 2, 3, 4, 4), "exact"),
-        Factor("spread", "most steps by which each delay differs from that", (0, 0, 0, 0, 2), "exact"),
+        Factor("steps", "delay, in steps", (1, 2, 3, 4, 4), "exact"),
+        Factor("spread", "largest random difference from that delay, in steps", (0, 0, 0, 0, 2), "exact"),
     )
 
     def delay(self, step: int) -> int:
-        """The delay of the action that is taken at a step."""
+        """The delay of the action that is executed at a step, in steps."""
         delay, spread = int(self.values["steps"]), int(self.values["spread"])
         return delay + int(self.uniform(step) * (2 * spread + 1)) - spread if spread else delay
 
     def action(self, commands: Sequence[int], step: int) -> int:
-        """The action of some steps before."""
+        """The delayed action."""
         delay = self.delay(step)
         return commands[-1 - delay] if delay < len(commands) else NOOP

@@ -1,4 +1,4 @@
-"""All shifts by name: ours, those that packages announce, and those given as ``"package.module:NAME"``."""
+"""All shifts by name: the built-in ones, those of installed packages, and references ``"package.module:NAME"``."""
 
 from __future__ import annotations
 
@@ -26,51 +26,54 @@ from magical_mj.utils.imports import is_reference, reference_in_folder
 from magical_mj.utils.plugins import announced, imported, reference_of
 
 SHIFT_PROTOCOL: Final = 1
-"""The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
+"""The version of the built-in shifts. A change of their names, ranges or random draws requires the next number."""
 
 AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, Slip, Friction, Words)
 SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in AXES})
-"""Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
+"""The built-in shifts by name, in the order of tables and of their application. "all" means these."""
 
-Effect = Literal["world", "pictures", "sentence"]
-"""What a shift changes: what happens, what is seen in pictures, or what is read."""
+Effect = Literal["simulation", "pictures", "instruction"]
+"""What a shift can change."""
 
 
 def effects(kind: type[Shift]) -> frozenset[Effect]:
-    """What a shift changes, by the methods that it has; of a shift of one's own, `model` may change anything."""
+    """What a shift can change, according to the methods that it overrides.
+
+    A user's `model` may change both the simulation and the pictures. That of built-in shifts changes only pictures.
+    """
 
     def has(*methods: str) -> bool:
         return any(getattr(kind, method) is not getattr(Shift, method) for method in methods)
 
     changed: dict[Effect, bool] = {
-        "world": has("scene", "action") or (kind not in AXES and has("model")),
+        "simulation": has("scene", "action") or (kind not in AXES and has("model")),
         "pictures": has("model", "ground", "picture"),
-        "sentence": has("instruction"),
+        "instruction": has("instruction"),
     }
     return frozenset(effect for effect, is_changed in changed.items() if is_changed)
 
 
-PHYSICAL: Final = tuple(kind.name for kind in AXES if "world" in effects(kind))
-"""Those that change the scene, its dynamics or the actions, and not only what is seen or read."""
+PHYSICAL: Final = tuple(kind.name for kind in AXES if "simulation" in effects(kind))
+"""The built-in shifts that change the scene, its dynamics or the actions."""
 
-EFFECTS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
-"""The methods by which a shift changes an episode."""
+METHODS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
+"""The methods of a shift that change an episode."""
 
 _CLASS: Final = re.compile(r"^class (\w+)\((?:\w+\.)*Shift\):", re.MULTILINE)
-"""How a module defines a shift."""
+"""The definition of a shift in a module."""
 SHIFT_GROUP: Final = "magical_mj.shifts"
-"""The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
+"""The entry-point group of shifts in installed packages, such as ``fog = "fog:Fog"``."""
 
 BODY: Final = "body"
-"""The axis whose levels are names and not strengths: bodies of the robot that the task offers. "all" leaves it out."""
+"""The axis whose levels are names instead of strengths: the bodies that a task offers. "all" does not include it."""
 
 Shifts = Mapping[str, int | str] | str | None
-"""Shifts and their strengths, such as ``{"camera": 3, "latency": 1}`` or ``"camera:3,latency:1"``; None: none."""
+"""Shifts with strengths, such as ``{"camera": 3, "latency": 1}`` or ``"camera:3,latency:1"``. None: no shifts."""
 
 
 @cache
 def shift_plugins() -> Mapping[str, EntryPoint]:
-    """The entry points of announced shifts by name."""
+    """The entry points of shifts in installed packages, by name."""
     return announced("shift", SHIFT_GROUP, SHIFTS, str.isidentifier, 'fog = "fog:Fog"')
 
 
@@ -78,11 +81,11 @@ def shift_class(name: str) -> type[Shift]:
     """The class of a shift.
 
     Args:
-        name: one of `SHIFTS`, a shift that an installed package announces, or ``"package.module:NAME"``.
+        name: one of `SHIFTS`, the name of an installed package's shift, or ``"package.module:NAME"``.
 
     Raises:
-        UnknownNameError: if there is no such shift.
-        ShiftError: if it is the shift of another package, and is invalid.
+        UnknownNameError: for unknown names.
+        ShiftError: if the shift of another package is invalid.
     """
     if isinstance(name, str) and name in SHIFTS:
         return SHIFTS[name]
@@ -96,38 +99,41 @@ def shift_class(name: str) -> type[Shift]:
     own = getattr(kind, "name", None)
     if not (isinstance(own, str) and own.isidentifier()) or own in SHIFTS:
         raise ShiftError(
-            f"{name}.name must be a name of its own, of letters, digits and _, which none of ours has; "
-            f"not {short_repr(own)}"
+            f"{name}.name must consist of letters, digits and _, and must not be the name of a built-in shift, but is "
+            f"{short_repr(own)}"
         )
     factors: Any = kind.factors
     if not isinstance(factors, tuple) or not factors or not all(isinstance(factor, Factor) for factor in factors):
         raise ShiftError(
             f"{name}.factors must be a tuple of one or more magical_mj.shifts.Factor, not {short_repr(factors)}; "
-            "leave it out for the strength alone"
+            "without factors, the strength is the only one"
         )
-    if all(getattr(kind, method) is getattr(Shift, method) for method in EFFECTS):
-        raise ShiftError(f"{name} changes nothing: give it at least one of the methods {', '.join(EFFECTS)}")
+    if all(getattr(kind, method) is getattr(Shift, method) for method in METHODS):
+        raise ShiftError(f"{name} changes nothing: override at least one of the methods {', '.join(METHODS)}")
     return kind
 
 
 def _canonical(name: object) -> str:
-    """The name under which results are stored: a reference to an announced shift becomes its name."""
-    shift_class(name)  # type: ignore[arg-type] - which says what is wrong with anything else
+    """The name of a shift in results. If an installed package names the shift of a reference, it is that name."""
+    shift_class(name)  # type: ignore[arg-type] - it raises for other types
     return next((known for known, point in shift_plugins().items() if reference_of(point) == name), str(name))
 
 
 def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str]:
-    """The level of each shift: the body's name, then strengths, ours first, in their order. Strength 0 is left out.
+    """The level of each shift: first the name of the body, then the strengths of built-in and of other shifts.
+
+    Strength 0 is left out.
 
     Args:
-        shifts: names and strengths as a dict, or as text like ``"camera:3,latency:1"``, or a label; None: no shifts.
-        task: the task that is to have them; None: any.
+        shifts: a dict of names and strengths, text such as ``"camera:3,latency:1"``, or a label. None: no shifts.
+        task: the task that gets them. None: any task.
 
     Raises:
-        UnknownNameError: if there is no such shift.
-        ShiftError: if a shift of one's own is invalid.
-        SettingsError: if a strength is none of 0 to 5, a shift is named twice, or the task cannot have it.
-        InvalidSceneError: if there is no such body.
+        UnknownNameError: for unknown shifts.
+        ShiftError: if a user's shift is invalid.
+        SettingsError: if a strength is not an integer from 0 to 5, a shift is given twice, or the task does not support
+            it.
+        InvalidSceneError: for an unknown body.
     """
     if isinstance(shifts, str):
         pairs = [_pair(part.strip()) for part in shifts.replace("+", ",").split(",") if part.strip()]
@@ -136,12 +142,14 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
     elif shifts is None:
         pairs = []
     else:
-        raise SettingsError(f'shifts are a dict like {{"camera": 3}} or text like "camera:3", not {short_repr(shifts)}')
+        raise SettingsError(
+            f'shifts must be a dict such as {{"camera": 3}} or text such as "camera:3", not {short_repr(shifts)}'
+        )
     strengths: dict[str, int | str] = {}
     for name, value in pairs:
         name = BODY if name == BODY else _canonical(name)
         if name in strengths:
-            raise SettingsError(f"the shift {name} is given twice; give each one once, with one strength")
+            raise SettingsError(f"the shift {name} is given twice: give each shift once")
         strengths[name] = check_body_name(value) if name == BODY else _strength(name, value)
     names = (BODY, *SHIFTS, *sorted(strengths.keys() - SHIFTS - {BODY}))
     ordered = {name: strengths[name] for name in names if strengths.get(name)}
@@ -155,10 +163,10 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
 
 
 def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], str]:
-    """The strengths of shifts, and the body that the robot has with them, instead of `body` if they say so.
+    """The strengths of shifts, and the robot's body: the one in `shifts`, otherwise `body`.
 
     Raises:
-        UnknownNameError, ShiftError, SettingsError, InvalidSceneError: as `parse_shifts`.
+        UnknownNameError, ShiftError, SettingsError, InvalidSceneError: see `parse_shifts`.
     """
     levels = parse_shifts(shifts, task)
     body = str(levels.pop(BODY, body))
@@ -172,13 +180,13 @@ def _pair(text: str) -> tuple[str, Any]:
     name, _, strength = text.rpartition(":")
     named = is_reference(name) or ":" not in name
     if name not in SHIFTS and not (name and named and strength.lstrip("-").replace(".", "").isdigit()):
-        shift_class(text)  # an unknown name is the first thing to say
-        raise SettingsError(f"the shift {text!r} lacks its strength: give one of 0 to {STRENGTHS}, as in {text}:3")
+        shift_class(text)  # raises for an unknown name
+        raise SettingsError(f"the shift {text!r} has no strength: add one from 0 to {STRENGTHS}, such as {text}:3")
     return name, _number(strength)
 
 
 def _number(text: str) -> int | str:
-    """The text as a number, if it is a short one."""
+    """The text as an integer if it consists of at most 8 digits, otherwise the text."""
     return int(text) if text.isdecimal() and len(text) < 9 else text
 
 
@@ -186,7 +194,7 @@ def _strength(name: str, value: object) -> int:
     strength = as_integer(value, 0, STRENGTHS)
     if strength is None:
         raise SettingsError(
-            f"the strength of {name} must be a whole number from 0 (no shift) to {STRENGTHS}, not {short_repr(value)}"
+            f"the strength of {name} must be an integer from 0 (no shift) to {STRENGTHS}, not {short_repr(value)}"
         )
     return strength
 
@@ -194,17 +202,17 @@ def _strength(name: str, value: object) -> int:
 def expand_shifts(
     shifts: str | Iterable[Mapping[str, int | str]], task: str | None = None, unnoticed: Collection[Effect] = ()
 ) -> list[dict[str, int | str]]:
-    """The shifts of an evaluation, one dict for each setting that is to be played, without repeats.
+    """The shift settings of an evaluation, one dict for each, without repetitions.
 
     Args:
-        shifts: ``"camera:1-5,light,camera:2+latency:1"``: an axis with a strength, with a range of strengths, or with
-            all from 1 to 5; or several of one strength each, joined by "+". "all" stands for all our axes with
-            strengths, and "body" for all bodies that the task offers. Or dicts.
-        task: the task that is to have them; "all" leaves out what it cannot have. None: any task.
-        unnoticed: what a policy does not notice; "all" leaves out the axes that change nothing else.
+        shifts: dicts, or text such as ``"camera:1-5,light,camera:2+latency:1"``. Each item is a shift with a strength,
+            with a range of strengths, or alone for the strengths 1 to 5. "+" combines shifts with one strength each.
+            "all" means all built-in shifts at strengths 1 to 5, and "body" all bodies that the task offers.
+        task: the task that gets them. "all" leaves out shifts that it does not support. None: any task.
+        unnoticed: effects that a policy cannot notice. "all" leaves out shifts that have no other effect.
 
     Raises:
-        UnknownNameError, ShiftError, SettingsError: as `parse_shifts`.
+        UnknownNameError, ShiftError, SettingsError, InvalidSceneError: see `parse_shifts`.
     """
     if not isinstance(shifts, str):
         each: Any = [shifts] if isinstance(shifts, Mapping) else shifts
@@ -213,8 +221,8 @@ def expand_shifts(
     for part in filter(None, (part.strip() for part in shifts.split(","))):
         if part == "all":
             noticed = [kind for kind in AXES if not effects(kind) <= set(unnoticed)]
-            able = [kind.name for kind in noticed if task is None or not kind.supports(task)]
-            settings += [parse_shifts({name: strength}) for name in able for strength in range(1, STRENGTHS + 1)]
+            supported = [kind.name for kind in noticed if task is None or not kind.supports(task)]
+            settings += [parse_shifts({name: strength}) for name in supported for strength in range(1, STRENGTHS + 1)]
         elif part == BODY:
             settings += [parse_shifts({BODY: name}) for name in (BODIES if task is None else task_spec(task).bodies)]
         elif "+" in part or part.startswith(f"{BODY}:"):
@@ -227,31 +235,31 @@ def expand_shifts(
 
 UNNOTICED: Final[Mapping[Effect, str]] = MappingProxyType(
     {
-        "pictures": "it changes pictures, and the observations have none: leave it out, or give another preset",
-        "sentence": "it changes the sentence that says what is to be done, and only policies with the attribute "
+        "pictures": "it changes pictures, and the observations have none: leave it out, or choose another preset",
+        "instruction": "it changes the sentence that describes the task, and only policies with the attribute "
         "uses_instruction = True read it (docs/evaluation.md): leave it out",
     }
 )
 """Why a policy does not notice a shift, and what to do."""
 
 
-def check_noticed(shifts: Iterable[str], who: str, unnoticed: frozenset[Effect]) -> None:
-    """Raises a `SettingsError` if one of the shifts changes nothing but what the policy `who` does not notice."""
+def check_noticed(shifts: Iterable[str], policy: str, unnoticed: frozenset[Effect]) -> None:
+    """Raises a `SettingsError` if the policy cannot notice any effect of one of the shifts."""
     for name in shifts:
         changed = frozenset() if name == BODY else effects(shift_class(name))
         if changed and changed <= unnoticed:
-            why = UNNOTICED["pictures" if "pictures" in changed else "sentence"]
-            raise SettingsError(f"{who} does not notice the shift {name}: {why}")
+            why = UNNOTICED["pictures" if "pictures" in changed else "instruction"]
+            raise SettingsError(f"{policy} does not notice the shift {name}: {why}")
 
 
 def named_in(part: str) -> str:
-    """What a part of a label names: a body, or the shift whose strength it gives."""
+    """The name of the body or shift in one part of a label, such as "camera:3"."""
     axis, _, level = part.partition(":")
     return level if axis == BODY else part.rpartition(":")[0]
 
 
 def _range(part: str) -> tuple[str, int, int]:
-    """The name of an axis, and its least and greatest strength."""
+    """The name of a shift, and its lowest and highest strength."""
     name, _, strengths = part.rpartition(":")
     low, dash, high = strengths.partition("-")
     ends = _number(low), _number(high if dash else low)
@@ -261,14 +269,18 @@ def _range(part: str) -> tuple[str, int, int]:
         return part, 1, STRENGTHS
     least, most = (_strength(name, end) for end in ends)
     if least > most:
-        raise SettingsError(f"{part!r} has no strengths: give the least one first, as in {name}:{most}-{least}")
+        raise SettingsError(f"{part!r} contains no strengths: give the lowest one first, as in {name}:{most}-{least}")
     return name, least, most
 
 
 def _unique(settings: Iterable[dict[str, int | str]]) -> list[dict[str, int | str]]:
-    return list({shift_label(setting): setting for setting in settings}.values())
+    return list({_label(setting): setting for setting in settings}.values())
 
 
 def shift_label(shifts: Mapping[str, int | str]) -> str:
-    """The label of shifts in results, such as ``"camera:3+latency:1"``; "" for none."""
-    return "+".join(f"{name}:{level}" for name, level in parse_shifts(shifts).items())
+    """The label of shifts in results, such as ``"camera:3+latency:1"``. Empty for no shifts."""
+    return _label(parse_shifts(shifts))
+
+
+def _label(levels: Mapping[str, int | str]) -> str:
+    return "+".join(f"{name}:{level}" for name, level in levels.items())

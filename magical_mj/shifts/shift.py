@@ -1,4 +1,4 @@
-"""What a shift is: a class with the methods that it needs, and the factors that it draws once an episode."""
+"""The base class of shifts, and the factors that a shift draws once per episode."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from magical_mj.variants.rules import VariationRules
 Picture = NDArray[np.uint8]
 """Shape (height, width, 3), top row first."""
 Values = Mapping[str, float]
-"""Factor -> its value in an episode; ``"seed"`` -> the seed of the episode, for what a shift draws besides."""
+"""Factor -> its value in an episode. ``"seed"`` -> the seed of the episode, for other random numbers of the shift."""
 
 STRENGTHS: Final = 5
-"""The greatest strength; the least, 0, is no shift."""
+"""The greatest strength. Strength 0 is the environment without the shift."""
 Distribution = Literal["signed", "positive", "exact", "choice"]
 DISTRIBUTIONS: Final[tuple[Distribution, ...]] = get_args(Distribution)
 
@@ -31,11 +31,11 @@ class Factor:
     """A number that a shift draws at the start of an episode. It is 0 without the shift.
 
     Attributes:
-        name: its name among the values.
-        about: what it is, with its unit.
-        sizes: how large it is at the strengths 1 to 5.
-        draw: "signed", uniform from -size to size; "positive", uniform from 0 to size; "exact", the size itself; or
-            "choice", a whole number below the size, which is the same for all strengths.
+        name: the key of its value in `Shift.values`.
+        about: a description with the unit.
+        sizes: its size at each strength from 1 to 5.
+        draw: "signed": U(-size, size). "positive": U(0, size). "exact": the size itself. "choice": a random integer
+            from 0 to size - 1; then all strengths must have the same size.
     """
 
     name: str
@@ -44,15 +44,15 @@ class Factor:
     draw: Distribution = "signed"
 
     def __post_init__(self) -> None:
-        """Raises `ShiftError` unless there is a size for each strength, and it can be drawn so."""
+        """Raises a `ShiftError` unless there is a size for each strength, and `draw` is valid."""
         if len(self.sizes) != STRENGTHS or self.draw not in DISTRIBUTIONS:
             raise ShiftError(
-                f"the factor {self.name!r} needs {STRENGTHS} sizes, one for each strength, and for draw one of "
+                f"the factor {self.name!r} needs {STRENGTHS} sizes, one for each strength, and draw must be one of "
                 f"{', '.join(DISTRIBUTIONS)}"
             )
 
     def value(self, direction: float, strength: int) -> float:
-        """The value at a strength from 1 to 5, for a direction in [0, 1) that all strengths of a seed share."""
+        """The value at a strength from 1 to 5. `direction` in [0, 1) is the same for all strengths of a seed."""
         size = self.sizes[strength - 1]
         if self.draw == "choice":
             return int(direction * size)
@@ -61,24 +61,24 @@ class Factor:
 
     @property
     def whole(self) -> bool:
-        """Whether its values are whole numbers."""
+        """Whether its values are integers."""
         return self.draw == "choice" or (self.draw == "exact" and all(size % 1 == 0 for size in self.sizes))
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the greatest value at any strength, and without the shift."""
+        """The lowest and the highest value at any strength, including 0."""
         most = max(self.sizes)
         return -most if self.draw == "signed" else 0, most - 1 if self.draw == "choice" else most
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a shift is told about the picture that it changes.
+    """The view, step and camera of a picture that a shift changes.
 
     Attributes:
         view: "ego" or "allo".
         step: the number of actions since the start of the episode.
-        camera: x, y (world units) and angle (rad) of the camera, and the side of the square that it sees (world units).
+        camera: x, y (world units) and angle (rad) of the camera, and the side of its square view (world units).
     """
 
     view: str
@@ -87,15 +87,15 @@ class Frame:
 
 
 class Shift:
-    """A shift for one episode: the base class of ours and of your own, which override the methods that they need.
+    """The base class of all shifts. An instance belongs to one episode. Override the methods that your shift needs.
 
-    The methods must depend on nothing but their arguments, `values` and `rng`. So an episode can be saved, continued
-    and repeated, and a picture that is drawn twice is the same.
+    The methods must depend only on their arguments, `values`, `rng` and `uniform`. Then episodes can be saved,
+    continued and repeated, and rendering twice gives the same picture.
 
     Attributes:
-        name: what it is called in labels, unless it is used by its reference.
-        summary: one line of description.
-        factors: what it draws. A class without factors has the strength as its only one.
+        name: its name in labels, unless it is used by its reference.
+        summary: a description of one line.
+        factors: the numbers that it draws. The default is one factor, the strength.
         values: the values of the factors in this episode, and its seed.
     """
 
@@ -109,17 +109,17 @@ class Shift:
 
     @classmethod
     def supports(cls, task: str) -> str | None:
-        """Why a task of the benchmark or of your own cannot have this shift; None if it can."""
+        """None if the shift can be applied to this task, otherwise the reason why not, for an error message."""
         if task_spec(task).speeds and cls.action is not Shift.action:
-            return "it changes which of the 18 actions is taken, and the task's actions are speeds"
+            return "it replaces discrete actions, and the task's actions are speeds"
         return None
 
     def rng(self, *key: int) -> np.random.Generator:
-        """A random generator that depends on the seed of the episode and on the numbers in `key`, such as a step."""
+        """A random generator, determined by the seed of the episode and the integers in `key`, such as a step."""
         return _generator(type(self), int(self.values["seed"]), 1, *key)
 
     def uniform(self, step: int, *key: int) -> float:
-        """A random number in [0, 1) for a step, as often as it is asked for; another one for each `key`."""
+        """A random number in [0, 1), determined by the seed of the episode, the step and `key`."""
         part = *key, step // BATCH
         if part not in self._uniform:
             self._uniform = {key: numbers for key, numbers in self._uniform.items() if key[-1] == part[-1]}
@@ -127,69 +127,70 @@ class Shift:
         return self._uniform[part][step % BATCH]
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """The scene in which the episode starts, instead of `scene`; `rules` are those of the task."""
+        """Returns the initial scene to use instead of `scene`. `rules` are the task's rules of variation."""
         del rules
         return scene
 
     def model(self, model: Any) -> None:
-        """Changes numbers of the episode's `mujoco.MjModel`, such as ``model.opt.gravity``: the next one is fresh.
+        """Changes numbers of the episode's `mujoco.MjModel` in place, such as ``model.opt.gravity``.
 
-        Names of bodies, geoms and cameras are those of docs/exported-model.md.
+        The next episode gets a new model. docs/exported-model.md lists the names of bodies, geoms and cameras.
         """
 
     def action(self, commands: Sequence[int], step: int) -> int:
-        """The action that is taken, 0 to 17.
+        """Returns the action to execute, 0 to 17.
 
         Args:
-            commands: those that were commanded so far, the present one last; at most the last `HISTORY`.
+            commands: the last commanded actions, at most `HISTORY`. The current one is the last.
             step: the number of steps before this one.
         """
         del step
         return commands[-1]
 
     def delay(self, step: int) -> int:
-        """How many steps before `step` the command was given that takes effect in it. The scripted expert asks."""
+        """The delay (steps) of the action that takes effect at `step`. The scripted expert uses it."""
         del step
         return 0
 
     def picture(self, picture: Picture, frame: Frame) -> Picture:
-        """The picture that is seen instead of `picture`, which may be changed. Shape (size, size, 3), uint8."""
+        """Returns the picture to use instead of `picture`, which it may modify. Shape (size, size, 3), uint8."""
         del frame
         return picture
 
     def ground(self, ground: Picture) -> Picture:
-        """A picture of the ground instead of `ground`, which must stay as it is: the square around the origin.
+        """Returns a picture of the ground to use instead of `ground`, which it must not modify.
 
-        Its half side is `GROUND_REACH` (world units), and its top row is the one of greatest y. Shape (n, n, 3), uint8.
+        Shape (n, n, 3), uint8. The picture shows the square around the origin with half side `GROUND_REACH` (world
+        units). The top row has the largest y.
         """
         return ground
 
     def instruction(self, instruction: str, task: str) -> str:
-        """The sentence that says what is to be done, instead of `instruction`."""
+        """Returns the sentence that describes the task, to use instead of `instruction`."""
         del task
         return instruction
 
 
 GROUND_REACH: Final = 3.2
-"""World units from the middle to the sides of what `Shift.ground` changes."""
+"""Half the side of the picture for `Shift.ground` (world units)."""
 GROUND_CELLS: Final = 256
-"""Pixels per side of it; walls are at the edges of some."""
+"""The number of pixels per side of that picture. The arena's walls coincide with edges of pixels."""
 
 HISTORY: Final = 16
-"""The number of commands that `Shift.action` is given."""
+"""The maximum number of commands that `Shift.action` receives."""
 
 
 BATCH: Final = 256
-"""The number of steps for which numbers are drawn together, which takes as long as for one."""
+"""The number of steps that `Shift.uniform` draws at once, since creating a generator takes most of the time."""
 
 
 def draw(kind: type[Shift], seed: int, strength: int) -> dict[str, float]:
-    """The values of a shift in the episode of a seed. All strengths of it have the same directions."""
+    """The values of a shift in the episode of a seed. For all strengths, signs and relative sizes are the same."""
     rng = _generator(kind, seed, 0)
     return {**{factor.name: factor.value(rng.random(), strength) for factor in kind.factors}, "seed": seed}
 
 
 def _generator(kind: type[Shift], seed: int, *key: int) -> np.random.Generator:
-    """The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`."""
+    """A generator with an explicit algorithm, since later versions of numpy may change that of `default_rng`."""
     sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(kind.name.encode()), *key))
     return np.random.Generator(np.random.PCG64(sequence))

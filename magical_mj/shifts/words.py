@@ -1,4 +1,4 @@
-"""Words: other sentences for the same thing to do, 25 for each task of the benchmark."""
+"""The shift `words`: other sentences with the same meaning, 25 for each task of the benchmark."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def _sentences() -> dict[str, list[list[str]]]:
 
 
 SENTENCES: Final[Mapping[str, list[list[str]]]] = MappingProxyType(_sentences())
-"""Task -> five sentences for each strength, from another verb to a description without the task's words."""
+"""Task -> five sentences for each strength. Strength 1 changes the verb, strength 5 uses none of the task's words."""
 
 
 class Words(Shift):
-    """The sentence that says what is to be done is another one: `info["instruction"]`, and in dicts of pictures."""
+    """Another instruction with the same meaning, in `info["instruction"]` and in dict observations."""
 
     name = "words"
-    summary = "the sentence that says what is to be done"
+    summary = "the instruction: the sentence that describes the task"
     factors = (
         Factor(
             "distance",
@@ -39,10 +39,10 @@ class Words(Shift):
 
     @classmethod
     def supports(cls, task: str) -> str | None:
-        """Tasks that have sentences."""
+        """Supports tasks that have other sentences."""
         return None if task_name(task) in SENTENCES else "it has no other sentences"
 
     def instruction(self, instruction: str, task: str) -> str:
-        """The sentence."""
+        """The drawn sentence. Without the shift, `instruction`."""
         distance = int(self.values["distance"])
         return SENTENCES[task_name(task)][distance - 1][int(self.values["sentence"])] if distance else instruction

@@ -33,10 +33,10 @@ from magical_mj.utils.errors import (
 from magical_mj.utils.imports import (
     errors_of_task,
     is_reference,
-    place,
+    location,
     reference_in_folder,
     source_of,
-    with_place,
+    with_location,
 )
 from magical_mj.utils.plugins import announced, imported, reference_of
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -372,9 +372,9 @@ def check_spec(spec: Any, task: str) -> None:
     except TaskError:
         raise
     except MagicalError as error:
-        raise TaskError(f"{task} is invalid: {error}{place(error)}") from error
+        raise TaskError(f"{task} is invalid: {error}{location(error)}") from error
     except Exception as error:
-        raise TaskError(f"{task} is invalid: {with_place(error)}") from error
+        raise TaskError(f"{task} is invalid: {with_location(error)}") from error
 
 
 def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:

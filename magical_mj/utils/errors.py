@@ -24,7 +24,7 @@ class TaskError(MagicalError, ValueError):
 
 
 class IntentError(MagicalError, ValueError):
-    """A text that is no intent, or an intent that no scene satisfies."""
+    """A text that is not a valid intent, or an intent that no scene satisfies."""
 
 
 class ShiftError(MagicalError, ValueError):

@@ -161,7 +161,7 @@ def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
             block forever.
     """
     if path.exists() and not path.is_file():
-        raise error(f"{path} is not a plain file, but a folder, a pipe or a device")
+        raise error(f"{path} is not a plain file: it is a folder, a pipe or a device")
     with path.open("rb") as file:
         content = file.read(most + 1)
     if len(content) > most:

@@ -54,7 +54,7 @@ def resolve(reference: str) -> Any:
     """The object of a reference ``"package.module:NAME"`` typed by the user. The working folder is searched as well.
 
     Raises:
-        ImportError: if there is no such module or object. Errors raised by the module itself pass through.
+        ImportError: if the module or object does not exist. Errors raised by the module itself pass through.
     """
     module, _, name = reference.partition(":")
     if module.endswith(".py"):
@@ -80,8 +80,8 @@ def resolve_installed(reference: str) -> Any:
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
-    It refers to the first object in that file for which a line matches `definition`. The first group is the object's
-    name. The file is read, but not imported. Empty if there is no such object.
+    It refers to the first object whose definition in the file matches `definition`. The first group is the object's
+    name. The file is read, but not imported. Empty if nothing matches.
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")
@@ -114,16 +114,16 @@ def errors_of_task(what: str) -> Iterator[None]:
     except MagicalError:
         raise
     except Exception as error:
-        raise TaskError(f"{what}: {with_place(error)}") from error
+        raise TaskError(f"{what}: {with_location(error)}") from error
 
 
-def with_place(error: BaseException) -> str:
+def with_location(error: BaseException) -> str:
     """The error's type, message and location."""
-    where = "" if isinstance(error, SyntaxError) else place(error)  # its message contains the location
+    where = "" if isinstance(error, SyntaxError) else location(error)  # its message contains the location
     return f"{type(error).__name__}: {error}{where}"
 
 
-def place(error: BaseException, *, full: bool = True) -> str:
+def location(error: BaseException, *, full: bool = True) -> str:
     """The last location of the error in the user's code, or otherwise in another package than this one, if any.
 
     With `full`, it includes the file's folder.

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from magical_mj.utils.errors import MagicalError, MissingExtraError, UnknownNameError, short_repr
-from magical_mj.utils.imports import is_reference, resolve, resolve_installed, with_place
+from magical_mj.utils.imports import is_reference, resolve, resolve_installed, with_location
 
 
 def announced(
@@ -47,7 +47,7 @@ def imported(noun: str, name: str, point: EntryPoint | None, failed: type[Magica
     except MissingExtraError:
         raise
     except (Exception, SystemExit) as error:
-        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_place(error), failed)
+        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_location(error), failed)
         raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
 
 

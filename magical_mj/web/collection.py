@@ -124,7 +124,7 @@ class Collection:
         self._consents: set[str] = set()
         self._practised: Counter[str] = Counter()
         self._accepted: dict[Pair, dict[int, float]] = {pair: {} for pair in self._quotas}
-        self._by: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._refusals: dict[Pair, Counter[str]] = defaultdict(Counter)
         self._episodes: dict[str, tuple[str, float]] = {}
         self.paused = False
@@ -251,9 +251,9 @@ class Collection:
                 rows.append(
                     {"environment": f"{task}-{variant}", "wanted": wanted, "accepted": len(scores)}
                     | {"leased": len(self._leases(pair, now)), "refused": dict(self._refusals[pair])}
-                    | {"histogram": [bins[place] for place in range(BINS)]}
+                    | {"histogram": [bins[index] for index in range(BINS)]}
                 )
-            people = len({*self._offers, *self._by})
+            people = len({*self._offers, *self._counts})
             return {"title": self.study.title, "paused": self.paused, "participants": people, "environments": rows}
 
     def pause(self, paused: bool) -> None:
@@ -270,11 +270,11 @@ class Collection:
         return buffer.getvalue()
 
     def _closed(self, participant: str, now: float) -> dict[str, Any] | None:
-        """The reason why this participant gets no offer, apart from the quotas. None if there is no such reason."""
-        if self.study.episodes is not None and self._by[participant] >= self.study.episodes:
+        """The reason why this participant gets no offer, apart from the quotas. None if offers are possible."""
+        if self.study.episodes is not None and self._counts[participant] >= self.study.episodes:
             return {"why": "That was everything. Thank you!", "code": self.study.completion_code}
         if all(wanted is not None and len(self._accepted[pair]) >= wanted for pair, wanted in self._quotas.items()):
-            code = self.study.completion_code if self._by[participant] else ""
+            code = self.study.completion_code if self._counts[participant] else ""
             return {"why": "That was everything: there are enough episodes. Thank you!", "code": code}
         if self.paused:
             return {"why": "The study is paused: please come back later"}
@@ -324,7 +324,7 @@ class Collection:
         """Counts a saved demonstration. A demonstration is counted only once."""
         pair: Pair = (demo.task, demo.variant)
         if demo.scene_seed not in self._accepted[pair]:
-            self._by[participant] += 1
+            self._counts[participant] += 1
         self._accepted[pair][demo.scene_seed] = demo.score
         self._episodes[_key(demo)] = participant, demo.score
         offer = self._offers.get(participant)

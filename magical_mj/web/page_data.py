@@ -1,4 +1,4 @@
-"""The page's data as JSON: the tasks, how scenes are drawn, and the scenes of each environment."""
+"""The page's data as JSON: the tasks, the drawing style, and the scenes of each environment."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def drawing_style() -> dict[str, Any]:
     """The drawing style of all scenes, as JSON data.
 
     Outlines are lists of closed loops, each a flat list x, y, x, y, ... in world units, in the frame of their part:
-    the world, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
+    the arena, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
     """
     blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
     layers = _layers(Scene(Robot(0.0, -0.5, 0.0), blocks, pebbles=(Pebble(0.0, 0.0),)))

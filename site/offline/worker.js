@@ -1,5 +1,5 @@
 // @ts-check
-/** Keeps the pages, so that a second visit needs no network. Other files are kept once they were used. Built by site/play.py. */
+/** Stores the pages for offline visits. Other files are stored after their first use. Built by site/play.py. */
 const HASH = "@HASH@", FILES = "@FILES@".split(" ");
 const worker = /** @type {any} */ (self), name = `${worker.registration.scope} ${HASH}`;
 
@@ -12,10 +12,10 @@ worker.addEventListener("fetch", (/** @type {any} */ event) => {
 
 async function keep() {
   const cache = await caches.open(name);
-  await cache.addAll(FILES.map((file) => new Request(file, { cache: "no-cache" })));  // else files of an older build might come
+  await cache.addAll(FILES.map((file) => new Request(file, { cache: "no-cache" })));  // otherwise the browser's cache might return files of an older build
 }
 
-/** Forgets older builds. */
+/** Deletes older builds. */
 async function tidy() {
   const others = (await caches.keys()).filter((one) => one.startsWith(`${worker.registration.scope} `) && one !== name);
   await Promise.all(others.map((one) => caches.delete(one)));

@@ -1,6 +1,6 @@
 // @ts-check
-/** Tables that are sorted by their headings, rows that open, and charts whose lines are switched. */
-const wide = new ResizeObserver((boxes) => {  // what must be scrolled can be reached by keyboard
+/** Sorts tables, opens rows, shows and hides lines of charts, animates cards, and filters the gallery. */
+const wide = new ResizeObserver((boxes) => {  // boxes that scroll can be focused by keyboard
   for (const { target } of boxes) /** @type {HTMLElement} */ (target).tabIndex = target.scrollWidth > target.clientWidth ? 0 : -1;
 });
 for (const box of document.querySelectorAll(".table-wrapper, pre, div.wide")) wide.observe(box);
@@ -34,7 +34,7 @@ const move = (/** @type {Element} */ card, /** @type {boolean} */ isMoving) => {
   picture.dataset.still ??= picture.src;
   picture.src = (isMoving ? picture.dataset.moving : picture.dataset.still) ?? "";
 };
-const middle = new IntersectionObserver((cards) => {  // without a pointer, what is in the middle of the screen moves
+const middle = new IntersectionObserver((cards) => {  // without a pointer, cards in the centre of the screen are animated
   for (const { target, isIntersecting } of cards) move(target, isIntersecting);
 }, { rootMargin: "-35% 0px" });
 for (const card of document.querySelectorAll(".card:has([data-moving])")) {

@@ -1,5 +1,5 @@
 // @ts-check
-/** What the browser tests share: a server of files under a sub-path, and headless Chromium. */
+/** Shared by the browser tests: a file server with a sub-path, and headless Chromium. */
 import { createServer } from "node:http";
 import { mkdtemp, readFile, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
@@ -19,7 +19,7 @@ export const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.
 /**
  * Serves a folder at http://127.0.0.1:PORT/sub/path/.
  * @param {string} folder
- * @param {{compress?: boolean}} [how]  compress: as hosts of sites do, and let browsers keep files for a while
+ * @param {{compress?: boolean}} [how]  compress: compress files and allow browsers to cache them, as web hosts do
  */
 export async function serve(folder, { compress = false } = {}) {
   const server = createServer(async (request, response) => {
@@ -45,7 +45,7 @@ export async function serve(folder, { compress = false } = {}) {
 
 /**
  * Chromium, or Firefox if BROWSER says so, with a new, empty profile.
- * @param {{keeps?: boolean}} [how]  keeps: pages may be kept for visits without a network; what is kept cannot be made to fail
+ * @param {{keeps?: boolean}} [how]  keeps: allow the service worker. Tests cannot make requests for stored files fail
  */
 export async function launch({ keeps = false } = {}) {
   const profile = await mkdtemp(join(tmpdir(), "magical-site-"));
@@ -63,7 +63,7 @@ export async function launch({ keeps = false } = {}) {
 }
 
 /**
- * What axe finds on a page that shuts somebody out, in light and in dark.
+ * The accessibility problems that axe finds on a page, in light and dark mode.
  * @param {import("playwright-core").Page} page
  */
 export async function barriers(page) {
@@ -77,7 +77,7 @@ export async function barriers(page) {
 }
 
 /**
- * Presses a button that offers a download; its name and text. Firefox does not tell tests of downloads: there, the page is asked.
+ * Presses a button that starts a download. Returns its name and text. Firefox reports no downloads to tests, so the page is instrumented.
  * @param {import("playwright-core").Page} page @param {string} button
  * @returns {Promise<{name: string, text: string}>}
  */

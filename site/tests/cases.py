@@ -1,4 +1,4 @@
-"""What Python makes of many episodes, scores and pictures, for the JavaScript to be held against: cases.py FOLDER."""
+"""Writes episodes, scores and pictures from Python, for comparison with JavaScript: cases.py FOLDER."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from magical_mj.web.page_data import drawing_style, scene_data
 ROUGH: Final = 60
 SHIPPED: Final = slice(None, None, 5)  # of each task's demonstrations
 STEPS: Final = 100
-GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
-SCORED: Final = 10  # every so many states of the demonstrations are scored
+GLANCES: Final = (1, 20, 100)  # numbers of steps before states are compared. The last state is compared as well
+SCORED: Final = 10  # one of this number of demonstration states is scored
 GATHERED: Final = 30  # scored states of each environment
-SEEN: Final = 25  # states of each task that are compared, and what policies do in them
+SEEN: Final = 25  # states of each task for comparing state vectors and policies
 POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
-EVERY: Final = 4  # environments from one whose pictures are compared to the next
-LOOKS: Final = 4  # moments of each environment at which policies' pictures are compared
+EVERY: Final = 4  # pictures of one of this number of environments are compared
+LOOKS: Final = 4  # compared policies' pictures of each environment
 LOOK_SIZE: Final = 96  # pixels
 LOOKING: Final = {"LoRes4E": "FindDupe", "LoRes4A": "MakeLine", "LoRes3EA": "MatchRegions"}
-"""Presets of pictures, and the task on which a policy is trained that looks at them."""
-LOOKED: Final = 200  # pictures that such policies are given, of all presets together
+"""Preset of pictures -> the task of its trained policy."""
+LOOKED: Final = 200  # the number of pictures for these policies, for all presets together
 BRIEF: Final = {
     "augment": "none",
     "bc.batches": 80,
@@ -57,11 +57,11 @@ BRIEF: Final = {
     "network.channels": 16,
     "network.hidden": 64,
 }
-"""A training that is just long enough for a policy to prefer different actions."""
+"""The settings of a short training, long enough for a policy to choose different actions."""
 
 
 def episodes() -> Iterator[dict[str, Any]]:
-    """Demonstrations, and drives that hold an action for a while: into blocks, walls and heaps."""
+    """Demonstrations, and drives with held actions into blocks, walls and heaps."""
     for task in magical_mj.TASKS:
         for number, demo in enumerate(magical_mj.demos.load(task)[SHIPPED]):
             yield _played(f"demonstration {number} of {task}", Engine(task, scene=demo.scene), demo.actions.tolist())
@@ -81,7 +81,7 @@ def episodes() -> Iterator[dict[str, Any]]:
 
 
 def _drive(rng: np.random.Generator) -> list[int]:
-    """Holds an action for a while, and another one, and so on."""
+    """Random actions, each repeated for some steps."""
     with_drive = [action for action in range(18) if action % 3]
     return np.repeat(rng.choice(with_drive, 40), rng.integers(2, 16, 40)).tolist()
 
@@ -100,7 +100,7 @@ def _played(name: str, env: Engine, actions: list[Any]) -> dict[str, Any]:
 
 
 def scores() -> Iterator[dict[str, Any]]:
-    """States of the demonstrations, the reference's, and many of every environment, with their scores."""
+    """States of the demonstrations, of the reference, and of each environment, with their scores."""
     for task in magical_mj.TASKS:
         for demo in magical_mj.demos.load(task)[SHIPPED]:
             for final in demo.scenes()[::SCORED]:
@@ -121,7 +121,7 @@ def scores() -> Iterator[dict[str, Any]]:
 
 
 def _gathered(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with its things around a few places, so that scores between 0 and 1 occur, too."""
+    """The scene with its objects gathered around a few positions, so that scores between 0 and 1 occur as well."""
     places = [*(region.centre for region in scene.regions), *rng.uniform(-0.8, 0.8, (2, 2))]
     x, y = places[rng.integers(len(places))]
     blocks = [(*(places[rng.integers(len(places))] + rng.normal(0, 0.1, 2)), 0.0) for _ in scene.blocks]
@@ -134,7 +134,7 @@ def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
 
 
 def pictures() -> Iterator[dict[str, Any]]:
-    """What the renderer draws: red, green and blue of each pixel, from the top left, as hexadecimal digits."""
+    """The renderer's pictures: red, green and blue of each pixel, from the top left, as hexadecimal digits."""
     for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS):
         if number % EVERY == 0:
             env = magical_mj.Engine(task, variant, seed=number)
@@ -156,7 +156,7 @@ def _pictured(env: Engine, view: str) -> dict[str, Any]:
 
 
 def policies() -> Iterator[dict[str, Any]]:
-    """The first states of a demonstration of each task, and what the site's policy prefers in each."""
+    """The first states of a demonstration of each task, and the outputs of the site's policy."""
     for task in magical_mj.TASKS:
         demo = magical_mj.demos.load(task)[0]
         played = _played(task, Engine(task, scene=demo.scene), demo.actions[:SEEN].tolist())
@@ -168,7 +168,7 @@ def policies() -> Iterator[dict[str, Any]]:
 
 
 def looks() -> Iterator[dict[str, Any]]:
-    """Of every environment some states, and a hash of what the software renderer draws of each for both cameras."""
+    """States of each environment, and a hash of the software renderer's picture of each in both views."""
     rng = np.random.default_rng(0)
     shifted = [(*pair, shift) for pair in SUITE for shift in offered(*pair)["body"]]
     for seed, (*pair, shift) in enumerate([*((*pair, "") for pair in (*magical_mj.ENVIRONMENTS, *SUITE)), *shifted]):
@@ -187,7 +187,7 @@ def looks() -> Iterator[dict[str, Any]]:
 
 
 def looking(folder: Path) -> Iterator[dict[str, Any]]:
-    """What policies from pictures prefer along a demonstration; they are left in the folder."""
+    """The outputs of policies from pictures along a demonstration. The policies are written to the folder."""
     for preset, task in LOOKING.items():
         demo, count = magical_mj.demos.load(task)[0], -(-LOOKED // len(LOOKING))
         env = Engine(task, scene=demo.scene)
@@ -202,10 +202,10 @@ def looking(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def stepped() -> Iterator[dict[str, Any]]:
-    """Models, some from elsewhere and with files beside them, and the state after 100 steps at full throttle."""
+    """Models, some from other sources with further files, and their states after 100 steps with maximum controls."""
     for task, variant in magical_mj.ENVIRONMENTS[::7]:
         env = magical_mj.Engine(task, variant, seed=1)
-        controls = [0.8, 0.8, 2.5, 2.5, 1.0, 1.0]  # the largest values that any action has
+        controls = [0.8, 0.8, 2.5, 2.5, 1.0, 1.0]  # the largest values of all actions
         yield _stepped(f"{task}-{variant}-1", {f"{task}-{variant}-1.xml": mjcf_text(env).encode()}, controls)
         env.close()
     locomotion, suite = (Path(module.__file__ or "").parent for module in (gymnasium, dm_control.suite))

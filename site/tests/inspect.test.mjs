@@ -1,5 +1,5 @@
 // @ts-check
-/** The page that shows models, in headless Chromium: it opens every scene and models from elsewhere, and runs them as Python does. */
+/** The page for inspecting models, in headless Chromium: it opens all scenes and other models, and simulates them like Python. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdir, mkdtemp, readFile, symlink, writeFile } from "node:fs/promises";
@@ -26,7 +26,7 @@ before(async () => {
   site = await serve(`${OUT}site`);
   browser = await launch();
   page = await browser.context.newPage();
-  await page.setViewportSize({ width: 400, height: 500 });  // few pixels, which software draws
+  await page.setViewportSize({ width: 400, height: 500 });  // few pixels, because software renders them
   page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
   page.on("pageerror", (error) => complaints.push(error.message));
 });
@@ -42,7 +42,7 @@ const untilOpen = (name) => page.waitForFunction((name) => document.title.starts
 /** @param {Record<string, string>} files */
 const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
   ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));
-/** What the page says of which scene is displayed. */
+/** The scene that the page's lists and link show. */
 const choice = () => page.evaluate(() => {
   const [task, variant, seed, play] = ["task", "variant", "seed", "play"].map((id) => /** @type {any} */ (document.getElementById(id)));
   return { task: task.value, variant: variant.value, seed: seed.value, play: play.hidden ? "" : play.getAttribute("href") };
@@ -78,7 +78,7 @@ test("all scenes open", async () => {
   console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
-test("100 steps end where Python's do, also in models from elsewhere that need other files", async () => {
+test("after 100 steps, states equal Python's, also for other models with further files", async () => {
   /** @type {any[]} */
   const cases = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8"));
   await page.goto("about:blank");
@@ -106,7 +106,7 @@ test("100 steps end where Python's do, also in models from elsewhere that need o
   assert.deepEqual(complaints, []);
 });
 
-test("a body that is clicked is described, with what the file says of it", async () => {
+test("a clicked body is described, with the file's comment", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
   await untilOpen("MoveToCorner-Demo-0");
@@ -115,8 +115,8 @@ test("a body that is clicked is described, with what the file says of it", async
   for (const part of ["Block 0: ", "Mass0.5", "block0_x", "slide", "feet of blocks"]) assert.ok(words?.includes(part), part);
   await page.evaluate(() => { location.hash = "#MoveToRegion-Demo-0"; });
   await untilOpen("MoveToRegion-Demo-0");
-  await page.locator("#world").scrollIntoViewIfNeeded();
-  const box = /** @type {any} */ (await page.locator("#world").boundingBox());
+  await page.locator("#solids").scrollIntoViewIfNeeded();
+  const box = /** @type {any} */ (await page.locator("#solids").boundingBox());
   const found = new Set();
   for (let x = 0.1; x < 0.8 && !found.has("face"); x += 0.08) for (let y = 0.2; y < 0.9; y += 0.06) {
     await page.mouse.click(box.x + x * box.width, box.y + y * box.height);
@@ -125,13 +125,13 @@ test("a body that is clicked is described, with what the file says of it", async
   assert.ok(found.has("world") && found.has("face"), [...found].join());
 });
 
-test("the robot is driven by keys, and helpers and plots follow", async () => {
+test("keys drive the robot, and helper geoms and plots follow", async () => {
   await page.evaluate(() => { location.hash = "#FindDupe-All-3"; });
   await untilOpen("FindDupe-All-3");
   const begun = await state();
   for (const name of ["contacts", "joints", "inertia", "collision"]) await page.check(`[name=${name}]`);
   await page.click("#sensors summary");
-  await page.focus("#world");
+  await page.focus("#solids");
   await page.keyboard.down("ArrowUp");
   await page.evaluate(() => {
     Object.assign(window, { frames: 0 });
@@ -145,12 +145,12 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   await page.keyboard.press("p");
   const driven = await state();
   await page.locator("#tree button", { hasText: /^robot$/ }).click();
-  const [place, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
+  const [position, joints] = await page.evaluate(() => [...document.querySelectorAll("#about table")].map(
     (table) => [.../** @type {HTMLTableElement} */ (table).rows].map((row) => row.cells)).map((rows, i) => i
     ? rows.filter(([name]) => /^robot_[xy]$/.test(name.textContent ?? "")).map((cells) => Number(cells[2].textContent))
     : (rows[0][1].textContent ?? "").split(" ").slice(0, 2).map(Number)));
   assert.ok(Math.hypot(...driven.qvel.slice(-12, -10)) > 0.1, "it moves");
-  assert.deepEqual(place, joints, "the place is that of the present state");
+  assert.deepEqual(position, joints, "the position is that of the current state");
   console.log(`${rate.toFixed(0)} frames/s with all helpers, by software`);
   assert.ok(driven.time > begun.time);
   assert.notDeepEqual(driven.qpos, begun.qpos);
@@ -163,11 +163,11 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   assert.deepEqual(complaints, []);
 });
 
-test("where actions are speeds, keys and the expert act, too", async () => {
+test("with actions that are speeds, keys and the expert work as well", async () => {
   await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0"; });
   await untilOpen("SweepToTop-Demo-0");
   const begun = await state();
-  await page.focus("#world");
+  await page.focus("#solids");
   await page.keyboard.press("ArrowUp");
   await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.2);
   await page.keyboard.press("p");
@@ -177,7 +177,7 @@ test("where actions are speeds, keys and the expert act, too", async () => {
   assert.deepEqual(complaints, []);
 });
 
-test("the lists say which scene is displayed, and are empty for other models", async () => {
+test("the lists show the displayed scene, and are empty for other models", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
   const file = await savedModel("FindDupe-All-3"), shifted = await savedModel("FindDupe-Demo-1?shifts=clutter:2");
@@ -213,7 +213,7 @@ test("the lists say which scene is displayed, and are empty for other models", a
   assert.deepEqual(complaints, []);
 });
 
-test("what is wrong with a model is said, and the one before stays", async () => {
+test("errors of a model are shown, and the previous model stays", async () => {
   await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
   await page.waitForFunction(() => document.getElementById("message")?.textContent);
   assert.equal(await message(), "bad.xml cannot be shown.\ninvalid keyword: 'blob'\nElement 'geom', line 3\n\n3: <geom type='blob'/>");
@@ -227,10 +227,10 @@ test("what is wrong with a model is said, and the one before stays", async () =>
   assert.deepEqual(complaints, []);
 });
 
-test("the command serves any scene, or a file with those that it needs", async () => {
+test("the command serves any scene, or a file with the files that it needs", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-inspect-"));
   await mkdir(join(folder, "magical_mj"));
-  await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // what is fetched already
+  await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // the fetched packages
   const { files } = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8")).at(-1);
   await mkdir(join(folder, "shapes"));
   for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name.endsWith(".obj") ? "shapes" : "", name), text);

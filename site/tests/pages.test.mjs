@@ -1,5 +1,5 @@
 // @ts-check
-/** The pages around the simulation: nobody is shut out, and what can be sorted, filtered and pointed at answers. */
+/** The documentation pages: accessibility, sorting, filters, animations and charts. */
 import assert from "node:assert/strict";
 import { fileURLToPath } from "node:url";
 import { after, before, test } from "node:test";
@@ -23,7 +23,7 @@ after(async () => {
   site.close();
 });
 
-test("axe finds nothing that shuts anybody out, and no page is wider than a phone", async () => {
+test("axe finds no accessibility problems, and no page is wider than a phone", async () => {
   await page.setViewportSize({ width: 375, height: 800 });
   for (const path of PAGES) {
     await page.goto("about:blank");
@@ -35,7 +35,7 @@ test("axe finds nothing that shuts anybody out, and no page is wider than a phon
   await page.setViewportSize({ width: 1280, height: 800 });
 });
 
-test("the gallery moves what is pointed at, keeps what is asked for, and leads into play", async () => {
+test("the gallery animates cards, filters them, and links to the page for playing", async () => {
   await page.goto(`${site.address}gallery.html#axis=colour`);
   const shown = page.locator(".gallery .card:visible");
   assert.equal(await shown.count(), 22);
@@ -52,7 +52,7 @@ test("the gallery moves what is pointed at, keeps what is asked for, and leads i
   assert.equal(await page.evaluate("location.hash"), "#FixColour-All-0");
 });
 
-test("shifted scenes and other bodies lead from the gallery to where they are played and inspected", async () => {
+test("the gallery links shifted scenes and other bodies to the pages for playing and inspecting", async () => {
   for (const [name, address] of [["FindDupe with clutter", "FindDupe-Demo-0?shifts=clutter:4"], ["the longstick", "SweepToTop-Layout-0?shifts=body:longstick"]]) {
     await page.goto(`${site.address}gallery.html`);
     await page.getByLabel(`Inspect ${name}`, { exact: true }).click();
@@ -64,7 +64,7 @@ test("shifted scenes and other bodies lead from the gallery to where they are pl
   }
 });
 
-test("charts say their figures, and the leaderboard sorts, opens, and replays", async () => {
+test("charts show their figures, and the leaderboard sorts, opens rows, and links to replays", async () => {
   await page.goto(`${site.address}index.html`);
   const layout = page.locator(".column", { hasText: "Layout" });
   await layout.focus();

@@ -1,5 +1,5 @@
 // @ts-check
-/** The built site in headless Chromium, below a sub-path: every environment is opened and driven by keys. */
+/** The page for playing in headless Chromium, below a sub-path: each environment is opened and driven by keys. */
 import assert from "node:assert/strict";
 import { readFile, writeFile } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
@@ -24,7 +24,7 @@ before(async () => {
   page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
   page.on("pageerror", (error) => complaints.push(error.message));
   page.on("request", (request) => { if (!/^(blob|data):/.test(request.url()) && !request.url().startsWith(site.address)) complaints.push(`elsewhere: ${request.url()}`); });
-  await page.addInitScript(() => {  // counts frames, and takes the time of the first that is drawn
+  await page.addInitScript(() => {  // counts frames, and stores the time of the first one
     const watch = Object.assign(window, { frames: 0, firstDrawn: 0 }), ask = window.requestAnimationFrame;
     window.requestAnimationFrame = (callback) => ask((time) => { watch.frames += 1; callback(time); });
     const fill = CanvasRenderingContext2D.prototype.fill;
@@ -86,7 +86,7 @@ test("all environments can be played, and SweepToTop", async () => {
   console.log(`${environments.length} environments in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
-test("the expert is watched to its full score, and what a player does is saved", async () => {
+test("the expert reaches the full score, and a player's episode is saved", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}#MatchRegions-All-2`);
   await untilStatus("Press");
   await page.keyboard.press("h");
@@ -132,12 +132,12 @@ test("shifted scenes and other bodies can be chosen and linked to", async () => 
   assert.deepEqual(complaints, []);
 });
 
-test("nothing starts by itself, whatever was pressed or stands in the address", async () => {
+test("nothing starts by itself, independent of earlier keys and the address", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}#MoveToRegion-Demo-0`);
   await page.focus("#arena");
   await untilStatus("Press");
   for (let repeat = 0; repeat < 3; repeat += 1) {
-    await page.keyboard.down("ArrowUp");  // as a held key does again and again, also when the episode is over
+    await page.keyboard.down("ArrowUp");  // repeated, as by a held key, also after the episode's end
     if (!repeat) await untilStatus("Over");
   }
   await page.keyboard.up("ArrowUp");
@@ -162,7 +162,7 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   assert.deepEqual(complaints, []);
 });
 
-test("a policy acts, and its scores are said", async () => {
+test("a policy acts, and its scores are shown", async () => {
   await page.goto("about:blank");
   await page.goto(`${site.address}play/?speed=4#MoveToRegion-Demo-0`);
   await untilStatus("Press");
@@ -175,16 +175,16 @@ test("a policy acts, and its scores are said", async () => {
   await untilStatus("Watching your policy");
   await untilStatus("Over: score 1.00");
   await page.setInputFiles("#policy", { name: "none.onnx", mimeType: "", buffer: Buffer.from("nothing") });
-  await untilStatus("The policy cannot act here: it is no ONNX file that magical-mj export-policy wrote");
+  await untilStatus("The policy cannot act here: it is not an ONNX file from magical-mj export-policy");
   await page.setInputFiles("#policy", `${OUT}site-test/LoRes3EA.onnx`);
   await untilStatus("Watching your policy");
   await untilStatus("Over");
   await page.evaluate(() => { location.hash = "#FindDupe-Demo-1?shifts=clutter:2@own"; });
-  await untilStatus("The policy cannot act here: it acts from pictures, which here cannot have stains");
+  await untilStatus("The policy cannot act here: it acts from pictures, and these cannot show stains here");
   assert.deepEqual(complaints, []);
 });
 
-test("a key that was released counts once, however often it repeated itself", async () => {
+test("a released key counts once, even if it was repeated", async () => {
   const actions = await page.evaluate(async () => {
     const { Controls } = await import("./controls.js");
     const controls = new Controls(document.body, []), taken = [];
@@ -235,7 +235,7 @@ test("canvases show what the renderer shows", async () => {
   assert.ok(Math.max(...Object.values(worst)) < 1.2);  // the renderer draws stains in coarse cells
 });
 
-test("what could not be loaded once is loaded again", async () => {
+test("failed downloads are repeated", async () => {
   const fresh = await browser.context.newPage();
   const until = (/** @type {string} */ text) => fresh.waitForFunction(
     (text) => document.getElementById("status")?.textContent?.includes(text), text);
@@ -258,7 +258,7 @@ test("what could not be loaded once is loaded again", async () => {
     await fresh.goto(`${site.address}play/#FindDupe-All-3`);
     await until("Loading");
     await fresh.selectOption("#task", "FixColour");
-    await until("could not be loaded");  // and yet the first scene can be played
+    await until("could not be loaded");  // the first scene can still be played
     await fresh.waitForFunction(() => location.hash === "#FindDupe-All-3" && document.getElementById("left")?.textContent);
     await fresh.focus("#arena");
     await fresh.keyboard.down("ArrowUp");
@@ -269,7 +269,7 @@ test("what could not be loaded once is loaded again", async () => {
   await fresh.close();
 });
 
-test("where data are spared, a picture waits to be pressed before megabytes come", async () => {
+test("with data saving, a picture is shown, and a press starts the download", async () => {
   const spared = await browser.context.newPage();
   await spared.addInitScript(() => Object.defineProperty(navigator, "connection", { value: { saveData: true } }));
   /** @type {string[]} */

@@ -1,5 +1,5 @@
 // @ts-check
-/** The page's simulation and scores beside Python's, on the cases that cases.py wrote. */
+/** Compares the page's simulation, scores and pictures with Python's, on the cases of cases.py. */
 import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
@@ -15,14 +15,14 @@ import { Simulation } from "../../magical_mj/web/page/simulation.js";
 /** @param {string} name */
 const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));
 
-/** Largest difference of two scenes' poses. @param {any} one @param {any} other */
+/** The largest difference of two scenes' poses. @param {any} one @param {any} other */
 function distance(one, other) {
   const numbers = (/** @type {any} */ scene) => Object.values(poses(scene)).flat(2);
   const [a, b] = [numbers(one), numbers(other)];
   return Math.max(...a.map((value, i) => Math.abs(value - b[i])));
 }
 
-test("scores are Python's", async () => {
+test("scores equal Python's", async () => {
   const cases = await read("scores");
   let worst = 0, worstOfReference = 0;
   for (const { task, initial, final, score: right, reference = right } of cases) {
@@ -34,9 +34,9 @@ test("scores are Python's", async () => {
   assert.ok(worst < 1e-12 && worstOfReference < 1e-8);
 });
 
-test("episodes go as in Python", async () => {
+test("episodes equal Python's", async () => {
   const [mujoco, episodes] = await Promise.all([loadMujoco(), read("episodes")]);
-  const kinds = { demonstration: 0, expert: 0, "rough drive": 0.02, "shifted drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
+  const kinds = { demonstration: 0, expert: 0, "rough drive": 0.02, "shifted drive": 0.02 };  // the share of episodes with another score: heaps of blocks are chaotic
   for (const [kind, share] of Object.entries(kinds)) {
     const chosen = episodes.filter((/** @type {any} */ { name }) => name.startsWith(kind));
     /** @type {Record<string, number>} */
@@ -48,8 +48,8 @@ test("episodes go as in Python", async () => {
       actions.forEach((/** @type {number | number[]} */ action, /** @type {number} */ i) => {
         now = simulation.act(done(action));
         if (!(i + 1 in glances)) return;
-        const place = i + 1 === actions.length ? "end" : i + 1;
-        worst[place] = Math.max(worst[place], distance(now, glances[i + 1]));
+        const moment = i + 1 === actions.length ? "end" : i + 1;
+        worst[moment] = Math.max(worst[moment], distance(now, glances[i + 1]));
       });
       if (Math.abs(score(task, scene, now) - right) > 1e-4) unequal.push(name);
       simulation.close();
@@ -61,7 +61,7 @@ test("episodes go as in Python", async () => {
   }
 });
 
-test("policies see and prefer what they do in Python", async () => {
+test("states and policies equal Python's", async () => {
   const [mujoco, cases] = await Promise.all([loadMujoco(), read("policies")]);
   ort.env.wasm.numThreads = 1;
   let worst = 0, count = 0;
@@ -84,7 +84,7 @@ test("policies see and prefer what they do in Python", async () => {
   assert.ok(worst < 1e-6);
 });
 
-test("pictures are those of Python's software renderer, byte for byte", async () => {
+test("pictures equal those of Python's software renderer, byte for byte", async () => {
   const [mujoco, cases] = await Promise.all([loadMujoco(), read("looks")]);
   let count = 0, taken = 0;
   for (const { name, scene, mjcf, moments } of cases) {
@@ -103,7 +103,7 @@ test("pictures are those of Python's software renderer, byte for byte", async ()
   console.log(`${count} pictures of ${cases.length} scenes are equal; one takes ${(taken / count).toFixed(1)} ms`);
 });
 
-test("policies from pictures prefer what they do in Python, by what is drawn here", async () => {
+test("policies from pictures choose the same actions as in Python", async () => {
   const [mujoco, cases] = await Promise.all([loadMujoco(), read("looking")]);
   ort.env.wasm.numThreads = 1;
   let count = 0;

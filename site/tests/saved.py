@@ -1,6 +1,6 @@
-"""What the browser saved becomes a demonstration like any other: imported, verified, exported, learnt from.
+"""Tests that a recording saved by the browser can be imported, verified, exported and used for training.
 
-Usage: saved.py RECORDING, the file that play.test.mjs left. Needs the extras cli, minari and il.
+Usage: saved.py RECORDING, the file that play.test.mjs wrote. Needs the extras cli, minari and il.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 def main(recording: Path, folder: Path) -> None:
-    """Raises where something does not work."""
+    """Raises an error if one of the steps fails."""
     _run("demos", "import", str(recording), "--out", str(folder / "mine"))
     _run("demos", "verify", str(folder / "mine"))
     os.environ["MINARI_DATASETS_PATH"] = str(folder / "minari")

@@ -1,5 +1,5 @@
 // @ts-check
-/** The same page with Python behind it: `magical-mj play --web --collect`, in headless Chromium. */
+/** The page for playing with a Python server: `magical-mj play --web --collect`, in headless Chromium. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtemp, readdir, readFile, writeFile } from "node:fs/promises";
@@ -20,13 +20,13 @@ const addressOf = async (server) => (await createInterface(server.stdout)[Symbol
 /** @param {import("playwright-core").Page} page @param {string} text */
 const untilStatus = (page, text) => page.waitForFunction(
   (text) => document.getElementById("status")?.textContent?.includes(text), text);
-/** The options for a study of MoveToRegion in which participants may do everything. @param {string} folder @param {Record<string, number>} quotas */
+/** The options for a study of MoveToRegion with all features for participants. @param {string} folder @param {Record<string, number>} quotas */
 async function study(folder, quotas) {
   const lines = Object.entries(quotas).map(([variant, wanted]) => `MoveToRegion-${variant} = ${wanted}`);
   await writeFile(`${folder}.toml`, ['shows = ["expert", "speed", "scenes"]', 'consent = "What you do is stored."', "[environments]", ...lines].join("\n"));
   return ["--collect", folder, "--study", `${folder}.toml`];
 }
-/** The questions that a page asks, all of which are answered by no. @param {import("playwright-core").Page} page */
+/** Collects the confirmations that a page requests, and declines all. @param {import("playwright-core").Page} page */
 function questionsOf(page) {
   /** @type {string[]} */
   const questions = [];
@@ -34,7 +34,7 @@ function questionsOf(page) {
   return questions;
 }
 
-test("people play at the server and send what they did", async () => {
+test("participants play at the server and send their episodes", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
   const options = await study(folder, { Demo: 1, Layout: 1 });
   let server = serve(...options);
@@ -55,7 +55,7 @@ test("people play at the server and send what they did", async () => {
       await page.keyboard.down("ArrowUp");
       await untilStatus(page, "Over");
       await page.keyboard.up("ArrowUp");
-      await page.keyboard.press("n");  // it asks before it throws away what was not sent
+      await page.keyboard.press("n");  // it asks before it discards an unsent episode
       await untilStatus(page, "Over");
       if (variant === "Layout") {
         server.kill();
@@ -87,7 +87,7 @@ test("people play at the server and send what they did", async () => {
   }
 });
 
-test("a server that says nothing any more costs no episode, and no patience", async () => {
+test("if a server stops answering, no episode is lost, and the page soon reports it", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
   const server = serve(...await study(folder, { Demo: 9, Layout: 9, All: 9 }));
   const browser = await launch();
@@ -111,7 +111,7 @@ test("a server that says nothing any more costs no episode, and no patience", as
     server.kill("SIGCONT");
     await page.click("#save");
     await untilStatus(page, "Kept");
-    await page.evaluate("confirm = () => true");  // now another scene is chosen before the answer comes, and loaded after it
+    await page.evaluate("confirm = () => true");  // another scene is chosen before the answer arrives, and loaded after it
     /** @type {() => unknown} */
     let release = assert.fail;
     await page.route("**/MoveToRegion-All.json", (route) => { release = () => route.continue(); });
@@ -135,7 +135,7 @@ test("a server that says nothing any more costs no episode, and no patience", as
   }
 });
 
-test("a seed is chosen by keyboard without playing, and the host may be written in any way", async () => {
+test("a seed can be chosen by keyboard without playing, and the host may have any spelling", async () => {
   const server = serve("--host", "LOCALHOST");
   const browser = await launch();
   try {
@@ -159,7 +159,7 @@ test("a seed is chosen by keyboard without playing, and the host may be written 
   }
 });
 
-test("whoever comes by another address than the server's is told", async () => {
+test("requests for another address than the server's get advice", async () => {
   const server = serve("--host", "0.0.0.0");
   const browser = await launch();
   try {

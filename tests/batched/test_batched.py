@@ -24,7 +24,7 @@ from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
 from magical_mj.batched.observations import Painter
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes
+from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import (
@@ -41,8 +41,8 @@ pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("defau
 MIXED = [("MoveToRegion", "Demo"), ("FixColour", "All"), ("ClusterShape", "CountPlus"), ("FindDupe", "Dynamics")]
 
 
-def arrays(scenes: list[Scene]) -> WorldScenes:
-    return WorldScenes.of(scenes, *Capacity.of(scenes))
+def arrays(scenes: list[Scene]) -> BatchScenes:
+    return BatchScenes.of(scenes, *Capacity.of(scenes))
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ def test_pictures_of_all_environments(view: str) -> None:
 def test_pictures_of_more_things_than_there_are_bits_for_are_refused() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
     with pytest.raises(SettingsError, match="at most 30"):
-        Painter(WorldScenes.of([scene], 28, 3))
+        Painter(BatchScenes.of([scene], 28, 3))
 
 
 def test_one_action_in_every_environment() -> None:
@@ -97,7 +97,7 @@ def test_one_action_in_every_environment() -> None:
 def test_ten_actions_and_what_is_alone_moves_alike() -> None:
     scenes = [magical_mj.sample_scene(*pair, 2) for pair in MIXED]
     physics, envs = Physics(arrays(scenes)), running(scenes)
-    alone = Physics(WorldScenes.of(scenes[1:2], *Capacity.of(scenes)))
+    alone = Physics(BatchScenes.of(scenes[1:2], *Capacity.of(scenes)))
     for step in range(10):
         actions = torch.tensor([1, 10, 13, 4] if step < 6 else [3, 10, 1, 16])
         physics.step(actions)

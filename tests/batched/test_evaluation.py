@@ -1,4 +1,4 @@
-"""Evaluations in batched worlds: approximate, marked, and no official results; on Warp's CPU device."""
+"""Evaluations in batched environments: approximate, marked, and no official results; on Warp's CPU device."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def official(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def approximate(tmp_path: Path) -> Path:
-    """Marked as if it had been played in batched worlds, which would take longer."""
+    """Marked as if it had been played in batched environments, which would take longer."""
     out = tmp_path / "approximate"
     magical_mj.evaluate("noop", **ONE, episodes=2, out=out)
     rewrite(out, lambda rows: [row.update(worlds="batched") for row in rows])
@@ -109,9 +109,9 @@ def test_what_cannot_be_is_refused(settings: dict[str, Any], says: str) -> None:
 
 
 def test_they_are_no_entries(approximate: Path, tmp_path: Path) -> None:
-    assert "batched worlds" in verify(approximate).unfit[0]
+    assert "batched environments" in verify(approximate).unfit[0]
     assert not verify(approximate).good
-    with pytest.raises(EvaluationError, match=r"cannot be an entry.*batched worlds"):
+    with pytest.raises(EvaluationError, match=r"cannot be an entry.*batched environments"):
         submit([approximate], tmp_path / "entry.json.xz")
     assert not (tmp_path / "entry.json.xz").exists()
 

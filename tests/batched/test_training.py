@@ -1,4 +1,4 @@
-"""Learners that play in batched worlds, on Warp's CPU device, where a step takes a tenth of a second for each world."""
+"""Learners in batched environments on Warp's CPU device, where each step takes a tenth of a second per environment."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         playing(**{"ppo.simulator": "many"})
     find = importlib.util.find_spec
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None if name == "mujoco_warp" else find(name))
-    with pytest.raises(MissingExtraError, match=r"batched worlds need mujoco_warp: .*\[gpu\]"):
+    with pytest.raises(MissingExtraError, match=r"batched environments need mujoco_warp: .*\[gpu\]"):
         train(in_batch(), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -8,7 +8,7 @@ import warp as wp
 
 import magical_mj
 from magical_mj.batched.observations import Painter
-from magical_mj.batched.scenes import Capacity, WorldScenes
+from magical_mj.batched.scenes import BatchScenes, Capacity
 from tools.benchmarks.__main__ import _batched_lines
 from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
 
@@ -38,7 +38,7 @@ def test_launches_are_counted_with_their_memory() -> None:
 
 def test_memory_in_structs_counts() -> None:
     scenes = [magical_mj.sample_scene("MoveToCorner", "Demo", 0)]
-    painter = Painter(WorldScenes.of(scenes, *Capacity.of(scenes)))
+    painter = Painter(BatchScenes.of(scenes, *Capacity.of(scenes)))
     out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
     with recorded_launches("cpu") as kernels:
         painter.draw("allo", out)
@@ -56,9 +56,9 @@ def test_the_command_prints_parts_or_kernels() -> None:
     kernels = [Kernel("solver", "a", 2, 1.0, 10_000_000), Kernel("solver", "b", 1, 0.5, 0)]
     speed = BatchedMeasurement("FindDupe", "All", "State", 8, 50.0, 0.1, 0.2, 0.3, kernels, 2e6, 95_000)
     parts, every = list(_batched_lines(speed, 25.0, profile=False)), list(_batched_lines(speed, 25.0, profile=True))
-    assert parts[0] == "FindDupe All, State, 8 worlds: 50 steps/s"
+    assert parts[0] == "FindDupe All, State, 8 environments: 50 steps/s"
     assert "2 times" in parts[1]
-    assert "physics 100.00 ms a step, observations 200.00 ms, a reset of all worlds 300.00 ms" in parts[3]
-    assert "3 kernel launches, 2.00 MB a world" in parts[4]
+    assert "physics 100.00 ms a step, observations 200.00 ms, a reset of the batch 300.00 ms" in parts[3]
+    assert "3 kernel launches, 2.00 MB an environment" in parts[4]
     assert parts[5:] == ["  solver: 3 launches, 1500.00 ms, 10.0 MB"]
     assert every[5:] == ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]

@@ -85,7 +85,7 @@ def test_a_damaged_file_is_told(demo: Demonstration, shell: Shell) -> None:
     path.write_bytes(path.read_bytes()[:-10])
     generate = ("generate", "--tasks", "MoveToRegion", "--count", 1, "--out", ".")
     for code, *command in (2, *generate), (1, "verify", path), (2, "info", path):
-        assert "damaged or cut short" in said(shell, *command, code=code)
+        assert "is damaged, truncated, or not a demonstration" in said(shell, *command, code=code)
     assert "none.npz" in shell.fails(2, "demos", "info", "none.npz")
 
 

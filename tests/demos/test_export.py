@@ -102,7 +102,7 @@ def test_an_environment_with_data_for_training_and_validation() -> None:
         magical_mj.datasets.make_env_and_datasets("CartPole-v1")
     with pytest.raises(DemonstrationError, match="of MoveToRegion with the body 'shortstick'"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", body="shortstick")
-    with pytest.raises(SettingsError, match="several parts"):
+    with pytest.raises(SettingsError, match="not one array"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
 
 

@@ -15,7 +15,7 @@ from magical_mj.cli import main
 from magical_mj.demos.recording import MAX_BYTES
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.utils.errors import DemonstrationError, InvalidSeedError, MagicalError
+from magical_mj.utils.errors import DemonstrationError, InvalidSeedError, MagicalError, StateError
 from tests.helpers.commands import Shell
 
 
@@ -34,7 +34,7 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
     recorder = demos.Recorder(env)
     for _ in range(env.horizon or 0):
         recorder.step(0)
-    with pytest.raises(DemonstrationError, match="the episode is over"):
+    with pytest.raises(StateError, match="the episode is over"):
         recorder.step(0)
     demo = recorder.demonstration("expert", np.int64(3))  # pyright: ignore[reportArgumentType]
     assert len(demo.actions) == env.horizon

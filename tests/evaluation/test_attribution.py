@@ -113,7 +113,7 @@ def test_what_cannot_be_explained_says_why() -> None:
         (replace(good, failure="it broke"), "the policy failed"),
         (replace(good, task="SweepToTop"), "no intent in the language"),
         (replace(good, wrap="mine:Wrapper"), "in the wrapper"),
-        (replace(good, worlds="batched"), "batched worlds"),
+        (replace(good, worlds="batched"), "batched environments"),
     ):
         assert why in (unfit(changed) or "")
     assert unfit(good) is None

@@ -80,7 +80,9 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
     path.write_text(path.read_text().replace('"score": 0.0', '"score": 0.5'))
     assert "ends with 0.00 now, not 0.50" in shell.fails(1, "report", "o", "--videos")
     path.write_text(path.read_text().replace('"worlds": "single"', '"worlds": "batched"'))
-    assert "noop in o cannot be filmed: it was played in batched worlds" in shell.fails(2, "report", "o", "--videos")
+    assert "noop in o cannot be filmed: it was played in batched environments" in shell.fails(
+        2, "report", "o", "--videos"
+    )
     assert not list(tmp_path.rglob("*.mp4"))
 
 

@@ -401,7 +401,7 @@ def test_a_missing_package_is_no_failure() -> None:
 
         return 0
 
-    with pytest.raises(SettingsError, match=r"lacks a package: ModuleNotFoundError: .*no_such_package"):
+    with pytest.raises(SettingsError, match=r"needs a missing package: ModuleNotFoundError: .*no_such_package"):
         magical_mj.evaluate(act, jobs=1, **SMALL)
 
 

@@ -74,7 +74,7 @@ def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "recorded", "reason"),
     [
-        ({"worlds": "batched"}, {}, "it was played in batched worlds"),
+        ({"worlds": "batched"}, {}, "it was played in batched environments"),
         ({"wrap": "mine:Wrapper"}, {}, "it was played in the wrapper mine:Wrapper"),
         ({}, {"protocol": 0}, "it follows protocol 0, but this version plays 1"),
         ({"shift": "camera:3"}, {"shift_protocol": 99}, "it follows shift protocol 99"),

@@ -391,7 +391,7 @@ def test_comparisons_need_names_and_common_scenes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("different", [{"rules": "released"}, {"worlds": "batched"}])
 def test_scores_of_different_kinds_are_not_compared(different: dict[str, Any], tmp_path: Path) -> None:
-    """With other rules, or in batched worlds."""
+    """With other rules, or in batched environments."""
     one = write(tmp_path / "one", example())
     other = write(tmp_path / "other", [replace(score, **different) for score in example()])
     with pytest.raises(EvaluationError, match=f"different {next(iter(different))}"):

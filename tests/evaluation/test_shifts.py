@@ -123,7 +123,7 @@ def test_reports_show_what_shifts_do(tmp_path: Path) -> None:
         ("camera:6", "from 0 .* to 5, not"),
         ("camera:-1", "from 0 .* to 5, not"),
         ("camera:2.5", "from 0 .* to 5, not"),
-        ("camera:3-1", "has no strengths"),
+        ("camera:3-1", "contains no strengths"),
         ("camera:1+camera:2", "given twice"),
     ],
 )
@@ -135,7 +135,7 @@ def test_wrong_shifts_are_explained(shifts: str, problem: str, shell: Shell, tmp
 
 
 def test_batched_worlds_refuse_them() -> None:
-    with pytest.raises(SettingsError, match="batched worlds support no shifts, wrappers"):
+    with pytest.raises(SettingsError, match="batched environments support no shifts, wrappers"):
         evaluate("noop", simulator="warp", shifts="camera")
 
 

@@ -36,7 +36,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert "\n a run, or b=c " in capfd.readouterr().out
     (Path(out) / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
-    assert "holds no policy: no " in capfd.readouterr().err
+    assert "contains no policy: no " in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

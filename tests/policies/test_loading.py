@@ -57,7 +57,7 @@ def test_a_network_is_evaluated_as_the_page_says(example: Callable[[str], None])
     for policy in (network, Network, "network:Network", {"BC": network}):
         with pytest.raises(SettingsError, match=r"is a network, .*mine:Policy.*torch.onnx.export.*docs/evaluation.md"):
             magical_mj.evaluate(policy, **SMALL)
-    with pytest.raises(SettingsError, match=r"bc.pt holds the weights of a network .*mine:Policy.*torch.onnx.export"):
+    with pytest.raises(SettingsError, match=r"bc.pt contains the weights of a network.*mine:Policy.*torch.onnx.export"):
         magical_mj.evaluate("bc.pt", **SMALL)
     exec(compile(EXAMPLES["export"], "export.py", "exec"), {"__name__": "export"})
     by_class, by_file = (magical_mj.evaluate(policy, **SMALL) for policy in ("mine:Policy", "bc.onnx"))
@@ -239,7 +239,7 @@ def test_an_onnx_input_needs_a_batch_axis(tmp_path: Path) -> None:
     observation, _ = env.reset(seed=3)
     for number, shape in enumerate(([size], ["names"], [96, 96, 12], [4, size])):
         write_onnx(tmp_path / f"{number}.onnx", shape, [None] * len(shape))
-        with pytest.raises(SettingsError, match="whose first axis should be a batch of any size: export it with"):
+        with pytest.raises(SettingsError, match="first axis must be a batch of any size: export it with"):
             magical_mj.evaluate(tmp_path / f"{number}.onnx", preset="State", **SMALL)
     write_onnx(tmp_path / "one.onnx", [1, size], [1, 18])  # as exports without dynamic shapes are
     write_onnx(tmp_path / "any.onnx", ["n", size], ["n", 18])

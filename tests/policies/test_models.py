@@ -153,7 +153,7 @@ class Other(gymnasium.Env[Any, Any]):
 def test_other_actions_are_refused(tmp_path: Path) -> None:
     ppo(tmp_path / "model.zip", "MlpPolicy", Other())
     for trust in (False, True):
-        with pytest.raises(SettingsError, match=r"each action is one of the numbers 0 to 17; .*to_discrete"):
+        with pytest.raises(SettingsError, match=r"an action must be an integer from 0 to 17; .*to_discrete"):
             magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", trust=trust, **SMALL)
 
 
@@ -171,8 +171,13 @@ def test_other_actions_are_refused(tmp_path: Path) -> None:
         (b"[]", {}, False, "not a stable-baselines3 archive"),
         (b"{}", None, False, "weights that are not tensors"),
         (b"{}", [], False, "weights that are not tensors"),
-        (b'{"policy_kwargs": {}, "observation_space": 3}', {"action_net.weight": 1}, False, "does not say how its net"),
-        (b"{}", {}, True, "does not say how its network is built: KeyError: 'policy_class'"),
+        (
+            b'{"policy_kwargs": {}, "observation_space": 3}',
+            {"action_net.weight": 1},
+            False,
+            "does not describe its net",
+        ),
+        (b"{}", {}, True, "does not describe its network: KeyError: 'policy_class'"),
     ],
 )
 def test_archives_that_are_not_whole(tmp_path: Path, content: bytes, weights: Any, trust: bool, complaint: str) -> None:
@@ -212,7 +217,7 @@ def test_small_files_of_large_models_are_refused(tmp_path: Path, monkeypatch: py
             load_sb3(rewritten(tmp_path / "model.zip", **changes))
     monkeypatch.setattr(models, "MOST_SETTINGS", 20_000_000)
     monkeypatch.setattr(models, "MOST_OF_POLICY", 20_000_000)
-    with pytest.raises(SettingsError, match="data of more than 20,000,000 bytes"):
+    with pytest.raises(SettingsError, match="its data has more than 20,000,000 bytes"):
         load_sb3(rewritten(tmp_path / "model.zip", filler=" " * 20_000_000))
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w") as archive, io.BytesIO() as inner:
         with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as weights:
@@ -220,7 +225,7 @@ def test_small_files_of_large_models_are_refused(tmp_path: Path, monkeypatch: py
         archive.writestr("data", "{}")
         archive.writestr("policy.pth", inner.getvalue())
     assert (tmp_path / "bomb.zip").stat().st_size < 100_000
-    with pytest.raises(SettingsError, match="weights of more than 20,000,000 bytes"):
+    with pytest.raises(SettingsError, match="its weights have more than 20,000,000 bytes"):
         load_sb3(tmp_path / "bomb.zip")
 
 
@@ -270,13 +275,13 @@ def test_onnx_file_acts_by_the_best_value(tmp_path: Path) -> None:
 def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     linear(tmp_path / "model.onnx", 4)
-    with pytest.raises(SettingsError, match="gives 4 values, and there are 18 actions"):
+    with pytest.raises(SettingsError, match="outputs 4 values, but there are 18 actions"):
         magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
     linear(tmp_path / "state.onnx", 18)
     with pytest.raises(SettingsError, match=r"takes observations of shape .* give --preset State"):
         magical_mj.evaluate(str(tmp_path / "state.onnx"), preset="LoRes4E", **SMALL)
     (tmp_path / "broken.onnx").write_bytes(b"nothing")
-    with pytest.raises(SettingsError, match="not an ONNX file"):
+    with pytest.raises(SettingsError, match="not a valid ONNX file"):
         magical_mj.evaluate(str(tmp_path / "broken.onnx"), preset="State", **SMALL)
 
 

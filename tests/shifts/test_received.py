@@ -130,8 +130,8 @@ def test_every_interface_hands_on_what_a_shift_changes(axis: str) -> None:
     plain, label = by_engine(""), f"{axis}:5" if axis else ""
     shifted = by_engine(label)
     changed = effects(SHIFTS[axis]) if axis else frozenset()
-    assert (shifted[0] != plain[0]) == bool(changed & {"world", "pictures"})
-    assert (shifted[1] != plain[1]) == ("sentence" in changed)
+    assert (shifted[0] != plain[0]) == bool(changed & {"simulation", "pictures"})
+    assert (shifted[1] != plain[1]) == ("instruction" in changed)
     interfaces: list[Callable[[str], Received]] = [by_evaluation, by_gymnasium, by_vector, by_composer]
     for receive in interfaces:
         assert receive(label) == shifted, receive.__name__

@@ -141,7 +141,7 @@ def test_evaluations_name_several_settings() -> None:
     ("shifts", "error", "message"),
     [
         ("camra:3", UnknownNameError, "camera"),
-        ("camera", SettingsError, "lacks its strength"),
+        ("camera", SettingsError, "has no strength"),
         ("camera:6", SettingsError, "0 .* to 5"),
         ("camera:-1", SettingsError, "0 .* to 5"),
         *((f"camera:{digits}", SettingsError, "0 .* to 5") for digits in ("2.5", "³", "9" * 5000)),
@@ -153,8 +153,8 @@ def test_evaluations_name_several_settings() -> None:
         ("no.such.module:Fog:3", UnknownNameError, "no.such.module:Fog"),
         ("tests.shifts.test_shifts:DRAWN:3", ShiftError, "derived"),
         ("tests.shifts.test_shifts:Nameless:3", ShiftError, "name"),
-        ("tests.shifts.test_shifts:Nothing:3", ShiftError, "changes nothing: give it at least one of .* scene, model"),
-        ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* leave it out"),
+        ("tests.shifts.test_shifts:Nothing:3", ShiftError, "changes nothing: override at least one of .* scene, model"),
+        ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* without factors"),
     ],
 )
 def test_what_is_no_shift_is_refused(shifts: Any, error: type[MagicalError], message: str) -> None:
@@ -167,7 +167,7 @@ def test_a_task_can_lack_a_shift() -> None:
         magical_mj.Engine("MoveToCorner", seed=0, shifts="pose:1")
     with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'slip'"):
         magical_mj.Engine("SweepToTop", "Layout", seed=0, shifts="slip:1")
-    with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'pose': its layouts follow a rule of"):
+    with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'pose': it defines its own rule"):
         magical_mj.Engine("SweepToTop", seed=0, shifts="pose:1")
     assert not [each for each in expand_shifts("all", "SweepToTop") if "pose" in each]
 

@@ -120,6 +120,6 @@ def test_installed_packages_are_not_searched_for_in_the_working_folder(theirs: P
 
 def test_recordings_choose_no_code(theirs: Path) -> None:
     recording = {"protocol": PROTOCOL, "task": TASK, "variant": "Demo", "seed": 0, "actions": [0]}
-    with pytest.raises(DemonstrationError, match=r"not a whole recording: .*task"):
+    with pytest.raises(DemonstrationError, match=r"not a complete recording: .*task"):
         demos.from_recording(json.dumps(recording))
     assert not theirs.exists()

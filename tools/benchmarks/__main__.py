@@ -1,6 +1,6 @@
 """`python -m tools.benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
 
-Run it from the checkout. Single environments are measured in processor time, vectors and batched worlds in wall time.
+Run it from the checkout. Single environments are measured in processor time, vectors and batches in wall time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RESETS: Final = ("reset, same structure", "reset, new structure")
 HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", "32 worlds", *RESETS)
 NAMES: Final = 2  # the number of columns with text
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
-WORLDS: Final = "256,1024,4096,16384"
+BATCH_SIZES: Final = "256,1024,4096,16384"
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
 Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
@@ -42,8 +42,8 @@ Steps = Annotated[
     int, typer.Option(min=1, help="The least number of steps in each environment; only whole episodes are played.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, with times in seconds of processor time.")]
-Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
-NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
+Batched = Annotated[bool, typer.Option("--batched", help="Measure batched environments instead (extra gpu).")]
+NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of environments, separated by commas.")]
 Device = Annotated[str, typer.Option(help="With --batched: the device, cuda, cuda:1 or cpu.")]
 Profile = Annotated[bool, typer.Option("--profile", help="With --batched: print the time of each kernel.")]
 
@@ -58,7 +58,7 @@ def bench(
     as_json: Json = False,
     profile: Profile = False,
     batched: Batched = False,
-    num_envs: NumEnvs = WORLDS,
+    num_envs: NumEnvs = BATCH_SIZES,
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second of processor time with resets, compared with a bare MuJoCo loop, and times of resets."""
@@ -95,8 +95,8 @@ def _counts(text: str) -> list[int]:
 
 
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
-    """Measures each environment with each number of worlds, and prints the lines of each at once."""
-    check_extra("batched worlds", "gpu")
+    """Measures batches of each task and variant with these sizes, and prints the lines of each at once."""
+    check_extra("batched environments", "gpu")
     from magical_mj.batched.physics import check_device
     from tools.benchmarks.batched import measure_batched, single_rate
 
@@ -104,8 +104,8 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
     screen = console()
     for task, variant, name in chosen:
         single = single_rate(task, variant, name)
-        for worlds in counts:
-            speed = measure_batched(task, variant, worlds, name, device)
+        for count in counts:
+            speed = measure_batched(task, variant, count, name, device)
             for line in _batched_lines(speed, single, profile):
                 screen.print(line, soft_wrap=True)
 
@@ -115,12 +115,12 @@ def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> I
     from tools.benchmarks.batched import by_part
 
     times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
-    yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.worlds} worlds: {speed.rate:,.0f} steps/s"
+    yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.num_envs} environments: {speed.rate:,.0f} steps/s"
     yield f"  {speed.rate / single:.3g} times as many as single environments on all cores of this machine"
-    yield f"  {speed.world_bytes / 1000:.0f} kB a world"
-    yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
+    yield f"  {speed.env_bytes / 1000:.0f} kB an environment"
+    yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of the batch {:.2f} ms".format(*times)
     launches = sum(kernel.launches for kernel in speed.kernels)
-    yield f"  a step, on average: {launches:,.0f} kernel launches, {speed.bytes / 1e6:.2f} MB a world"
+    yield f"  a step, on average: {launches:,.0f} kernel launches, {speed.bytes / 1e6:.2f} MB an environment"
     for kernel in speed.kernels if profile else by_part(speed.kernels):
         called = f"{kernel.part} {kernel.name}".strip()
         took = f"{1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"

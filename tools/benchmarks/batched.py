@@ -1,4 +1,4 @@
-"""Measures batched worlds: steps per second, the time of each part, memory, and single environments for comparison.
+"""Measures batched environments: steps per second, the time of each part, memory, and single environments to compare.
 
 Times are wall clock, since an accelerator does the work. The profile of a step is the duration of each kernel launch,
 and the size of its arrays. On an accelerator, durations are those between events on the stream. On the CPU device, a
@@ -127,36 +127,38 @@ def by_part(kernels: Iterable[Kernel]) -> list[Kernel]:
 
 @dataclass(frozen=True)
 class BatchedMeasurement:
-    """The measurement of one environment with one number of worlds. Times are wall clock, in seconds.
+    """The measurement of a batch of one task and variant. Times are wall clock, in seconds.
 
     Attributes:
         rate: environment steps per second in total, with observations and resets.
-        physics_seconds: time of one control step of all worlds.
+        physics_seconds: time of one control step of the batch.
         observation_seconds: time of their observations.
-        reset_seconds: time of a reset of all worlds.
+        reset_seconds: time of a reset of the batch.
         kernels: the launches of one control step with its observations, without a graph: the mean of some steps.
-        bytes: the size of all arrays of these launches, per world.
-        world_bytes: the memory of the simulation, per world.
+        bytes: the size of all arrays of these launches, per environment.
+        env_bytes: the memory of the simulation, per environment.
     """
 
     task: str
     variant: str
     preset: str
-    worlds: int
+    num_envs: int
     rate: float
     physics_seconds: float
     observation_seconds: float
     reset_seconds: float
     kernels: list[Kernel]
     bytes: float
-    world_bytes: int
+    env_bytes: int
 
 
-def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
-    """Measures one episode of random actions in all worlds, with the reset after it, and then each part separately."""
-    with closing(batched.make(task, variant, worlds, preset=preset, device=device, workers=_workers(worlds))) as env:
+def measure_batched(task: str, variant: str, num_envs: int, preset: str, device: str) -> BatchedMeasurement:
+    """Measures an episode of random actions in the batch, with the reset after it, and then each part separately."""
+    with closing(
+        batched.make(task, variant, num_envs, preset=preset, device=device, workers=_workers(num_envs))
+    ) as env:
         generator = torch.Generator().manual_seed(0)
-        actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
+        actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), num_envs), generator=generator).to(device)
         env.reset(seed=0)
         for step in range(WARM_UP):
             env.step(actions[step])
@@ -172,14 +174,14 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
             task=task,
             variant=variant,
             preset=preset,
-            worlds=worlds,
-            rate=worlds * len(actions) / seconds,
+            num_envs=num_envs,
+            rate=num_envs * len(actions) / seconds,
             physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
             observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics)),
             reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
             kernels=kernels,
-            bytes=sum(kernel.bytes for kernel in kernels) / worlds,
-            world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
+            bytes=sum(kernel.bytes for kernel in kernels) / num_envs,
+            env_bytes=sum(map(size, vars(env.physics.data).values())) // num_envs,
         )
 
 
@@ -196,8 +198,8 @@ def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
     ]
 
 
-def _workers(worlds: int) -> int:
-    return min(8, max(1, cores() - 1)) if worlds > 64 else 0
+def _workers(num_envs: int) -> int:
+    return min(8, max(1, cores() - 1)) if num_envs > 64 else 0
 
 
 def _seconds(device: str, work: Callable[[], object]) -> float:

@@ -74,7 +74,7 @@ def atari() -> Step:
 
 
 def envpool_atari() -> Step:
-    """The same in EnvPool with one world and one thread. Its steps are C++ code."""
+    """The same in EnvPool with one environment and one thread. Its steps are C++ code."""
     env = import_module("envpool").make_gymnasium("Pong-v5", num_envs=1, num_threads=1)
     env.reset()
     action = np.zeros(1, np.int32)

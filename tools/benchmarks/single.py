@@ -33,10 +33,10 @@ Cause = Literal["rewritten", "compiled"]
 """The work of a reset: rewrite the numbers of a model with the same structure, or get a model of another structure."""
 
 TURN: Final = 20
-"""The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
+"""The number of steps in each turn. Environment and bare loop alternate, so that other load affects both equally."""
 COMPOSER_TURNS: Final = 20
-WORLDS: Final = 32
-"""The number of worlds of a vector."""
+NUM_ENVS: Final = 32
+"""The number of environments in a vector."""
 RESETS: Final = 40
 """The number of resets that are measured without steps."""
 
@@ -50,7 +50,7 @@ class Measurement:
         seconds: the time of these steps and of the resets between them.
         bare_seconds: the time of the same number of steps of the bare loop.
         resets: the times of the resets that were measured without steps.
-        vector_rate: steps per second of wall time of `WORLDS` worlds on all cores.
+        vector_rate: steps per second of wall time of `NUM_ENVS` environments on all cores.
     """
 
     task: str
@@ -100,10 +100,10 @@ def measure(task: str, variant: str, preset: str, steps: int, renderer: str | No
 
 
 def vector_rate(task: str, variant: str, preset: str, steps: int, renderer: str | None) -> float:
-    """Steps per second of wall time of `WORLDS` worlds, which share the steps equally."""
+    """Steps per second of wall time of `NUM_ENVS` environments, which share the steps equally."""
     settings = {"variant": variant, "preset": preset, "renderer": renderer}
-    rows = np.random.default_rng(0).integers(len(ACTIONS), size=(max(1, steps // WORLDS), WORLDS))
-    with closing(magical_mj.make_vec(task, WORLDS, **settings)) as envs:
+    rows = np.random.default_rng(0).integers(len(ACTIONS), size=(max(1, steps // NUM_ENVS), NUM_ENVS))
+    with closing(magical_mj.make_vec(task, NUM_ENVS, **settings)) as envs:
         envs.reset(seed=0)
         start = perf_counter()
         for row in rows:

@@ -28,7 +28,7 @@ def main(
     variant: str = "Demo",
     preset: str = "LoRes4E",
     renderer: str = "software",
-    worlds: int = 32,
+    num_envs: int = 32,
     busy: Annotated[int, typer.Option(help="The number of other processes that keep a core busy.")] = cores(),
     rounds: int = 5,
 ) -> None:
@@ -39,7 +39,7 @@ def main(
         for load in (0, busy):
             for threads in (1, cores()):
                 with (
-                    closing(magical_mj.make_vec(task, worlds, threads=threads, **settings)) as envs,
+                    closing(magical_mj.make_vec(task, num_envs, threads=threads, **settings)) as envs,
                     busy_processes(load),
                 ):
                     rates.setdefault((load, threads), []).append(rate(envs))
@@ -64,7 +64,7 @@ def rate(envs: VectorEnv) -> tuple[float, float]:
 
 @contextmanager
 def busy_processes(count: int) -> Iterator[None]:
-    """A context in which `count` other processes keep a core busy."""
+    """A context with `count` other processes that each keep a core busy."""
     processes = [get_context("spawn").Process(target=spin, daemon=True) for _ in range(count)]
     for process in processes:
         process.start()

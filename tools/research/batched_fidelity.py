@@ -1,4 +1,4 @@
-"""Measures the deviation of batched worlds from MuJoCo: from states in mid-episode, and over open-loop episodes.
+"""Measures the deviation of batched environments from MuJoCo: from states in mid-episode, and over open-loop episodes.
 
 python tools/research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
 python tools/research/batched_fidelity.py replays [--tasks FindDupe,...] [--count 25] [--device cpu] [--human ARCHIVE]
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import Capacity, WorldScenes
+from magical_mj.batched.scenes import BatchScenes, Capacity
 from magical_mj.scene import Scene
 
 BATCH = 60
-"""The number of worlds in a batch. Warp's CPU device takes 60 to 190 ms for an action of one world."""
+"""The number of environments in a batch. Warp's CPU device takes 60 to 190 ms for an action of one of them."""
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
@@ -38,7 +38,7 @@ def held(rng: np.random.Generator, steps: int) -> list[int]:
 
 
 def take_over(physics: Physics, world: int, data: mujoco.MjData) -> None:
-    """Copies the state of a simulation to a world with the same scene."""
+    """Copies the state of a simulation to an environment of the batch with the same scene."""
     state, slots = physics.get_state(), 3 * physics.blocks
     own = len(data.qpos) - (physics.model.nq - slots)  # coordinates of the scene's blocks
     for name in ("qpos", "qvel", "qacc_warmstart"):
@@ -61,7 +61,7 @@ def compare(states: int, steps: int, device: str) -> None:
             for action in held(rng, int(rng.integers((env.horizon or 1) - steps))):
                 env.step(action)
         scenes = [env.initial_scene for env in envs]
-        physics = Physics(WorldScenes.of(scenes, *Capacity.of(scenes)), device)
+        physics = Physics(BatchScenes.of(scenes, *Capacity.of(scenes)), device)
         for world, env in enumerate(envs):
             take_over(physics, world, env.data)
         plans = np.array([held(rng, steps) for _ in envs])
@@ -99,7 +99,7 @@ def sequences(
 
 
 def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) -> None:
-    """Prints the mean scores of sequences replayed in MuJoCo and in batched worlds, by task."""
+    """Prints the mean scores of sequences replayed in MuJoCo and in batched environments, by task."""
     groups: dict[tuple[str, str], list[tuple[Scene, NDArray[np.int64]]]] = {}
     for who, task, scene, actions in sequences(tasks, human, count):
         groups.setdefault((who, task), []).append((scene, actions))
@@ -111,7 +111,7 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
                 env.step(int(action))
             ours.append(env.score())
         scenes, length = [scene for scene, _ in cases], max(len(actions) for _, actions in cases)
-        arrays = WorldScenes.of(scenes, *Capacity.of(scenes))
+        arrays = BatchScenes.of(scenes, *Capacity.of(scenes))
         physics = Physics(arrays, device)
         ends = np.zeros(len(cases))
         for step in range(length):

@@ -80,7 +80,7 @@ def is_kept_out(name: str, cases: Mapping[str, Case]) -> bool:
 
 
 def windows(case: Case) -> list[int]:
-    """The first steps of windows in which a block moves, and before which all velocities were constant."""
+    """The first steps of windows with a moving block, if all velocities were constant before the window."""
     poses, fingers = case["poses"].astype(float), case["fingers"].astype(float)
     bend, bent = np.abs(np.diff(poses, 2, axis=0)), np.abs(np.diff(fingers, 2, axis=0))
     found, step = [], 2

@@ -43,7 +43,7 @@ SAME: Final = 1e-4
 UNSEEN: Final = 60
 """The number of new rollouts of each kind."""
 TASKS: Final = ("FindDupe", "MatchRegions", "MakeLine")
-"""The tasks in which scores depend on chance."""
+"""The tasks with scores that depend on chance."""
 BLOCK, BODY, FINGER, WALL = 0.5, 0.5, 5.0, 0.8  # friction; a contact has the product of both
 ROBOT_GROUP: Final = 1  # shapes of the same group do not collide
 

@@ -169,5 +169,5 @@ def task_means(rows: Mapping[str, float | Sequence[float]]) -> dict[str, Any]:
 
 
 def chosen(cases: Mapping[str, Case], keep: Callable[[str], bool]) -> dict[str, Case]:
-    """The cases with names for which `keep` returns true."""
+    """The cases with names that `keep` accepts."""
     return {name: case for name, case in cases.items() if keep(name)}

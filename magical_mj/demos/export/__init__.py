@@ -1,4 +1,4 @@
-"""Demonstrations for other tools: what `magical-mj demos export` offers, by the name of the format."""
+"""Exports demonstrations to the formats of other libraries, as `magical-mj demos export` does."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from magical_mj.demos.export.minari import minari_name, to_minari
 from magical_mj.utils.errors import SettingsError
 
 SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
-"""Format -> how the names of its files end. Those of the other formats are folders."""
+"""Format -> the suffix of its files. The other formats write folders."""
 
 
 def views_of(preset: str) -> str:
-    """What policies of LeRobot and robomimic see, which stack frames themselves if they want any.
+    """The choice of views for LeRobot and robomimic. These libraries stack frames themselves.
 
-    Raises a `SettingsError` if their data sets cannot be of this preset.
+    Raises a `SettingsError` if the preset is not available for their data sets.
     """
     views = {name: views for views, name in PRESETS.items()}
     if preset not in views:
-        raise SettingsError(f"data sets of LeRobot and robomimic are of the presets {', '.join(views)}, not {preset}")
+        raise SettingsError(f"data sets of LeRobot and robomimic can have the presets {', '.join(views)}, not {preset}")
     return views[preset]
 
 
 def default_target(
     to: str, environment: str, demos: Sequence[Demonstration], preset: str, *, fingers: bool = False
 ) -> str:
-    """The path or id of a data set of the format `to` if the user gives none."""
+    """The default path or id of a data set in the format `to`."""
     if to == "minari":
         return minari_name(demos, preset)
     observed = f"{views_of(preset)}{'-fingers' * fingers}" if to in ("lerobot", "robomimic") else preset or "views"
@@ -49,7 +49,7 @@ def make_data_set(
     fingers: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Makes a data set of the format `to`: each takes of the options those that it has."""
+    """Writes a data set in the format `to`. Options that the format does not have are ignored."""
     match to:
         case "npz":
             to_npz(demos, target, preset, drop_noop=drop_noop, overwrite=overwrite)
@@ -59,7 +59,7 @@ def make_data_set(
             to_webdataset(demos, target, preset, overwrite=overwrite)
         case "xirl":
             to_xirl(demos, target, overwrite=overwrite)
-        case "lerobot":  # whose folders are never replaced
+        case "lerobot":  # existing folders are never replaced
             to_lerobot(demos, target, views=views_of(preset), fingers=fingers, video=video)
         case _:
             to_robomimic(demos, target, views=views_of(preset), overwrite=overwrite)

@@ -1,7 +1,7 @@
-"""Demonstrations as single files: transitions as one numpy archive for any learner, and HDF5 for robomimic.
+"""Exports demonstrations to single files: transitions as a numpy archive, and HDF5 for robomimic.
 
-robomimic's `SequenceDataset` reads the HDF5 files. Their frames are single and drawn at 96 px: robomimic stacks them
-itself. Actions are vectors (drive, turn, grip); no-ops stay.
+robomimic's `SequenceDataset` reads the HDF5 files. They contain single frames of 96 px, because robomimic stacks frames
+itself. Actions are vectors (drive, turn, grip), including no-ops.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from magical_mj.utils.errors import DemonstrationError, check_name
 from magical_mj.utils.extras import check_extra
 
 GYM: Final = 2
-"""robomimic's number for Gym environments; its class for them imports the old `gym`, so rollouts need one's own."""
+"""robomimic's type number of Gym environments. Its own wrapper imports the old `gym`, so rollouts need another one."""
 
 
 def to_npz(
@@ -40,27 +40,29 @@ def to_npz(
 ) -> None:
     """Writes transitions as one numpy archive without pickles.
 
-    Arrays with a row for each transition: `observations` (for presets with several parts, one for each, such as
-    `observations_ego`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
-    from 0). Arrays with a row for each episode: `tasks`, `variants`, `bodies`, `shifts` (such as "clutter:3", or ""),
-    `seeds` (of the scenes), `demonstrators`, `lengths` (in steps) and `scores`. The environment of an episode is
+    Arrays with a row for each transition: `observations`, `actions`, `episodes` (the number of the episode) and `steps`
+    (the number of the step in the episode, from 0). Presets with dict observations have several arrays, such as
+    `observations_ego`.
+
+    Arrays with a row for each episode: `tasks`, `variants`, `bodies`, `shifts` (such as "clutter:3", or ""), `seeds`
+    (of the scenes), `demonstrators`, `lengths` (in steps) and `scores`. The environment of an episode is
     ``gymnasium.make(magical_mj.env_id(task, variant, preset), body=body, shifts=shifts)``.
 
     Args:
         demos: demonstrations of any environments.
-        path: the file. Its folder is made if missing.
+        path: the file. A missing folder is created.
         preset: the Gymnasium preset of the observations.
         drop_noop: leave out the transitions with the no-op action.
         overwrite: replace an existing file.
 
     Raises:
-        DemonstrationError: if there are no demonstrations, or a scene's seed is 2**63 or more, or their observations
-            have different shapes, as those of different bodies do.
+        DemonstrationError: if there are no demonstrations, a scene's seed is 2**63 or larger, or their observations or
+            actions have different shapes, such as those of different bodies.
         FileExistsError: if the file exists.
     """
     demos, path = list(checked(demos)), files.to_path(path)
     if not demos:
-        raise DemonstrationError("there are no demonstrations to write")
+        raise DemonstrationError("no demonstrations were given: give at least one")
     check_seeds(demos)
     path.parent.mkdir(parents=True, exist_ok=True)
     columns: dict[str, list[Any]] = {}
@@ -86,7 +88,7 @@ def to_npz(
                 columns.setdefault(name, []).append(values)
         with unfinished.open("wb") as file:
             if any(len({np.shape(part)[1:] for part in rows}) > 1 for rows in columns.values()):
-                raise DemonstrationError("these demonstrations are of several bodies; an archive holds those of one")
+                raise DemonstrationError("these demonstrations are of several bodies: write an archive for each body")
             joined = {name: np.concatenate(rows) for name, rows in columns.items()}
             np.savez_compressed(file, allow_pickle=False, **joined)
 
@@ -94,15 +96,30 @@ def to_npz(
 def to_robomimic(
     demos: Sequence[Demonstration], path: Path | str, *, views: str = "ego", overwrite: bool = False
 ) -> None:
-    """Writes demonstrations of one environment as a data set of robomimic, of some of the `VIEWS`.
+    """Writes demonstrations of one environment as a robomimic data set.
 
-    Each becomes ``data/demo_0`` and so on: ``obs`` and ``next_obs`` (``ego_image`` and ``allo_image``, uint8, height x
-    width x channels; or ``state``), ``actions`` (float32, drive, turn, grip), ``rewards`` (the score at the last step),
-    ``dones`` (1 at the last step) and ``states`` (positions and velocities, exact). The file's ``env_args`` name the
-    Gymnasium environment with the same observations: the state, or a dict whose "ego" is ``ego_image``. Its
-    ``reset(seed=...)`` with a demonstration's ``seed`` starts in the demonstration's scene.
+    Each demonstration is a group ``data/demo_0``, ``data/demo_1`` and so on:
 
-    Raises a `DemonstrationError` if they are not of one environment, or their actions are speeds.
+    - ``obs`` and ``next_obs``: ``ego_image`` and ``allo_image`` (uint8, height x width x channels), or ``state``.
+    - ``actions``: drive, turn, grip, float32.
+    - ``rewards``: the score at the last step, otherwise 0.
+    - ``dones``: 1 at the last step, otherwise 0.
+    - ``states``: the exact positions and velocities.
+
+    ``env_args`` names the Gymnasium environment with the same observations: the state, or a dict with the key "ego" for
+    ``ego_image``. Its ``reset(seed=...)`` with a demonstration's ``seed`` starts in the demonstration's scene.
+
+    Args:
+        demos: demonstrations of one environment.
+        path: the file. A missing folder is created.
+        views: the choice of observations, one of `VIEWS`.
+        overwrite: replace an existing file.
+
+    Raises:
+        MissingExtraError: if h5py is not installed.
+        UnknownNameError: for an unknown choice of views.
+        DemonstrationError: if the demonstrations are not of one environment, or their actions are speeds.
+        FileExistsError: if the file exists.
     """
     check_extra("exports to robomimic", "robomimic")
     import h5py
@@ -110,12 +127,15 @@ def to_robomimic(
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
     if task_spec(demos[0].task).speeds:
-        raise DemonstrationError("robomimic gets the 18 actions as vectors; speeds go to minari, lerobot or webdataset")
+        raise DemonstrationError(
+            "exports to robomimic need demonstrations with the 18 actions: for speeds, export to minari, lerobot or "
+            "webdataset"
+        )
     path = files.to_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     seen = {"image_size": IMAGE_SIZE} if VIEWS[views] else {}
     source = source_of(demos[0], "" if VIEWS[views] else "State", **seen, action="continuous", reward="score")
-    content = io.BytesIO()  # since HDF5 ends the process if the disk is full
+    content = io.BytesIO()  # not directly into the file, because HDF5 ends the process if the disk is full
     with files.new_file(path, overwrite=overwrite) as unfinished:
         with h5py.File(content, "w") as file:
             data = file.create_group("data")
@@ -131,7 +151,7 @@ def to_robomimic(
 
 
 def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:
-    """Everything of an episode, by its key."""
+    """The arrays of an episode by key."""
     if VIEWS[views]:
         frames = list(render_demo(demo, VIEWS[views], IMAGE_SIZE))
         parts = {f"{view}_image": np.array([pictures[view] for pictures in frames]) for view in VIEWS[views]}

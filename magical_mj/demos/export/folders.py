@@ -1,7 +1,6 @@
-"""Demonstrations as folders: WebDataset archives, which stream, with a data card as in LeRobot's; and XIRL's pictures.
+"""Exports demonstrations to folders: WebDataset archives for streaming, and pictures for XIRL.
 
-An archive needs no library to be written, and holds no pickles. What learners of representations read is there: the
-observation before and after each action.
+A WebDataset archive contains the observations before and after each action, no pickles, and comes with a data card.
 """
 
 from __future__ import annotations
@@ -40,24 +39,33 @@ MAKERS: Final[Mapping[str, str]] = {
     "expert": "by the scripted expert of magical_mj, which knows the state",
     "human": "by people who drove the robot in magical_mj",
     "random": "by actions drawn independently and uniformly",
-    "policy": "by a policy that somebody gave",
+    "policy": "by a policy",
 }
-"""Demonstrator -> how the episodes were made."""
+"""Demonstrator -> the origin of the episodes."""
 XIRL_SIZE: Final = 384
-"""Pixels per side, as x-magical draws them."""
+"""Pixels per side, the same as in x-magical."""
 XIRL_VALID: Final = 10
-"""The last of so many videos of a body are for validation."""
+"""One of this number of videos of a body is used for validation."""
 
 
 def to_webdataset(
     demos: Sequence[Demonstration], folder: Path | str, preset: str = "LoRes4E", *, overwrite: bool = False
 ) -> Path:
-    """Makes a folder with an archive, whose path is returned, and a data card of demonstrations of one environment.
+    """Writes a folder with a WebDataset archive of demonstrations, and a data card. Returns the archive's path.
 
-    The archive's first record has the key ``_metadata`` and one part, ``json``. Each other one is a transition, with
-    keys such as ``003-0017`` for step 17 of episode 3 and the parts ``obs.npy``, ``next_obs.npy``, ``acts.npy`` and
-    ``dones.npy``; presets with several parts have one for each, such as ``obs.ego.npy``. Raises a `DemonstrationError`
-    if the demonstrations are not of one environment, and a `FileExistsError` if the folder exists.
+    The archive's first record has the key ``_metadata`` and one file, ``json``. Each other record is a transition. Its
+    key is such as ``003-0017`` for step 17 of episode 3. Its files are ``obs.npy``, ``next_obs.npy``, ``acts.npy`` and
+    ``dones.npy``. Presets with dict observations have a file for each name, such as ``obs.ego.npy``.
+
+    Args:
+        demos: demonstrations of one environment.
+        folder: the new folder.
+        preset: the Gymnasium preset of the observations.
+        overwrite: replace an existing folder.
+
+    Raises:
+        DemonstrationError: if the demonstrations are not of one environment.
+        FileExistsError: if the folder exists.
     """
     folder = files.to_path(folder)
     facts = about(demos)
@@ -67,7 +75,7 @@ def to_webdataset(
         unfinished.mkdir()
         with (
             (unfinished / ARCHIVE).open("wb") as file,
-            gzip.GzipFile("", "wb", 6, file, mtime=0) as packed,  # the same bytes at any time
+            gzip.GzipFile("", "wb", 6, file, mtime=0) as packed,  # without a time, so that the bytes are reproducible
             tarfile.open(fileobj=packed, mode="w") as archive,
         ):
             _add(archive, "_metadata.json", json.dumps(metadata, indent=1).encode())
@@ -78,12 +86,13 @@ def to_webdataset(
                         np.save(content, value, allow_pickle=False)
                         _add(archive, f"{number:03}-{step:04}.{name}.npy", content.getvalue())
         made_in = f"`gymnasium.make({source})`"
-        (unfinished / CARD).write_text(card(demos, f"the preset {preset}", made_in, FEATURES), encoding="utf-8")
+        text = card(facts, demos[0].task, f"the preset {preset}", made_in, FEATURES)
+        (unfinished / CARD).write_text(text, encoding="utf-8")
     return folder / ARCHIVE
 
 
 def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
-    """What a data set's metadata say of its demonstrations, which are of one environment."""
+    """The metadata of demonstrations. Raises a `DemonstrationError` if they are not of one environment."""
     return {
         "environment": only_environment(demos),
         "demonstrators": demonstrators(demos),
@@ -99,14 +108,18 @@ def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
     }
 
 
-def card(demos: Sequence[Demonstration], observed: str, made_in: str, features: Mapping[str, str]) -> str:
-    """The data card of demonstrations of one environment, Markdown with the header that hubs of data sets read.
+def card(facts: Mapping[str, Any], task: str, observed: str, made_in: str, features: Mapping[str, str]) -> str:
+    """The data card of demonstrations of one environment: Markdown with the header of data set hubs.
 
-    `observed` says in words what the observations are, `made_in` how to make the environment, and `features` what each
-    name in the data holds.
+    Args:
+        facts: the metadata, from `about`.
+        task: the task of the environment.
+        observed: a description of the observations.
+        made_in: the code or options that create the environment.
+        features: a description of each name in the data.
     """
-    facts, spec = about(demos), task_spec(demos[0].task)
-    what = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
+    spec = task_spec(task)
+    noun = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
     made = " and ".join(MAKERS[name] for name in facts["demonstrators"])
     rows = "\n".join(f"| `{name}` | {meaning} |" for name, meaning in features.items())
     seeds = f"{min(facts['scene_seeds'])} to {max(facts['scene_seeds'])}"
@@ -115,22 +128,22 @@ license: apache-2.0
 task_categories: [robotics]
 tags: [imitation-learning, magical, mujoco]
 ---
-# {facts["environment"]}: {facts["episodes"]} {what}
+# {facts["environment"]}: {facts["episodes"]} {noun}
 
 {spec.summary}: {facts["episodes"]} episodes, {facts["steps"]} steps of 1/{CONTROL_RATE} s, scores \
 {min(facts["scores"]):.2f} to {max(facts["scores"]):.2f}.
 
-| Feature | Holds |
+| Feature | Content |
 | --- | --- |
 {rows}
 
 - **Observations**: {observed}.
 - **Environment**: {made_in}, reset with the scenes' seeds.
-- **How made**: {made}; replayed exactly from the actions. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
+- **Origin**: {made}. The actions reproduce the episodes exactly. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
 {", ".join(facts["magical_mj"])}.
-- **Scenes**: of the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are the same one;
-  tests are played in the seeds 0 to 99 of the other variants.
-- **Licence**: Apache-2.0. No people were recorded, unless the demonstrators are `human`.
+- **Scenes**: the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are equal. Test scenes are
+  the seeds 0 to 99 of the other variants.
+- **Licence**: Apache-2.0. Only episodes by the demonstrator `human` record the actions of people.
 """
 
 
@@ -153,22 +166,34 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
 
 
 def to_xirl(demos: Sequence[Demonstration], folder: Path | str, *, overwrite: bool = False) -> None:
-    """Draws demonstrations of one task, by any bodies, into a new folder on which XIRL (Zakka et al. 2021) trains.
+    """Renders demonstrations of one task into a new folder, as training data of XIRL (Zakka et al. 2021).
 
-    Its loader reads ``ROOT/train/BODY/VIDEO/FRAME.png`` and ``ROOT/valid/...``, all numbered from 0, and learns across
-    the bodies. Pictures are of the whole workspace, before the first action and after each; XIRL scales them down to
-    112 px. Each body's first nine of ten demonstrations are for training. Raises a `DemonstrationError` if they are of
-    several tasks, or a body has a single one.
+    XIRL's loader reads ``ROOT/train/BODY/VIDEO/FRAME.png`` and ``ROOT/valid/...``, with numbers from 0, and learns
+    across bodies. Pictures show the whole workspace before the first and after each action. XIRL scales them to 112 px.
+    For each body, the last tenth of the demonstrations, at least one, is for validation.
+
+    Args:
+        demos: demonstrations of one task by any bodies.
+        folder: the new folder.
+        overwrite: replace an existing folder.
+
+    Raises:
+        DemonstrationError: if they are of several tasks, or there is only one by a body.
+        FileExistsError: if the folder exists.
     """
     tasks = sorted({demo.task for demo in demos})
     if len(tasks) != 1:
-        raise DemonstrationError(f"a data set for XIRL holds one task, and these are of {', '.join(tasks) or 'none'}")
+        raise DemonstrationError(
+            f"a data set for XIRL contains one task, but these are of {', '.join(tasks) or 'none'}"
+        )
     groups: dict[str, list[Demonstration]] = {}
     for demo in demos:
         groups.setdefault(demo.scene.robot.body.rpartition(":")[2], []).append(demo)
     for body, group in groups.items():
         if len(group) < 2:
-            raise DemonstrationError(f"there is one demonstration by the {body}: training and validation need one each")
+            raise DemonstrationError(
+                f"there is only one demonstration by the {body}: training and validation need one each"
+            )
     with files.new_folder(files.to_path(folder), overwrite=overwrite) as unfinished:
         for body, group in groups.items():
             trained = len(group) - max(1, len(group) // XIRL_VALID)

@@ -1,8 +1,7 @@
-"""Demonstrations as LeRobot data sets (format 3.0), written by lerobot itself.
+"""Exports demonstrations to LeRobot data sets (format 3.0), with lerobot's own writer.
 
-Frames are drawn at 96 px, not scaled down, and stored as PNG unless videos are asked for: AV1 is lossy; the state
-vector can take their place. Actions are vectors (drive, turn, grip); no-ops stay, for LeRobot takes frames to be evenly
-spaced in time.
+Frames are rendered at 96 px, and stored as PNG by default, because videos are lossy. Alternatively, observations are
+state vectors. Actions are vectors (drive, turn, grip), including no-ops, because LeRobot assumes a constant frame rate.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
-from magical_mj.demos.export.folders import CARD, card
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.export.folders import CARD, about, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene import constants as c
@@ -36,24 +35,24 @@ IMAGE_SIZE: Final = 96
 VIEWS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo"), "state": ()}
 )
-"""The pictures that a policy sees, by the word that options use; instead of none, it sees the state vector."""
+"""Choice of views -> the pictures in an observation. Without pictures, the observation is the state vector."""
 PRESETS: Final[Mapping[str, str]] = MappingProxyType(
     {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack", "state": "State"}
 )
-"""By the same words, the preset with these pictures, of whose stacks the newest count, or with the state vector."""
+"""Choice of views -> the preset with these observations. LeRobot uses only the newest picture of its stacks."""
 
 
 def missing_lerobot() -> MagicalError:
-    """The error where lerobot cannot be imported: it needs an environment of its own."""
+    """The error if lerobot cannot be imported."""
     return MagicalError(
-        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: make "
-        f'a new environment for both, and in it {remedy("eval")} "lerobot[dataset]==0.6.1"; in a checkout, '
-        "`make lerobot` does so in .venv-lerobot"
+        "this needs lerobot 0.6 and Python 3.12 or newer. lerobot excludes versions that this package is tested with, "
+        f'so create a new virtual environment for both, and run there: {remedy("eval")} "lerobot[dataset]==0.6.1". In '
+        "a checkout, `make lerobot` does so in .venv-lerobot"
     )
 
 
 def image_keys(views: str) -> dict[str, str]:
-    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or one key for each of both views."""
+    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or with both views a key for each."""
     check_name("choice of views", views, VIEWS)
     only_one = len(VIEWS[views]) == 1
     return {view: "observation.image" if only_one else f"observation.images.{view}" for view in VIEWS[views]}
@@ -67,28 +66,37 @@ def to_lerobot(
     fingers: bool = False,
     video: bool = False,
 ) -> LeRobotDataset:
-    """Makes a LeRobot data set of demonstrations of one environment in a new folder; each becomes an episode.
+    """Writes demonstrations of one environment as a LeRobot data set. Each becomes an episode.
 
-    `fingers` puts the two finger angles (left, right; rad), which the paper's learners do not see, into
-    ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state. `video` stores AV1
-    videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31). The id of the finished data set names
-    task, variant, demonstrators, observations and protocol.
+    The id of the data set contains task, variant, demonstrators, observations and protocol.
 
-    Raises a `MagicalError` without lerobot, a `DemonstrationError` if the demonstrations are not of one environment,
-    and a `FileExistsError` if the folder exists.
+    Args:
+        demos: demonstrations of one environment.
+        folder: the new folder.
+        views: the choice of observations, one of `VIEWS`.
+        fingers: whether ``observation.state`` contains the angles (rad) of the left and right finger, which the paper's
+            learners do not see. Otherwise it is constant, because LeRobot's policies require a state.
+        video: whether to store AV1 videos instead of PNG. They are smaller, but lossy, with errors of 0.7 levels on
+            average, and at most 31.
+
+    Raises:
+        MagicalError: if lerobot is not installed.
+        UnknownNameError: for an unknown choice of views.
+        DemonstrationError: if the demonstrations are not of one environment.
+        FileExistsError: if the folder exists.
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise missing_lerobot() from None
     keys = image_keys(views)
-    environment, folder = only_environment(demos), files.to_path(folder)
-    who, observed = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
-    name = f"magical-mj/{environment}-{who}-{observed}-p{PROTOCOL}"
+    facts, folder = about(demos), files.to_path(folder)
+    makers, observed = "-".join(facts["demonstrators"]), f"{views}{'-fingers' if fingers else ''}"
+    name = f"magical-mj/{facts['environment']}-{makers}-{observed}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
     if demos[0].actions.ndim == 2:
         features["action"] = _vector(("speed", "turn", "grip")[: demos[0].actions.shape[1]])
-    with files.new_folder(folder) as unfinished:  # half a data set reads like a whole one
+    with files.new_folder(folder) as unfinished:  # because an incomplete data set looks like a complete one
         data_set = LeRobotDataset.create(
             name, c.CONTROL_RATE, features, root=unfinished, robot_type="magical_mj", use_videos=video
         )
@@ -97,15 +105,16 @@ def to_lerobot(
                 data_set.add_frame(frame)
             data_set.save_episode()
         data_set.finalize()
-        what = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
+        description = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
         shapes = {key: f"{part['dtype']}, shape {part['shape']}" for key, part in features.items()}
         options = " ".join(f"--env.{name}={value}" for name, value in env_options(demos[0], views, fingers).items())
-        (unfinished / CARD).write_text(card(demos, what, f"`{options}`", shapes), encoding="utf-8")
+        text = card(facts, demos[0].task, description, f"`{options}`", shapes)
+        (unfinished / CARD).write_text(text, encoding="utf-8")
     return LeRobotDataset(name, root=folder)
 
 
 def env_options(demo: Demonstration, views: str, fingers: bool) -> dict[str, str]:
-    """The environment of a demonstration, with a data set's observations, as LeRobot's commands take it."""
+    """The options of LeRobot's commands for a demonstration's environment with a data set's observations."""
     facts = {"task": demo.task, "variant": demo.variant, "body": demo.scene.robot.body, "shifts": demo.shifts}
     chosen = {**facts, "views": views, "fingers": str(fingers).lower()}
     return {"type": "magical", **{name: value for name, value in chosen.items() if value}}
@@ -114,11 +123,14 @@ def env_options(demo: Demonstration, views: str, fingers: bool) -> dict[str, str
 STATE_VECTOR: Final = "observation.environment_state"
 NO_STATE: Final = ("zero0", "zero1", "zero2")
 FINGERS: Final = ("left_finger", "right_finger")
-"""The entries of LeRobot's state, with fingers and without; their number differs (one entry would lose its axis)."""
+"""The entries of LeRobot's state with fingers. `NO_STATE` has another length, so that the two cannot be confused.
+
+LeRobot would drop the axis of a state with one entry.
+"""
 
 
 def state(fingers: ArrayLike | None) -> NDArray[np.float32]:
-    """LeRobot's state: the angles of the fingers (rad), shape (2,), or without them zeros, shape (3,)."""
+    """LeRobot's state: the angles of the fingers (rad), shape (2,). With None three zeros, shape (3,)."""
     return np.zeros(len(NO_STATE), np.float32) if fingers is None else np.asarray(fingers, np.float32)
 
 
@@ -140,7 +152,7 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
-    """What is observed before each action, and the action: pictures, or without keys of any the state vector."""
+    """Yields each action with the observation before it: pictures, or the state vector if `keys` is empty."""
     sentence, world = task_spec(demo.task).summary, World(demo.scene)
     if keys:
         pictures = render_demo(demo, list(keys), IMAGE_SIZE)

@@ -1,4 +1,4 @@
-"""Demonstrations as Minari data sets, written by minari's storage, completely or not at all."""
+"""Exports demonstrations to Minari data sets, with minari's own storage. They are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import check_extra
 
 HDF5_BYTES: Final = 32_000
-"""What HDF5 writes for each episode besides its arrays, at most."""
+"""The maximum number of bytes that HDF5 writes for each episode in addition to its arrays."""
 
 
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
-    """The id of a Minari data set of demonstrations, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
+    """The default id of a Minari data set, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
 
-    It names all demonstrators, the preset of the observations and the number of the protocol, here 1; and shifts and
-    another body, as in ``Demo-clutter2-slip3-expert-State-p1-v0``.
+    It contains task, variant, demonstrators, preset and protocol. If there are shifts or another body, it contains them
+    as well, as in ``magical-mj/FindDupe/Demo-clutter2-slip3-expert-State-p1-v0``.
     """
     task, variant = task_spec(demos[0].task).name, re.sub(r"[^\w.-]+", "-", demos[0].name.partition("-")[2])
     return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
@@ -43,16 +43,16 @@ def to_minari(
     *,
     overwrite: bool = False,
 ) -> str:
-    """Makes a Minari data set of demonstrations of one environment.
+    """Writes demonstrations of one environment as a Minari data set.
 
-    The observations are those of the preset, as arrays: Minari's JPEG is lossy, and takes no stacks. `infos` holds the
-    exact positions and velocities. The reward is the score at the last step. The environment that
-    `dataset.recover_environment()` makes has the same rewards, and its `reset(seed=episode's seed)` starts in the
-    episode's scene.
+    Observations of the preset are stored as arrays, because Minari's JPEG is lossy and cannot store stacks. `infos`
+    contains the exact positions and velocities. The reward is the score at the last step. The environment of
+    `dataset.recover_environment()` has the same rewards. With an episode's seed, its `reset` starts in the episode's
+    scene.
 
     Args:
         demos: demonstrations of one environment.
-        name: the id; None: `minari_name`.
+        name: the id. None: the id of `minari_name`.
         preset: the Gymnasium preset of the observations.
         overwrite: replace an existing data set with this id.
 
@@ -61,20 +61,20 @@ def to_minari(
 
     Raises:
         MissingExtraError: if minari is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or more, or the
+        DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or larger, or the
             id is invalid.
-        FileExistsError: if the data set exists already.
+        FileExistsError: if the data set exists.
     """
     environment, first = only_environment(demos), demos[0]
     check_seeds(demos)
     name = minari_name(demos, preset) if name is None else name
     path = dataset_path(name)
     episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
-    who = " and ".join(demonstrators(demos))
+    makers = " and ".join(demonstrators(demos))
     versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
     about = {
-        "algorithm_name": f"magical_mj {who}",
-        "description": f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
+        "algorithm_name": f"magical_mj {makers}",
+        "description": f"{len(demos)} demonstrations of {environment} by the {makers} of magical_mj",
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
     with (
@@ -86,7 +86,7 @@ def to_minari(
 
 
 def dataset_path(name: str) -> Path:
-    """The folder of the data set with this id; raises a `DemonstrationError` if that is invalid."""
+    """The folder of the data set with this id. Raises a `DemonstrationError` for an invalid id."""
     check_extra("exports to Minari", "minari")
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage import get_dataset_path
@@ -95,7 +95,7 @@ def dataset_path(name: str) -> Path:
         parse_dataset_id(name)
     except (TypeError, ValueError):  # TypeError if the version is missing
         raise DemonstrationError(
-            f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0"
+            f"Minari does not accept the id {name!r}: it must be similar to magical-mj/mine-v0"
         ) from None
     return get_dataset_path(name)
 
@@ -106,7 +106,7 @@ def _size(data: Any) -> int:
 
 
 def _check_space(folder: Path, size: int) -> None:
-    """Raises an `OSError` that names the folder if there is no space for `size` bytes: HDF5 would end the process."""
+    """Raises an `OSError` with the folder if `size` bytes do not fit on the disk. HDF5 would end the process."""
     if not hasattr(os, "posix_fallocate"):
         return
     with tempfile.TemporaryFile(dir=folder) as file:
@@ -119,7 +119,7 @@ def _check_space(folder: Path, size: int) -> None:
 def _fill(
     folder: Path, name: str, env: gymnasium.Env[Any, Any], about: dict[str, Any], episodes: list[dict[str, Any]]
 ) -> None:
-    """Writes a data set into a new folder, wherever it lies; its namespaces are made where its id says."""
+    """Writes a data set into a new folder, and creates the namespace of its id."""
     import minari
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
@@ -138,12 +138,12 @@ def _fill(
 
 
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
-    """The fields of Minari's buffer."""
+    """The fields of Minari's episode buffer."""
     steps = len(demo.actions)
     speeds = task_spec(demo.task).speeds
     rewards = np.zeros(steps)
     rewards[-1] = demo.score
-    if speeds:  # the sparse reward
+    if speeds:  # the suite's sparse reward is the score after each step
         rewards = np.array([demo.rescored(step) for step in range(1, steps + 1)])
     return {
         "id": number,

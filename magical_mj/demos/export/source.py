@@ -1,4 +1,4 @@
-"""The environment that a data set names: where its demonstrations were made, with observations as in the data set."""
+"""The Gymnasium environment that a data set names: that of its demonstrations, with the same observations."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from magical_mj.utils.errors import DemonstrationError
 
 
 class Source(NamedTuple):
-    """An environment by name: ``gymnasium.make(id, **kwargs)``, whose ``reset(seed=...)`` takes the scenes' seeds."""
+    """An environment ``gymnasium.make(id, **kwargs)``. Its ``reset(seed=...)`` accepts the seeds of the scenes."""
 
     id: str
     kwargs: dict[str, Any]
 
     def make(self) -> gymnasium.Env[Any, Any]:
-        """The environment."""
+        """Creates the environment."""
         return gymnasium.make(self.id, **self.kwargs)
 
     def __str__(self) -> str:
@@ -33,10 +33,10 @@ def source_of(demo: Demonstration, preset: str, **settings: Any) -> Source:
     Args:
         demo: the demonstration.
         preset: the preset of the data set's observations.
-        settings: what else `gymnasium.make` is to get.
+        settings: further arguments of `gymnasium.make`.
 
     Raises:
-        DemonstrationError: if the suite xmagical has no such observations.
+        DemonstrationError: if the task is SweepToTop and the preset is not State.
     """
     body = demo.scene.robot.body
     if not task_spec(demo.task).speeds:
@@ -44,5 +44,5 @@ def source_of(demo: Demonstration, preset: str, **settings: Any) -> Source:
         kwargs = {name: value for name, value in facts.items() if value}
         return Source(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
     if preset != "State":
-        raise DemonstrationError(f"data sets of {demo.task} have the preset State, not {preset or 'views'}")
+        raise DemonstrationError(f"data sets of {demo.task} must have the preset State, not {preset or 'views'}")
     return Source(suite_id(body, demo.variant), {})

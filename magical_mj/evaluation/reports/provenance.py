@@ -150,7 +150,7 @@ def _deviations(
         number = " to ".join(map(str, sorted({counts[0], counts[-1]})))
         yield f"{number} episode{'' if number == '1' else 's'} in each environment instead of {SEEDS}"
     if set(scores["worlds"]) != {"single"}:
-        yield "batched worlds of MuJoCo Warp"
+        yield "batched environments of MuJoCo Warp"
     usual = {"body": GRIPPER, "wrap": "", "like": "", "time_limit": EvaluationSettings.time_limit}
     words = {"body": "the body {}", "wrap": "the wrapper {}", "like": "policies receive the task name {}"}
     for name, text in {**words, "time_limit": "a time limit of {} s"}.items():

@@ -39,7 +39,7 @@ SAME: Final = [*KEY, *KINDS, "score", "actions"]
 
 ALIKE: Final = {
     "rules": "such scores cannot be compared; report --rules scores all episodes again by the same rules",
-    "worlds": "scores of batched worlds are approximate: report them separately",
+    "worlds": "scores of batched environments are approximate: report them separately",
     "split": "results are scores on test: report those on dev separately",
 }
 """The columns that must be the same for all scores, and why."""

@@ -1,13 +1,19 @@
 """The environments in LeRobot's commands, and LeRobot's checkpoints in this package's evaluation.
 
-LeRobot's commands find this module by ``--env.discover_packages_path=magical_mj.integrations.lerobot``; the options
-``--env.type=magical --env.task=FindDupe --env.variant=Layout`` then choose environments (comma lists make one suite
-for each task). Observations are ``pixels`` (96 px pictures, height x width x channels, uint8; a dict of views with
-``--env.views=both``), or with ``--env.views=state`` ``environment_state``; and ``agent_pos``: three zeros, or with
-``--env.fingers=true`` the angles of the two fingers. Actions are vectors (drive, turn, grip), and the
-score is the reward of the last step. ``--env.shifts=camera:3,latency:1`` shifts them (docs/shifts.md; the sentence that
-policies get is that of the episode), and ``--env.body=shortstick`` gives the robot another body (docs/bodies.md).
-``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
+Options of LeRobot's commands:
+
+- ``--env.discover_packages_path=magical_mj.integrations.lerobot`` imports this module.
+- ``--env.type=magical --env.task=FindDupe --env.variant=Layout`` selects environments. Comma-separated lists make one
+  suite for each task.
+- ``--env.views=ego``, ``allo``, ``both`` or ``state`` selects the observations.
+- ``--env.fingers=true`` adds the angles of the two fingers.
+- ``--env.shifts=camera:3,latency:1`` applies shifts (docs/shifts.md). Policies receive the episode's instruction.
+- ``--env.body=shortstick`` selects the robot's body (docs/bodies.md).
+- ``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
+
+Observations are ``pixels`` (96 px, height x width x channels, uint8; with both views a dict) or ``environment_state``
+(the state vector), and ``agent_pos`` (the angles of the fingers, or three zeros). Actions are vectors (drive, turn,
+grip). The reward of the last step is the score, all others are 0.
 """
 
 from __future__ import annotations
@@ -41,7 +47,7 @@ from magical_mj.policies.models import torch_settings
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
+from magical_mj.scene.state_vector import FINGERS as FINGER_ENTRIES
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import environments, task_spec
@@ -62,19 +68,19 @@ __all__ = ["LeRobotEnv", "LeRobotPolicy", "MagicalConfig", "load_checkpoint"]
 
 
 class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32], NDArray[np.float32]]):
-    """One environment with the names and shapes that LeRobot reads.
+    """An environment with LeRobot's names and shapes of observations.
 
     Args:
         task: a task's name.
         variant: a variant's name.
-        views: "ego", "allo" or "both"; with "state", ``environment_state`` is the state vector, without pictures.
-        fingers: whether ``agent_pos`` holds the angles of the fingers (rad), shape (2,), or zeros, shape (3,).
-        shifts: shifts and their strengths, such as "camera:3,latency:1"; see docs/shifts.md.
-        body: the robot's body, one that the task offers; see docs/bodies.md.
+        views: "ego", "allo" or "both" for pictures, or "state" for the state vector.
+        fingers: whether ``agent_pos`` contains the angles of the fingers (rad), shape (2,), or three zeros.
+        shifts: shifts with strengths, such as "camera:3,latency:1". See docs/shifts.md.
+        body: the robot's body, one that the task offers. See docs/bodies.md.
 
     Raises:
-        UnknownNameError: if there is no such task, variant, choice of views or shift.
-        SettingsError, InvalidSceneError: if the task cannot have the shifts or the body.
+        UnknownNameError: for an unknown task, variant, choice of views or shift.
+        SettingsError, InvalidSceneError: if the task does not support the shifts or the body.
     """
 
     def __init__(
@@ -88,8 +94,8 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         body: str = GRIPPER,
     ) -> None:
         check_name("choice of views", views, VIEWS)
-        world: dict[str, Any] = {"shifts": shifts, "body": body}
-        env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array", **world)
+        settings: dict[str, Any] = {"action": "continuous", "render_mode": "rgb_array", "shifts": shifts, "body": body}
+        env = MagicalEnv(task, variant, "State", reward="score", **settings)
         super().__init__(cast("gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]", env))
         self._engine, self._views, self._with_fingers = env.engine, VIEWS[views], fingers
         self.task = task
@@ -97,8 +103,8 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         parts: dict[str, spaces.Space[Any]] = {"environment_state": env.observation_space}
         if self._views:
             picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-            several = spaces.Dict(dict.fromkeys(self._views, picture))
-            parts = {"pixels": picture if len(self._views) == 1 else several}
+            pictures = spaces.Dict(dict.fromkeys(self._views, picture))
+            parts = {"pixels": picture if len(self._views) == 1 else pictures}
         state_shape = (len(FINGERS if fingers else NO_STATE),)
         self.observation_space = spaces.Dict(
             {**parts, "agent_pos": spaces.Box(-STATE_BOUND, STATE_BOUND, state_shape, np.float32)}
@@ -106,29 +112,29 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
 
     @property
     def task_description(self) -> str:
-        """The sentence that says what is to be done in this episode, as its shifts make it."""
+        """The sentence that describes the task in this episode, including its shift."""
         return self._engine.instruction
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Starts an episode; of the options only "scene" is ours, LeRobot passes others of its own."""
-        ours = {name: value for name, value in (options or {}).items() if name == "scene"}
-        return super().reset(seed=seed, options=ours)
+        """Starts an episode. Only the option "scene" is used, because LeRobot passes options of its own."""
+        known = {name: value for name, value in (options or {}).items() if name == "scene"}
+        return super().reset(seed=seed, options=known)
 
     def observation(self, observation: NDArray[np.float32]) -> dict[str, Any]:
-        """The pictures of the present state, or its vector, and the fingers from the vector."""
+        """LeRobot's observation of the current state, from its state vector."""
         parts: dict[str, Any] = {"environment_state": observation}
         if self._views:
             pictures = {view: self._engine.render(view, IMAGE_SIZE) for view in self._views}
             parts = {"pixels": pictures if len(pictures) > 1 else pictures[self._views[0]]}
-        return {**parts, "agent_pos": state(observation[WHERE_FINGERS] if self._with_fingers else None)}
+        return {**parts, "agent_pos": state(observation[FINGER_ENTRIES] if self._with_fingers else None)}
 
 
 @EnvConfig.register_subclass("magical")
 @dataclass
 class MagicalConfig(EnvConfig):
-    """``--env.type=magical``: which environments, and what is observed."""
+    """The options of ``--env.type=magical``: the environments and their observations."""
 
     task: str | None = "MoveToRegion"
     variant: str = "Demo"
@@ -156,20 +162,20 @@ class MagicalConfig(EnvConfig):
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
-        """Of no use: `create_envs` makes the environments."""
+        """Empty, since `create_envs` creates the environments."""
         return {}
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]]:
-        """Suite (the task) -> number of the variant -> vector of environments."""
+        """Creates the environments: task -> number of the variant -> vector environment."""
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):
-            how: dict[str, Any] = {"fingers": self.fingers, "shifts": self.shifts, "body": self.body}
-            make = [partial(LeRobotEnv, task, variant, self.views, **how)] * n_envs
+            settings: dict[str, Any] = {"fingers": self.fingers, "shifts": self.shifts, "body": self.body}
+            make = [partial(LeRobotEnv, task, variant, self.views, **settings)] * n_envs
             suite = suites.setdefault(task, {})
-            if use_async_envs and n_envs > 1:  # spawned: OpenGL does not survive a fork
+            if use_async_envs and n_envs > 1:  # spawned, because OpenGL does not work after a fork
                 vector: Any = gymnasium.vector.AsyncVectorEnv(make, context="spawn", autoreset_mode=mode)
             else:
                 vector = gymnasium.vector.SyncVectorEnv(make, autoreset_mode=mode)
@@ -178,15 +184,15 @@ class MagicalConfig(EnvConfig):
 
 
 WITHOUT_LANGUAGE: Final = ("act", "diffusion", "gaussian_actor", "tdmpc", "vqbet")
-"""The kinds of lerobot's policies that do not read the task's sentence, though each gets it."""
+"""The types of LeRobot policies that do not read the instruction. LeRobot passes it to all policies."""
 
 
 class LeRobotPolicy:
-    """A LeRobot checkpoint as `magical_mj.evaluate` plays policies; action chunks start anew with each episode.
+    """A policy for `magical_mj.evaluate` from a LeRobot checkpoint. Each episode starts a new action chunk.
 
     Attributes:
-        uses_instruction: whether it reads the sentence that says what is to be done.
-        preset: the preset whose newest frames, or whose vectors, the checkpoint sees.
+        uses_instruction: whether it reads the sentence that describes the task.
+        preset: the preset of its observations. Only the newest frames of stacks are used.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -204,23 +210,23 @@ class LeRobotPolicy:
         self._noise = torch.Generator().get_state()
 
     def reset(self, episode: Episode) -> None:
-        """Forgets the chunk of the last episode, and draws noise by the episode's seed."""
+        """Discards the action chunk of the last episode, and seeds the policy's noise with the episode's seed."""
         self._noise = torch.Generator().manual_seed(int(episode.rng().integers(2**63))).get_state()
         self._policy.reset()
         self._sentence = episode.instruction or task_spec(episode.task).summary
 
     def __call__(self, observation: Any) -> int:
-        """The action for the newest frames of the preset, or for the state."""
+        """The action for an observation of the preset."""
         parts = observation if isinstance(observation, dict) else {self._views: observation}
         fingers = None
         if self._fingers:
-            fingers = parts["fingers"] if "fingers" in parts else parts["state"][WHERE_FINGERS]
+            fingers = parts["fingers"] if "fingers" in parts else parts["state"][FINGER_ENTRIES]
         batch: dict[str, Any] = {
             key: torch.from_numpy(np.ascontiguousarray(parts[view][..., -3:])).permute(2, 0, 1)[None].float() / 255
             for view, key in image_keys(self._views).items()
         } or {STATE_VECTOR: torch.from_numpy(parts["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
-        # Policies draw from torch's own generator.
+        # policies draw from torch's global generator, which must not change
         with torch_settings(1), torch.inference_mode(), torch.random.fork_rng(devices=[]):
             torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
@@ -229,16 +235,16 @@ class LeRobotPolicy:
 
 
 def load_checkpoint(folder: Path | str) -> LeRobotPolicy:
-    """The policy in a LeRobot checkpoint's folder ``pretrained_model``; its weights are safetensors.
+    """The policy in a LeRobot checkpoint's folder ``pretrained_model``. Its weights are safetensors.
 
     Raises:
-        SettingsError: if it was trained on other observations or actions than this package's.
+        SettingsError: if its observations or actions are not those of this package.
     """
     return LeRobotPolicy(Path(folder))
 
 
 def _observed(folder: Path, config: Any) -> tuple[str, bool]:
-    """Which of `VIEWS` a checkpoint sees, and whether the angles of the fingers."""
+    """A checkpoint's choice of `VIEWS`, and whether it observes the angles of the fingers."""
     observed = {name: tuple(feature.shape) for name, feature in config.input_features.items()}
     actions = {name: tuple(feature.shape) for name, feature in config.output_features.items()}
     known = {choice: _features(*choice) for choice in itertools.product(VIEWS, (False, True))}
@@ -247,13 +253,14 @@ def _observed(folder: Path, config: Any) -> tuple[str, bool]:
             return choice
     lines = "\n".join(f"  {features}" for features in known.values())
     raise SettingsError(
-        f"the checkpoint {folder} makes {actions} of {observed}, and evaluations take {{'action': (3,)}} made of one of"
-        f"\n{lines}\nTrain it on a data set of magical-mj demos export --to lerobot."
+        f"the checkpoint {folder} has the outputs {actions} and the inputs {observed}. Evaluations need the outputs "
+        f"{{'action': (3,)}} and one of these inputs:\n{lines}\n"
+        "Train it on a data set of magical-mj demos export --to lerobot."
     )
 
 
 def _features(views: str, fingers: bool) -> dict[str, tuple[int, ...]]:
-    """Name -> shape of what a checkpoint sees."""
+    """The names and shapes of a checkpoint's inputs."""
     pictures = dict.fromkeys(image_keys(views).values(), (3, IMAGE_SIZE, IMAGE_SIZE))
     entries = len(FINGERS if fingers else NO_STATE)
     return {**(pictures or {STATE_VECTOR: (len(STATE_NAMES),)}), "observation.state": (entries,)}

@@ -33,8 +33,8 @@ BRAKING: Final = 2.4  # units/s^2
 VIA: Final = 0.12  # world units: intermediate points this close count as reached
 EITHER: Final = 0.6  # rad: to points this close to straight behind, the robot always turns right
 NEAR: Final = 0.3  # world units: to points this close behind it, the robot drives back instead of turning around
-STUCK, FREED = 3, 7  # actions without progress after which the robot drives back, and then tries again
-PATIENCE: Final = 12  # actions without progress after which it gives up
+STUCK, FREED = 3, 7  # from 3 actions without progress the robot drives back, from 7 it tries again
+PATIENCE: Final = 12  # with more actions without progress it gives up
 PROGRESS: Final = 0.01  # world units or radians
 
 
@@ -189,7 +189,7 @@ class Lookahead:
 def steer(
     lookahead: Lookahead, point: Point, ahead: float, gripper: Gripper, *, reverse: bool
 ) -> tuple[Gripper, Turn, Drive]:
-    """The next action towards the pose in which a point (world units) is straight `ahead` of the robot's centre.
+    """The next action for bringing a point (world units) to the distance `ahead` of the robot's centre.
 
     With `reverse`, the robot turns while driving back if the point is far to the side.
     """

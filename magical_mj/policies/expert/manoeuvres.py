@@ -68,7 +68,7 @@ class Manoeuvre:
 
     subgoal: Subgoal
     route: list[Point]
-    """The points of the route to the block, or to the end if there is no block."""
+    """The points of the route to the block, or to the target if the subgoal has no block."""
     reverse: bool
     """With fingers: whether to drive back while turning with a block. Without: whether to push with the back."""
     estimate: float
@@ -181,7 +181,7 @@ def _relative(poses: NDArray[np.float64], block: Pose) -> NDArray[np.float64]:
 
 
 def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
-    """The pose with this heading in which the point (x, y) is `ahead` of the robot."""
+    """The pose with this heading and the point (x, y) straight `ahead`."""
     return x + ahead * math.sin(heading), y - ahead * math.cos(heading), heading
 
 

@@ -84,7 +84,7 @@ class Planner:
 
         Args:
             steps: the number of remaining actions.
-            budget: the number of simulated steps after which no new plan is started.
+            budget: after this number of simulated steps, no new plan is started.
             rng: varies the plans. After each failure, execution becomes more precise, and noise grows for `ROUND`
                 plans.
         """

@@ -21,12 +21,12 @@ from magical_mj.tasks.sweep_to_top import HALF_WIDTH, arrived
 
 SWEEPS: Final = 100
 """The number of sweeps that are tried before the best one is played."""
-HALF_DEBRIS: Final = 0.11  # half the side of a piece of debris, world units
+HALF_DEBRIS: Final = 0.11  # half the side of a debris block, world units
 CLEARANCE: Final = 0.04
 EDGE: Final = 0.04  # least distance of debris' centre from the end of the pushing side
 GRIPPER_HALF: Final = 0.13  # half width of the closed fingers' pushing side
 NEAR, ALIGNED = 0.05, 0.06  # world units, rad
-PATIENCE: Final = 8  # steps without progress, after which a lane is abandoned
+PATIENCE: Final = 8  # after more steps without progress, a lane is abandoned
 FAST: Final = 0.8
 ACCELERATION: Final = 3.2  # rad/s^2, the braking rate towards a heading: the long stick can brake with 4.7
 
@@ -34,7 +34,7 @@ Action = NDArray[np.float32]
 
 
 class Lane(NamedTuple):
-    """Pieces of debris that are pushed together."""
+    """Debris blocks that are pushed together."""
 
     debris: tuple[int, ...]
     x: float
@@ -185,13 +185,13 @@ class _Attempt:
         for _ in range(min(self._left, 40)):
             robot = self._simulation.scene.robot
             dx, dy = x - robot.x, y - robot.y
-            way = math.hypot(dx, dy)
-            if way < NEAR:
+            distance = math.hypot(dx, dy)
+            if distance < NEAR:
                 return
             heading = math.atan2(-dx, dy) + (math.pi if reverse else 0.0)
             error = math.remainder(heading - robot.angle, 2 * math.pi)
-            along = math.cos(error) * way
-            if abs(error) > 1.3 and way < 0.15:
+            along = math.cos(error) * distance
+            if abs(error) > 1.3 and distance < 0.15:
                 return
             speed = min(FAST, 6 * abs(along)) if abs(error) < 0.5 else 0.0
             self._act(-speed if reverse else speed, self._turn(heading))

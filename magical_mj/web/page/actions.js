@@ -1,13 +1,13 @@
 // @ts-check
 /**
  * Actions as numbers and as letters. A number is 9 * grip + 3 * turn + drive, with turn 1 left and 2 right, and drive
- * 1 forward and 2 back; lists of actions are stored as texts, with "a" for 0.
+ * 1 forward and 2 back. Lists of actions are stored as text, with "a" for 0.
  */
 
 /** @typedef {"forward" | "back" | "left" | "right" | "grip"} Command */
 
 /**
- * The action of the commands that are given at once; opposite ones cancel each other.
+ * The action for commands that are given simultaneously. Opposite ones cancel each other.
  * @param {Set<Command>} commands
  */
 export function action(commands) {
@@ -20,8 +20,8 @@ export function action(commands) {
 export const fromLetters = (letters) => [...letters].map((letter) => letter.charCodeAt(0) - "a".charCodeAt(0));
 
 /**
- * What a worn or slow robot does instead of what it is told.
- * @param {number[]} table  for each step, how many steps before the command was given, or -1 - n for the action n, whatever was
+ * The action that a robot with the shifts slip or latency executes instead of the commanded one.
+ * @param {number[]} table  for each step, the delay of its command in steps, or -1 - n for the action n, independent of what was
  * @returns {(command: number) => number}
  */
 export function taking(table) {

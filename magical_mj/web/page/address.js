@@ -1,11 +1,11 @@
 // @ts-check
 /**
- * What the part of an address after `#` asks for: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
- * `#FindDupe-Demo-0?shifts=clutter:3` with a shift, of which another body is one: `#SweepToTop-Layout-2?shifts=body:longstick`.
- * @typedef {{task: string, variant: string, seed: number, shifts: string}} Place  shifts: "" for none
- * @typedef {Place & {method: string, unknown: string}} Wish
- *   method: "" for none; unknown: what is wrong with the address, and what is shown instead; "" if nothing is
- * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with the shifts that are there
+ * Parses the part of an address after `#`: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
+ * `#FindDupe-Demo-0?shifts=clutter:3` with a shift or another body: `#SweepToTop-Layout-2?shifts=body:longstick`.
+ * @typedef {{task: string, variant: string, seed: number, shifts: string}} SceneId  shifts: "" without shifts
+ * @typedef {SceneId & {method: string, unknown: string}} Wish
+ *   method: "" without a method; unknown: the error in the address and the scene shown instead, "" without an error
+ * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with its available shifts
  */
 
 /**
@@ -15,8 +15,8 @@
  */
 export function parseAddress(hash, { environments }) {
   const [all, method = ""] = decodeURIComponent(hash.slice(1)).split("@");
-  const [place, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
-  const [asked, variantAsked = "", ...rest] = place.split("-"), seedAsked = rest.join("-");
+  const [name, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
+  const [asked, variantAsked = "", ...rest] = name.split("-"), seedAsked = rest.join("-");
   const tasks = [...new Set(environments.map(({ task }) => task))], task = nearest(asked, tasks);
   const variants = environments.filter((one) => one.task === task).map(({ variant }) => variant), variant = nearest(variantAsked, variants);
   const there = shiftsOf({ task, variant }, environments), shifts = nearest(shiftsAsked, ["", ...there]);
@@ -29,21 +29,21 @@ export function parseAddress(hash, { environments }) {
   return { ...found, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${addressOf(found)}` : "" };
 }
 
-/** The address of a scene, without `#`. @param {Place} place */
+/** The address of a scene, without `#`. @param {SceneId} sceneId */
 export const addressOf = ({ task, variant, seed, shifts }) => `${task}-${variant}-${seed}${shifts && `?shifts=${shifts}`}`;
 
 /** @param {{task: string, variant: string}} name @param {Environment[]} environments */
 export const shiftsOf = ({ task, variant }, environments) =>
   environments.find((one) => one.task === task && one.variant === variant)?.shifts ?? [];
 
-/** The name that differs least from the one asked for; the first one where nothing was. @param {string} asked @param {string[]} names */
+/** The name most similar to the requested one. The first one if none is requested. @param {string} asked @param {string[]} names */
 export function nearest(asked, names) {
   if (!asked) return names[0];
   const distances = names.map((name) => distance(asked.toLowerCase(), name.toLowerCase()));
   return names[distances.indexOf(Math.min(...distances))];
 }
 
-/** How many letters must be changed, added or left out. @param {string} one @param {string} other */
+/** The edit distance of two texts. @param {string} one @param {string} other */
 function distance(one, other) {
   let row = Array.from({ length: other.length + 1 }, (_, i) => i);
   for (let i = 1; i <= one.length; i++) {

@@ -1,27 +1,27 @@
 // @ts-check
-/** What can be chosen to be inspected, and what is: the lists of the page, and its address. */
+/** The selection of a scene to inspect: the lists of the page, and its address. */
 import { addressOf, parseAddress } from "./address.js";
 
-/** @typedef {import("./address.js").Place} Place */
+/** @typedef {import("./address.js").SceneId} SceneId */
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 
-/** @param {string} hash  with "#" @param {boolean} isNew  whether one can go back from it */
+/** @param {string} hash  with "#" @param {boolean} isNew  whether to add an entry to the browser's history */
 export function showAddress(hash, isNew) {
   if (hash !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", hash);
 }
 
-/** Shows which scene is displayed; nothing for a model that is none of the catalogue. @param {any} catalogue @param {Place | null} place */
-export function showChoice(catalogue, place) {
-  const variants = catalogue.environments.filter((/** @type {Place} */ one) => one.task === place?.task);
-  element("variant").replaceChildren(...variants.map((/** @type {Place} */ one) => new Option(one.variant)));
-  for (const name of /** @type {const} */ (["task", "variant", "seed"])) element(name).value = place?.[name] ?? "";
-  for (const name of ["variant", "seed"]) element(name).disabled = !place;
-  element("play").hidden = !place;
-  if (place) element("play").href = `./#${addressOf(place)}`;
+/** Selects the displayed scene in the lists, or nothing for a model that is not from the catalogue. @param {any} catalogue @param {SceneId | null} sceneId */
+export function showChoice(catalogue, sceneId) {
+  const variants = catalogue.environments.filter((/** @type {SceneId} */ one) => one.task === sceneId?.task);
+  element("variant").replaceChildren(...variants.map((/** @type {SceneId} */ one) => new Option(one.variant)));
+  for (const name of /** @type {const} */ (["task", "variant", "seed"])) element(name).value = sceneId?.[name] ?? "";
+  for (const name of ["variant", "seed"]) element(name).disabled = !sceneId;
+  element("play").hidden = !sceneId;
+  if (sceneId) element("play").href = `./#${addressOf(sceneId)}`;
 }
 
-/** Lists the tasks, and calls back with what is chosen from now on. @param {any} catalogue @param {(place: Place) => void} chosen */
+/** Lists the tasks, and calls back for each selection. @param {any} catalogue @param {(sceneId: SceneId) => void} chosen */
 export function onChoice(catalogue, chosen) {
   const { task, variant, seed } = { task: element("task"), variant: element("variant"), seed: element("seed") };
   const choose = (/** @type {number} */ number) => chosen({ ...parseAddress(`#${task.value}-${variant.value}`, catalogue), seed: number });
@@ -32,14 +32,14 @@ export function onChoice(catalogue, chosen) {
 }
 
 /**
- * The scene of the catalogue that an exported file says it is; null for any other model.
+ * The scene of the catalogue that is named in an exported file. Null for any other model.
  * @param {Record<string, string>} texts  of the file
  * @param {any} catalogue
- * @returns {Place | null}
+ * @returns {SceneId | null}
  */
-export function placeOf({ task, variant, seed, shifts = "", scene }, catalogue) {
+export function sceneIdOf({ task, variant, seed, shifts = "", scene }, catalogue) {
   if (!task || !variant || !seed || !scene) return null;
   const { body } = JSON.parse(scene).robot, all = [shifts, body ? `body:${body}` : ""].filter(Boolean).join("+");
-  const { unknown, method, ...place } = parseAddress(`#${task}-${variant}-${seed}?${new URLSearchParams({ shifts: all })}`, catalogue);
-  return unknown ? null : place;
+  const { unknown, method, ...sceneId } = parseAddress(`#${task}-${variant}-${seed}?${new URLSearchParams({ shifts: all })}`, catalogue);
+  return unknown ? null : sceneId;
 }

@@ -1,15 +1,15 @@
 // @ts-check
 /**
- * What a model file says about its own parts: the comments that stand before bodies and before the classes of geoms.
- * @typedef {{file: string, bodies: string[], geoms: string[]}} Comments  by the numbers that MuJoCo gives them; "" for none
+ * The comments in a model file about its bodies and geoms: those before bodies and before classes of geoms.
+ * @typedef {{file: string, bodies: string[], geoms: string[]}} Comments  by MuJoCo's ids; "" without a comment
  */
 
-/** The elements below another one that have this name. @param {Element} parent @param {string} name */
+/** The descendants of an element with this name. @param {Element} parent @param {string} name */
 const children = (parent, name) => [...parent.children].filter(({ tagName }) => tagName === name);
 
 /**
- * Reads a file's comments. Numbers follow from the order in the file; where the file makes more bodies or geoms than it
- * writes, as by including others, it has no comments.
+ * Reads a file's comments. Ids follow from the order in the file. If the compiled model has more bodies or geoms than the
+ * file lists, for example from includes, the result is empty.
  * @param {string} text  MJCF
  * @param {number} bodyCount  of the compiled model
  * @param {number} geomCount
@@ -36,7 +36,7 @@ export function readTexts(text) {
   return Object.fromEntries([...texts].map((one) => [one.getAttribute("name") ?? "", one.getAttribute("data") ?? ""]));
 }
 
-/** The comment before an element, or before the row of its like in which it stands. @param {Element} element */
+/** The comment before an element, or before the sequence of similar elements that contains it. @param {Element} element */
 function before(element) {
   for (let node = element.previousSibling; node; node = node.previousSibling) {
     if (node instanceof Comment) return words(node);

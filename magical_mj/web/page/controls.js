@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * Keys and touch buttons: which commands are given now.
+ * Keys and touch buttons: the current commands.
  * @typedef {import("./actions.js").Command} Command
  */
 import { action } from "./actions.js";
@@ -19,7 +19,7 @@ export class Controls {
   constructor(arena, buttons) {
     /** @type {Map<string | HTMLElement, Command>} by key or button: two keys may give the same command */
     this.held = new Map();
-    /** @type {Set<Command>} commands that were given since the last action, however shortly */
+    /** @type {Set<Command>} all commands that were given since the last action */
     this.tapped = new Set();
     addEventListener("keydown", (event) => {
       const command = KEYS[event.code];
@@ -27,7 +27,7 @@ export class Controls {
       if (!command || elsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();  // the page must not scroll
       this.held.set(event.code, command);
-      if (!event.repeat) this.tapped.add(command);  // else a key that is up again would count in the next action, too
+      if (!event.repeat) this.tapped.add(command);  // a repeated event would count a released key in the next action
     });
     addEventListener("keyup", (event) => this.held.delete(event.code));
     addEventListener("blur", () => this.held.clear());
@@ -43,11 +43,11 @@ export class Controls {
       this.tapped.add(command);
     });
     for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.held.delete(button));
-    button.addEventListener("contextmenu", (event) => event.preventDefault());  // what a long press would open
+    button.addEventListener("contextmenu", (event) => event.preventDefault());  // the menu of a long press
     button.addEventListener("click", (event) => event.detail || this.tapped.add(command));  // by keyboard or screen reader
   }
 
-  /** Whether anything was pressed since the last action. */
+  /** Whether a key or button was pressed since the last action. */
   get touched() {
     return this.held.size + this.tapped.size > 0;
   }

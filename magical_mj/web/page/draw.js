@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * Draws scenes on a canvas as magical_mj's renderer does: flat outlines of one colour each, one above the other.
+ * Draws scenes on a canvas like magical_mj's renderer: flat outlines of one colour each, in drawing order.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{part: string, colour: string, loops: number[][]}} Layer
  * @typedef {{visible: number, anchor: number, paper: string, arenas: Record<string, Layer[]>, robots: Record<string, Layer[]>, pebble: Layer[],
@@ -10,7 +10,7 @@
  */
 
 /**
- * Draws one view on the whole of a square canvas.
+ * Draws one view on a square canvas.
  * @param {HTMLCanvasElement} canvas
  * @param {Look} look
  * @param {Scene} scene
@@ -22,7 +22,7 @@ export function draw(canvas, look, scene, view) {
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = look.paper;
   context.fillRect(0, 0, size, size);
-  if (view === "ego") {  // the robot stands in the middle, near the bottom, and heads up
+  if (view === "ego") {  // the robot is near the bottom in the centre, and heads up
     context.setTransform(scale, 0, 0, -scale, size / 2, size * (1 - look.anchor));
     context.rotate(-scene.robot.angle);
     context.translate(-scene.robot.x, -scene.robot.y);
@@ -32,13 +32,13 @@ export function draw(canvas, look, scene, view) {
   for (const region of scene.regions) drawRegion(context, look, region);
   for (const { x, y } of scene.pebbles ?? []) {
     context.save();
-    place(context, { x, y, angle: 0 });
+    transform(context, { x, y, angle: 0 });
     for (const { colour, loops } of look.pebble) fill(context, loops, colour);
     context.restore();
   }
   for (const block of scene.blocks) {
     context.save();
-    place(context, block);
+    transform(context, block);
     look.blocks[block.shape].forEach((loops, i) => fill(context, loops, look.blockColours[i][block.colour]));
     context.restore();
   }
@@ -46,11 +46,11 @@ export function draw(canvas, look, scene, view) {
 }
 
 /**
- * Makes the frame of a thing the canvas's.
+ * Transforms the canvas to the frame of an object.
  * @param {CanvasRenderingContext2D} context
  * @param {{x: number, y: number, angle: number}} pose
  */
-function place(context, { x, y, angle }) {
+function transform(context, { x, y, angle }) {
   context.translate(x, y);
   context.rotate(angle);
 }
@@ -74,13 +74,13 @@ function fill(context, loops, colour) {
 /** A brownish spot with a soft edge. @param {CanvasRenderingContext2D} context @param {number[]} stain */
 function drawStain(context, [x, y, radius, darkness]) {
   const gradient = context.createRadialGradient(x, y, 0, x, y, radius);
-  for (const [place, cover] of [[0.75, darkness], [1, 0]]) gradient.addColorStop(place, `rgb(128 77 0 / ${cover})`);
+  for (const [stop, cover] of [[0.75, darkness], [1, 0]]) gradient.addColorStop(stop, `rgb(128 77 0 / ${cover})`);
   context.fillStyle = gradient;
   context.fillRect(x - radius, y - radius, 2 * radius, 2 * radius);
 }
 
 /**
- * The dashes start at the top left corner and go round clockwise.
+ * Draws a region. The dashes start at the top left corner, and continue clockwise.
  * @param {CanvasRenderingContext2D} context
  * @param {Look} look
  * @param {import("./scene.js").Region} region
@@ -104,12 +104,12 @@ function drawRegion(context, { regions }, { colour, x_min, y_min, x_max, y_max, 
 function drawRobot(context, look, robot) {
   const turns = { left_finger: robot.fingers[0], right_finger: robot.fingers[1] };
   context.save();
-  place(context, robot);
+  transform(context, robot);
   for (const { part, colour, loops } of look.robots[robot.body ?? "gripper"]) {
     context.save();
     if (part in turns) {
       const [x, y] = look.fingerRoots[part];
-      place(context, { x, y, angle: turns[/** @type {keyof turns} */ (part)] });
+      transform(context, { x, y, angle: turns[/** @type {keyof turns} */ (part)] });
     }
     fill(context, loops, colour);
     context.restore();
@@ -118,7 +118,7 @@ function drawRobot(context, look, robot) {
 }
 
 /**
- * Gives canvases as many pixels as they have on the screen, now and whenever their size changes, which clears them.
+ * Sets the resolution of canvases to their pixels on the screen, now and whenever their size changes. This clears them.
  * @param {HTMLCanvasElement[]} canvases
  * @param {() => void} redraw
  */
@@ -133,7 +133,7 @@ export function fitToScreen(canvases, redraw) {
   });
   for (const canvas of canvases) {
     try {
-      resized.observe(canvas, { box: "device-pixel-content-box" });  // changes with the zoom, too
+      resized.observe(canvas, { box: "device-pixel-content-box" });  // also changes with the zoom
     } catch {
       resized.observe(canvas);
     }

@@ -1,15 +1,15 @@
 // @ts-check
 /**
- * An episode as it is played: actions at 8 Hz, and what to show at any moment in between.
+ * A running episode: actions at 8 Hz, and interpolated scenes between them.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{scene: Scene, act: (action: number | number[]) => Scene | Promise<Scene>, close: () => void,
  *   simulation?: import("./simulation.js").Simulation}} Episode
- *   the scene that it starts in, and what happens in it; simulation: where the browser simulates
+ *   scene: the initial one; simulation: if the browser simulates
  */
 import { between } from "./scene.js";
 
 const RATE = 8;  // actions a second
-const PAUSE = 250;  // milliseconds: whoever lags behind so much does not catch up
+const PAUSE = 250;  // milliseconds: a longer delay is not caught up
 
 export class Game {
   /**
@@ -26,14 +26,14 @@ export class Game {
     /** @type {(number | number[])[]} */
     this.actions = [];
     this.initial = this.before = this.now = episode.scene;
-    this.since = -Infinity;  // when the way from `before` to `now` began
+    this.since = -Infinity;  // when the interpolation from `before` to `now` began
     this.busy = false;
     /** @type {Error | null} */
     this.failure = null;
-    this.sent = false;  // to the server that collects
+    this.sent = false;  // to the server of the study
   }
 
-  /** How long is left to act, in seconds. */
+  /** The remaining time, in seconds. */
   get secondsLeft() {
     return (this.horizon - this.actions.length) / RATE;
   }
@@ -57,7 +57,7 @@ export class Game {
     }
   }
 
-  /** What is chosen; null: wait. A policy may fail. */
+  /** The next action. Null: wait. A policy may fail. */
   #chosen() {
     try {
       return this.choose();

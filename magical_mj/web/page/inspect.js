@@ -1,39 +1,39 @@
 // @ts-check
-/** The page on which any model is looked at while it runs: a file that is opened or dropped, or a scene of the benchmark. */
+/** The page for inspecting a running model: an opened or dropped file, or a scene of the benchmark. */
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress } from "./address.js";
 import { readTexts } from "./comments.js";
-import { onChoice, placeOf, showAddress, showChoice } from "./choice.js";
+import { onChoice, sceneIdOf, showAddress, showChoice } from "./choice.js";
 import { Controls } from "./controls.js";
 import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
 import { download } from "./recording.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 import { Stage } from "./stage.js";
-import { World } from "./world.js";
+import { InspectedModel } from "./inspected.js";
 
 const RATE = 8;  // actions a second
-const REST = 250;  // milliseconds without movement, after which the picture is drawn as well as it can be
-const SLOW = 60;  // milliseconds from picture to picture
-const LATE = 0.25;  // seconds: whoever lags behind so much does not catch up
+const REST = 250;  // milliseconds without movement before the picture is drawn in full quality
+const SLOW = 60;  // milliseconds between pictures
+const LATE = 0.25;  // seconds: a longer delay is not caught up
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 /** @type {Stage} */
 let stage;
 const plots = new Plots(element("plot"), element("plotted"));
-const controls = new Controls(element("world"), []);
+const controls = new Controls(element("solids"), []);
 
-/** What is on the page now. */
+/** The current state of the page. */
 const shown = {
-  /** @type {World | null} */ world: null,
+  /** @type {InspectedModel | null} */ inspected: null,
   name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
   /** @type {(number | number[])[] | null} actions of the expert */ script: null,
-  /** @type {string | number[][]} the same where they are known, as letters or speeds */ expert: "",
+  /** @type {string | number[][]} the known actions of the expert, as letters or speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
-  /** @type {import("./address.js").Place | null} the scene of the benchmark that it is */ place: null,
+  /** @type {import("./address.js").SceneId | null} the scene of the benchmark, if it is one */ sceneId: null,
   address: "",
 };
-let choices = 0;  // the last one wins, whatever was loaded in between
+let choices = 0;  // only the last choice is shown, in whatever order they are loaded
 
 /** @param {string} what @param {boolean} isWrong */
 function say(what, isWrong = false) {
@@ -43,75 +43,75 @@ function say(what, isWrong = false) {
 }
 
 /**
- * Opens a model, and keeps the one before if that fails, with what the page says of it.
+ * Opens a model. If that fails, the previous one stays, with its address.
  * @param {string} name
  * @param {string} address  with "#"
- * @param {() => Promise<{text: string, place: import("./address.js").Place | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
- * @param {boolean} [isNew]  whether one can go back from it
+ * @param {() => Promise<{text: string, sceneId: import("./address.js").SceneId | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
+ * @param {boolean} [isNew]  whether to add an entry to the browser's history
  */
 async function open(name, address, read, isNew = false) {
   const choice = ++choices;
   try {
-    const [mujoco, { text, place, files, expert }] = await Promise.all([loadMujoco(), read()]);
+    const [mujoco, { text, sceneId, files, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
     element("download").hidden = true;
-    const world = new World(mujoco, text, files);
-    shown.world?.close();
-    Object.assign(shown, { turned: shown.last, world, name, text, place, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
+    const inspected = new InspectedModel(mujoco, text, files);
+    shown.inspected?.close();
+    Object.assign(shown, { turned: shown.last, inspected, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
-    stage.open(world);
-    showModel(world);
+    stage.open(inspected);
+    showModel(inspected);
     showAddress(address, isNew);
     say("");
   } catch (error) {
     if (choice !== choices) return;
-    if (shown.world) showAddress(shown.address, false);
+    if (shown.inspected) showAddress(shown.address, false);
     say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
   }
-  showChoice(catalogue, shown.place);
+  showChoice(catalogue, shown.sceneId);
 }
 
-/** @param {World} world */
-function showModel(world) {
+/** @param {InspectedModel} inspected */
+function showModel(inspected) {
   document.title = `${shown.name} · Inspect a model · MAGICAL`;
-  element("legend").hidden = !world.acts;
+  element("legend").hidden = !inspected.acts;
   element("expert").hidden = !shown.expert.length;
   element("model").href = `data:text/xml;charset=utf-8,${encodeURIComponent(shown.text)}`;
   element("model").download = shown.name.endsWith(".xml") ? shown.name : `${shown.name}.xml`;
-  element("file-says").hidden = !world.comments.file;
-  element("file-says").querySelector("pre").textContent = world.comments.file;
-  element("tree").replaceChildren(...treeOf(world));
-  element("controls").hidden = !world.model.nu;
-  element("controls").querySelector("div").replaceChildren(...slidersOf(world));
-  plots.open(world);
+  element("file-says").hidden = !inspected.comments.file;
+  element("file-says").querySelector("pre").textContent = inspected.comments.file;
+  element("tree").replaceChildren(...treeOf(inspected));
+  element("controls").hidden = !inspected.model.nu;
+  element("controls").querySelector("div").replaceChildren(...slidersOf(inspected));
+  plots.open(inspected);
   select(-1);
 }
 
-/** A button for each body, below that of which it is a part. @param {World} world */
-function treeOf(world) {
-  const { model } = world, depths = [0];
+/** A button for each body, below that of its parent. @param {InspectedModel} inspected */
+function treeOf(inspected) {
+  const { model } = inspected, depths = [0];
   return Array.from({ length: model.nbody }, (_, body) => {
     if (body) depths[body] = depths[model.body_parentid[body]] + 1;
     const button = document.createElement("button");
-    button.textContent = world.label(body);
+    button.textContent = inspected.label(body);
     button.style.setProperty("--depth", String(depths[body]));
     button.onclick = () => select(body);
     return button;
   });
 }
 
-/** @param {World} world */
-function slidersOf(world) {
-  const { model } = world;
-  return world.names("actuator", "actuator", model.nu).map((name, id) => {
+/** @param {InspectedModel} inspected */
+function slidersOf(inspected) {
+  const { model } = inspected;
+  return inspected.names("actuator", "actuator", model.nu).map((name, id) => {
     const label = document.createElement("label"), slider = document.createElement("input"), value = document.createElement("output");
     const range = model.actuator_ctrlrange.subarray(2 * id, 2 * id + 2);  // 0 0: unlimited; MuJoCo's build gives no flags
-    const [low, high] = range[0] < range[1] ? range : [-world.most[id], world.most[id]];
+    const [low, high] = range[0] < range[1] ? range : [-inspected.most[id], inspected.most[id]];
     Object.assign(slider, { type: "range", min: low, max: high, step: (high - low) / 200 || 1 });
     slider.oninput = () => {
       shown.driven = false;
       shown.script = null;
-      world.data.ctrl[id] = Number(slider.value);
+      inspected.data.ctrl[id] = Number(slider.value);
       value.textContent = Number(slider.value).toFixed(2);
     };
     label.append(name, slider, value);
@@ -120,7 +120,7 @@ function slidersOf(world) {
 }
 
 function showSliders() {
-  const { ctrl } = /** @type {World} */ (shown.world).data;
+  const { ctrl } = /** @type {InspectedModel} */ (shown.inspected).data;
   element("controls").querySelectorAll("label").forEach((/** @type {HTMLElement} */ label, /** @type {number} */ id) => {
     const [slider, value] = /** @type {any} */ (label.querySelectorAll("input, output"));
     if (document.activeElement !== slider) slider.value = String(ctrl[id]);
@@ -139,15 +139,15 @@ function select(body) {
   describe();
 }
 
-/** Says about the selected body what is the case now. */
+/** Updates the description of the selected body. */
 function describe() {
-  const about = element("about"), world = /** @type {World} */ (shown.world);
+  const about = element("about"), inspected = /** @type {InspectedModel} */ (shown.inspected);
   if (shown.selected < 0) {
-    const { nbody, njnt, ngeom, nu } = world.model;
+    const { nbody, njnt, ngeom, nu } = inspected.model;
     about.replaceChildren(tag("h2", shown.name), tag("p", `${nbody} bodies, ${njnt} joints, ${ngeom} geoms, ${nu} actuators. Click a body to learn about it.`));
     return;
   }
-  const { name, about: words, facts, joints, geoms } = world.describe(shown.selected);
+  const { name, about: words, facts, joints, geoms } = inspected.describe(shown.selected);
   about.replaceChildren(tag("h2", name), ...words ? [tag("p", words)] : [], table("facts", [], facts),
     ...joints.length ? [tag("h3", `Joints: ${joints.length}`), table("list", ["Name", "Type", "Position", "Velocity", "Range", "Damping", "Dry friction"], joints)] : [],
     ...geoms.length ? [tag("h3", `Geoms: ${geoms.length}`), table("list", ["Name", "Type", "Size", "Group", "Friction", "Contype / affinity", "What it is"], geoms)] : []);
@@ -186,29 +186,29 @@ function run(running) {
   element("run").firstChild.textContent = running ? "Pause " : "Run ";
 }
 
-/** The smallest step that makes sense: an action of the benchmark, or else a step of MuJoCo. */
+/** The smallest step: an action of the benchmark, or a step of MuJoCo for other models. */
 function step() {
-  const world = /** @type {World} */ (shown.world);
+  const inspected = /** @type {InspectedModel} */ (shown.inspected);
   shown.stale = true;
-  if (!world.acts) world.step();
-  else if (shown.script) world.act(shown.script[shown.done++] ?? 0);
+  if (!inspected.acts) inspected.step();
+  else if (shown.script) inspected.act(shown.script[shown.done++] ?? 0);
   else if (controls.touched || shown.driven) {
     shown.driven = true;
-    world.act(controls.next());
-  } else for (let i = 0; i < world.substeps; i++) world.step();
-  world.update();
+    inspected.act(controls.next());
+  } else for (let i = 0; i < inspected.substeps; i++) inspected.step();
+  inspected.update();
   plots.note();
 }
 
-let pace = 0;  // milliseconds from picture to picture while something moves
+let pace = 0;  // milliseconds between pictures while something moves
 
 /** @param {number} time  milliseconds */
 function frame(time) {
-  const { world } = shown;
-  if (world) {
-    if (!shown.running && world.acts && controls.touched) run(true);
+  const { inspected } = shown;
+  if (inspected) {
+    if (!shown.running && inspected.acts && controls.touched) run(true);
     if (shown.running) {
-      const period = world.acts ? 1 / RATE : world.model.opt.timestep, speed = Number(element("speed").value);
+      const period = inspected.acts ? 1 / RATE : inspected.model.opt.timestep, speed = Number(element("speed").value);
       shown.behind = Math.min(LATE, shown.behind + (time - shown.last) / 1000);
       for (const began = performance.now(); shown.behind * speed >= period && performance.now() - began < 30; shown.behind -= period / speed) step();
       if (shown.script && shown.done >= shown.script.length) run(false);
@@ -217,19 +217,19 @@ function frame(time) {
     if (isMoving) pace = 0.9 * pace + 0.1 * (time - shown.last);
     if (pace > SLOW) stage.slow = true;
     shown.last = time;
-    if (shown.stale || (shown.rough && !isMoving)) show(world, isMoving);
+    if (shown.stale || (shown.rough && !isMoving)) show(inspected, isMoving);
   }
   requestAnimationFrame(frame);
 }
 
-let described = 0;  // when the words were last brought up to date
+let described = 0;  // when the description was last updated
 
-/** @param {World} world @param {boolean} isMoving */
-function show(world, isMoving) {
+/** @param {InspectedModel} inspected @param {boolean} isMoving */
+function show(inspected, isMoving) {
   shown.stale = false;
   shown.rough = isMoving && stage.slow;
   stage.draw(isMoving);
-  element("time").textContent = `${world.data.time.toFixed(3)} s`;
+  element("time").textContent = `${inspected.data.time.toFixed(3)} s`;
   const now = performance.now();
   if (shown.running && now - described < 150) return;
   described = now;
@@ -240,11 +240,11 @@ function show(world, isMoving) {
 
 function reset() {
   Object.assign(shown, { script: null, done: 0, driven: false, stale: true });
-  shown.world?.reset();
+  shown.inspected?.reset();
   run(false);
 }
 
-/** Plays what the expert does here. */
+/** Plays the expert's actions in this scene. */
 function expert() {
   reset();
   shown.script = typeof shown.expert === "string" ? fromLetters(shown.expert) : shown.expert;
@@ -252,12 +252,12 @@ function expert() {
 }
 
 function state() {
-  const world = /** @type {World} */ (shown.world), { model } = world;
-  const names = { joints: world.names("jnt", "joint", model.njnt), actuators: world.names("actuator", "actuator", model.nu) };
-  return { model: shown.name, ...world.state(), ...names };
+  const inspected = /** @type {InspectedModel} */ (shown.inspected), { model } = inspected;
+  const names = { joints: inspected.names("jnt", "joint", model.njnt), actuators: inspected.names("actuator", "actuator", model.nu) };
+  return { model: shown.name, ...inspected.state(), ...names };
 }
 
-/** Opens files that were dropped or chosen: one model, and what it needs. @param {Iterable<File>} files */
+/** Opens dropped or chosen files: one model, and the files that it needs. @param {Iterable<File>} files */
 async function openFiles(files) {
   const all = [...files], models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
   const texts = await Promise.all(models.map((file) => file.text()));
@@ -267,7 +267,7 @@ async function openFiles(files) {
   const text = texts[models.indexOf(main)];
   await open(main.name, "#file", async () => ({
     text,
-    place: await offered(text),
+    sceneId: await offered(text),
     files: new Map(await Promise.all(all.filter((file) => file !== main).map(
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
   }));
@@ -276,32 +276,32 @@ async function openFiles(files) {
 /** @type {any} */
 let catalogue = null;
 
-/** The scene that a file is, if the page has it; else null. @param {string} text  MJCF */
+/** The scene in a file, if the page has it. Otherwise null. @param {string} text  MJCF */
 async function offered(text) {
-  const place = placeOf(readTexts(text), catalogue);
-  if (!place || catalogue.simulation === "server") return place;
-  const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
-  return scenes.length === 1 || scenes.some(({ seed }) => seed === place.seed) ? place : null;
+  const sceneId = sceneIdOf(readTexts(text), catalogue);
+  if (!sceneId || catalogue.simulation === "server") return sceneId;
+  const { scenes } = await loadEnvironment(sceneId.task, sceneId.variant, sceneId.shifts);
+  return scenes.length === 1 || scenes.some(({ seed }) => seed === sceneId.seed) ? sceneId : null;
 }
 
-/** @param {import("./address.js").Place} place @param {boolean} [isNew]  whether one can go back from it */
-async function openScene(place, isNew = true) {
-  const { task, variant, seed, shifts } = place, name = addressOf(place);
-  if (!shown.world) showChoice(catalogue, place);  // what is to come
+/** @param {import("./address.js").SceneId} sceneId @param {boolean} [isNew]  whether to add an entry to the browser's history */
+async function openScene(sceneId, isNew = true) {
+  const { task, variant, seed, shifts } = sceneId, name = addressOf(sceneId);
+  if (!shown.inspected) showChoice(catalogue, sceneId);  // the scene that is being loaded
   await open(name, `#${name}`, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
       if (!reply.ok) throw new Error(await reply.text());
-      return { text: await reply.text(), place };
+      return { text: await reply.text(), sceneId };
     }
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
-    if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
-    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), place, expert: entry.expert };
+    if (!entry) throw new Error(`This page has the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect has all seeds.`);
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), sceneId, expert: entry.expert };
   }, isNew);
 }
 
-/** What the address says, as `#FindDupe-All-3`, or the file that the server was given. */
+/** Opens the scene in the address, such as `#FindDupe-All-3`, or the file that the server was given. */
 async function openAddress() {
   const { hash } = location, given = catalogue.model;
   if (hash === "#file" && !given) return say("Open the model again: the page keeps no files.");
@@ -311,22 +311,22 @@ async function openAddress() {
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
       const text = new TextDecoder().decode(contents[0]);
-      return { text, place: await offered(text), files: new Map(files) };
+      return { text, sceneId: await offered(text), files: new Map(files) };
     });
   }
-  const { unknown, ...place } = parseAddress(hash, catalogue);
-  await openScene(place, false);
+  const { unknown, ...sceneId } = parseAddress(hash, catalogue);
+  await openScene(sceneId, false);
   if (unknown) say(unknown, true);
 }
 
-/** @type {Record<string, string>} the buttons that keys press */
+/** @type {Record<string, string>} the buttons by key */
 const SHORTCUTS = { KeyP: "run", Period: "step", KeyR: "reset" };
 
 function connect() {
   element("run").onclick = () => run(!shown.running);
   element("step").onclick = () => {
     run(false);
-    if (shown.world) step();
+    if (shown.inspected) step();
   };
   element("reset").onclick = reset;
   element("expert").onclick = expert;
@@ -348,12 +348,12 @@ function connect() {
     if (elsewhere || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
   });
-  new ResizeObserver(() => { shown.stale = true; }).observe(element("world"));
-  const canvas = element("world");
+  new ResizeObserver(() => { shown.stale = true; }).observe(element("solids"));
+  const canvas = element("solids");
   let pressed = [0, 0];
   canvas.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => { pressed = [event.offsetX, event.offsetY]; });
   canvas.addEventListener("pointerup", (/** @type {PointerEvent} */ { offsetX, offsetY }) => {
-    if (shown.world && Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) < 5) select(stage.bodyAt(offsetX, offsetY));
+    if (shown.inspected && Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) < 5) select(stage.bodyAt(offsetX, offsetY));
   });
   const drop = element("stage");
   addEventListener("dragover", (event) => {
@@ -369,13 +369,13 @@ function connect() {
 }
 
 try {
-  stage = new Stage(element("world"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
+  stage = new Stage(element("solids"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
   onProgress((share) => { element("download").value = share; });
   catalogue = await fetchJson("catalogue.json");
   if (catalogue.simulation === "server") element("home").removeAttribute("href");
   connect();
   requestAnimationFrame(frame);
-  const { files } = element("file");  // which may have been chosen before this was loaded
+  const { files } = element("file");  // it may have been chosen before this script was loaded
   await (files.length ? openFiles(files) : openAddress());
   element("poster").remove();
 } catch (error) {

@@ -1,15 +1,15 @@
 // @ts-check
-/** MuJoCo's WebAssembly build: fetched once, with a word on how far that is, and compiled while it arrives. */
+/** MuJoCo's WebAssembly build. It is fetched once, with its progress, and compiled during the download. */
 
 /** @type {Promise<any> | null} */
 let loading = null;
-let failures = 0;  // browsers remember that an address failed
+let failures = 0;  // browsers cache the failure of an address
 
-/** Called with the share of the download that is here, 0 to 1. @type {(share: number) => void} */
+/** Called with the finished share of the download, 0 to 1. @type {(share: number) => void} */
 let tell = () => {};
 
 /**
- * The module; the same one however often it is asked for. After a failure it is fetched again.
+ * The module. All calls return the same one. After a failure it is fetched again.
  * @returns {Promise<any>}
  */
 export function loadMujoco() {
@@ -23,7 +23,7 @@ export function loadMujoco() {
         return {};
       },
     }))
-    .then((mujoco) => new Promise((resolve) => { setTimeout(() => resolve(mujoco)); }))  // the page may answer before a model is made
+    .then((mujoco) => new Promise((resolve) => { setTimeout(() => resolve(mujoco)); }))  // so that the page stays responsive before a model is created
     .catch((error) => {
       loading = null;
       failures += 1;
@@ -32,7 +32,7 @@ export function loadMujoco() {
   return loading;
 }
 
-/** Who is told how far the download is. @param {(share: number) => void} listener */
+/** Sets the listener to the download's progress. @param {(share: number) => void} listener */
 export function onProgress(listener) {
   tell = listener;
 }
@@ -42,12 +42,12 @@ async function compiled(address) {
   const reply = await fetch(address);
   if (!reply.ok || !reply.body) throw new Error(`${reply.status} ${reply.statusText}`);
   const size = Number(document.documentElement.dataset.wasm) || Number(reply.headers.get("content-length"));
-  let here = 0, told = 0;
+  let loaded = 0, reported = 0;
   const counted = reply.body.pipeThrough(new TransformStream({
     transform(chunk, controller) {
-      here += chunk.byteLength;
-      const share = size && Math.min(1, here / size);
-      if (share >= told + 0.01) tell(told = share);
+      loaded += chunk.byteLength;
+      const share = size && Math.min(1, loaded / size);
+      if (share >= reported + 0.01) tell(reported = share);
       controller.enqueue(chunk);
     },
   }));

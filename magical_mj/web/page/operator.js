@@ -1,9 +1,9 @@
 // @ts-check
-/** How a study stands, for whoever runs it. */
+/** The progress of a study, for its operator. */
 import { Seat } from "./server.js";
 
 const EVERY = 3000;  // milliseconds
-const BAR = 2;  // rem, of the largest one
+const BAR = 2;  // rem, height of the largest bar
 const seat = new Seat();
 let isPaused = false;
 /** @param {string} id */
@@ -20,10 +20,10 @@ const cell = (content) => {
 function bars(counts) {
   const box = document.createElement("div"), most = Math.max(1, ...counts);
   box.className = "bars";
-  box.append(...counts.map((count, place) => {
+  box.append(...counts.map((count, bin) => {
     const bar = document.createElement("span");
     bar.style.height = `${BAR * count / most}rem`;
-    bar.title = `${count} from ${place / counts.length} on`;
+    bar.title = `${count} from ${bin / counts.length} on`;
     return bar;
   }));
   return box;
@@ -36,7 +36,7 @@ function show({ title, paused, participants, environments }) {
   element("people").textContent = `${participants} participant${participants === 1 ? "" : "s"}`;
   element("pause").disabled = false;
   element("pause").textContent = paused ? "Resume" : "Pause";
-  element("status").textContent = paused ? "Paused: nobody is offered anything new." : "Running.";
+  element("status").textContent = paused ? "Paused: no new scenes are offered." : "Running.";
   element("rows").replaceChildren(...environments.map(({ environment, accepted, wanted, leased, histogram, refused }) => {
     const row = document.createElement("tr"), name = document.createElement("th");
     name.textContent = environment;

@@ -1,8 +1,8 @@
 // @ts-check
-/** On phones, and where data are spared, megabytes and a busy processor wait until somebody asks for them. */
+/** On phones and with data saving, the page waits for the user before it downloads megabytes and uses the processor. */
 const { saveData = false, effectiveType = "4g" } = /** @type {any} */ (navigator).connection ?? {};
 
-/** Whether the page shows a picture of its scene until then. */
+/** Whether the page waits, and shows a picture of its scene meanwhile. */
 export const waits = matchMedia("(pointer: coarse)").matches || saveData || effectiveType !== "4g";
 
 const button = /** @type {HTMLButtonElement} */ (document.getElementById("start"));

@@ -1,5 +1,5 @@
 // @ts-check
-/** The page: choosing a scene, playing in it, watching, saving or sending. */
+/** The page for playing: choosing a scene, playing, watching, saving and sending. */
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress, shiftsOf } from "./address.js";
 import { Controls } from "./controls.js";
@@ -25,15 +25,15 @@ const catalogue = await fetchJson("catalogue.json").catch((error) => {
   element("status").textContent = error.message;
   throw error;
 });
-/** What participants of a study may use besides playing; without a study, everything. @param {string} what */
+/** The features that participants of a study may use. Without a study, all of them. @param {string} what */
 const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
 const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
 const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times real time
 const seat = catalogue.simulation === "server" ? new Seat() : null;
-/** @type {Record<string, string>} the methods whose actions are stored, by the names of their entries */
+/** @type {Record<string, string>} the methods with stored actions, by the names of their entries */
 const methods = seat ? {} : await fetchJson("replays/index.json").catch(() => ({}));
-const BC = "bc";  // what addresses call the policies that act here
-const OWN = "own";  // and the visitor's
+const BC = "bc";  // the name in addresses of the policies that run in the page
+const OWN = "own";  // the name of the visitor's policy
 /** @type {Uint8Array | null} the visitor's policy */
 let own = null;
 /** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
@@ -43,7 +43,7 @@ onProgress((share) => {
   element("time").value = share;
   if (!shown.note) element("status").textContent = `${pending} ${Math.floor(100 * share)} %`;
 });
-if (seat) element("start").remove();  // there is nothing to load
+if (seat) element("start").remove();  // the server simulates, so nothing is loaded
 let pending = seat ? "Waiting for the server …" : element("start").hidden ? "Loading MuJoCo …" : "Tap the picture to play";
 const ready = seat ? Promise.resolve() : asked.then(() => {
   pending = "Loading MuJoCo …";
@@ -51,30 +51,30 @@ const ready = seat ? Promise.resolve() : asked.then(() => {
 });
 const open = seat?.open ?? inBrowser(ready);
 
-/** What is on the page now. */
+/** The current state of the page. */
 const shown = {
   task: "", variant: "", seed: -1, shifts: "", horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
-  /** whose stored actions are watched; "" for nobody's */ method: "",
+  /** the method whose stored actions are watched, or "" */ method: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
 };
-let choices = 0;  // the last one wins, whatever was loaded in between
+let choices = 0;  // only the last choice is shown, in whatever order they are loaded
 
 /**
- * Shows a scene and makes it ready to play; returns whether it is.
+ * Shows a scene and prepares it for playing. Returns whether this succeeded.
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
  * @param {{shifts?: string, script?: Script | null, method?: string, isAddress?: boolean, unknown?: string}} [how]
- *   script: actions to watch; null: the player's. method: whose stored actions to watch instead.
- *   unknown: what the address asks for and is not there
+ *   script: actions to watch, or null for playing. method: the method whose stored actions to watch instead.
+ *   unknown: the error in the address
  */
 async function choose(task, variant, seed, { shifts = "", script = null, method = "", isAddress = false, unknown = "" } = {}) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
-  shown.note = "";  // what is said while the scene is loaded stays
+  shown.note = "";  // messages that appear while the scene is loaded remain
   const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts;
   const environment = isOther ? await loadEnvironment(task, variant, shifts).catch(failed) : shown.environment;
   if (choice !== choices) return;
@@ -113,29 +113,29 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   const file = acts && await (method === OWN ? own : fetchFile(`policies/${task}.onnx`).catch(failed));
   const policy = file && await loadPolicy(file, /** @type {any} */ (episode.simulation)).catch(failed);
   if ((acts && !policy) || choice !== choices) return episode.close();
-  controls.tapped.clear();  // what was pressed before the scene was there does not start it
+  controls.tapped.clear();  // keys that were pressed before the scene appeared do not start it
   const game = new Game(episode, horizon, next, speed);
   shown.game = game;
   return true;
 }
 
-/** Stays with the present scene, since another one could not be loaded. @param {boolean} isFirst  whether that was the first */
+/** Keeps the current scene, since another one could not be loaded. @param {boolean} isFirst  whether it was the first scene */
 async function stay(isFirst) {
   const problem = shown.note;
   if (!shown.task) {
     if (isFirst) return;
-    await starting;  // which the other choice had overtaken
+    await starting;  // the other choice had interrupted it
     await start();
     if (shown.game) say(problem);
     return;
   }
   showNames();
   if (shown.game) return;
-  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts });  // whose opening the other choice had ended
+  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts });  // the other choice had interrupted it
   if (opened) say(problem);
 }
 
-/** Whether a finished episode would be lost that the collection may want. */
+/** Whether a finished episode has not been sent to the study. */
 function unsent() {
   return catalogue.collects && shown.game?.over && !shown.watching && !shown.game.sent;
 }
@@ -144,7 +144,7 @@ function unsent() {
 const replays = {};
 
 /**
- * What a method of the leaderboard did in a scene, as letters; null if that is not known.
+ * The actions of a leaderboard entry in a scene, as letters. Null if they are unknown.
  * @param {string} method @param {string} task @param {string} variant @param {number} seed
  */
 async function replayOf(method, task, variant, seed) {
@@ -154,7 +154,7 @@ async function replayOf(method, task, variant, seed) {
   return /** @type {any} */ (all)[`${task}-${variant}`]?.[seed] ?? null;
 }
 
-/** Selects and the address say which environment is shown. @param {boolean} [isNew]  whether one can go back from it */
+/** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
   const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
@@ -189,7 +189,7 @@ function showChoice(isOther, isNew) {
 
 /** @type {WeakMap<Element, import("./scene.js").Scene>} */
 const undrawn = new WeakMap();
-const drawer = new IntersectionObserver((canvases) => {  // small pictures are drawn when they are seen
+const drawer = new IntersectionObserver((canvases) => {  // small pictures are drawn when they become visible
   for (const { target, isIntersecting } of canvases) {
     const scene = undrawn.get(target);
     if (!isIntersecting || !scene) continue;
@@ -227,21 +227,21 @@ function show(initial, scene) {
   }
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
-  if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
-  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not say shifts
+  if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // otherwise screen readers would repeat it
+  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not contain shifts
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? (shown.method ? `Watching ${methods[shown.method] ?? (shown.method === OWN ? "your policy" : bcWords())}` : "Watching") : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
-/** What acts here, and how well. */
+/** The watched policy or method, with its mean score. */
 function bcWords() {
   const scores = Object.entries(policies[shown.task]).map(([variant, score]) => `${score.toFixed(2)} in ${variant}`);
   return `BC from states: on average it scores ${scores.join(", ")}`;
 }
 
-/** Says what is wrong, or was done, until another scene is shown. @param {Error | string} what */
+/** Shows a message until another scene is shown. @param {Error | string} what */
 function say(what) {
   shown.note = what instanceof Error ? what.message : what;
   element("status").textContent = shown.note;
@@ -257,10 +257,10 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Plays this scene of the present environment, from its start. @param {number} seed @param {{script?: Script | null, method?: string}} [how] */
+/** Plays this scene of the current environment from its start. @param {number} seed @param {{script?: Script | null, method?: string}} [how] */
 function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
-  if (!shown.task) return start();  // the first scene could not be loaded, or not yet
+  if (!shown.task) return start();  // the first scene is not loaded yet, or loading failed
   return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, ...how });
 }
 
@@ -269,7 +269,7 @@ function next() {
   return play(seat && seeds.length > 1 ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length], { method: shown.method });
 }
 
-/** What the expert does in this scene, if that is known. All seeds of Demo have the same scene. */
+/** The expert's actions in this scene, if they are known. All seeds of Demo have the same scene. */
 function expertActions() {
   const { scenes } = shown.environment;
   return scenes.find(({ seed }) => seed === shown.seed || scenes.length === 1)?.expert;
@@ -286,7 +286,7 @@ function demo() {
   return play(shown.seed, { script: list[demonstration++ % list.length] });
 }
 
-/** Gives the server what was played; it says what to play next. */
+/** Sends the episode to the server, and shows the next scene in its reply. */
 async function send() {
   const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
@@ -297,9 +297,9 @@ async function send() {
     const { score, next, ...rest } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol), about });
     game.sent = true;
     const kept = shown.practice ? `That was for practice, with score ${score.toFixed(2)}.` : `Kept, with score ${score.toFixed(2)}. Thank you!`;
-    if (choices !== choice) return say(kept);  // another scene was chosen meanwhile
+    if (choices !== choice) return say(kept);  // another scene was chosen in the meantime
     const opened = await chooseWanted(next);
-    if (next && choices !== choice + 1) return say(kept);  // or while it was loaded
+    if (next && choices !== choice + 1) return say(kept);  // or while the next one was loaded
     const after = !next ? ending(rest) : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
     say(`${kept} ${after}`);
   } catch (error) {
@@ -309,7 +309,7 @@ async function send() {
   }
 }
 
-/** Tells the server who is here, and shows what it wants. @param {Seat} seat */
+/** Registers the participant with the server, and shows the scene in its reply. @param {Seat} seat */
 async function arrive(seat) {
   let reply = await seat.ask({ arrive: remembered() });
   remembered(reply.participant);
@@ -338,7 +338,7 @@ function agreement(text) {
   });
 }
 
-/** Why there is nothing to play, and the code that participants hand in at the end. @param {{why?: string, code?: string}} reply */
+/** The reason why no scene is offered, and the participants' completion code. @param {{why?: string, code?: string}} reply */
 const ending = ({ why, code }) => `${why ?? "That was everything"}${code ? ` Your code: ${code}` : ""}`;
 
 /** @param {{task: string, variant: string, seed: number, practice: boolean} | null} wanted */
@@ -352,7 +352,7 @@ function seedIn(text) {
   return /^\d+$/.test(text ?? "") && Number.isSafeInteger(Number(text)) ? Number(text) : 0;
 }
 
-/** What the address asks for; where there is no such thing, the nearest there is, and a word on it. */
+/** Shows the scene in the address, or the most similar one with a message. */
 async function chooseByAddress() {
   const { task, variant, seed, ...how } = parseAddress(location.hash, catalogue);
   await choose(task, variant, seed, { ...how, isAddress: true });
@@ -361,17 +361,17 @@ async function chooseByAddress() {
 /** @type {Promise<void> | null} */
 let starting = null;
 
-/** Shows the first scene; whoever is impatient waits for the same one. */
+/** Shows the first scene. Further calls wait for the same one. */
 function start() {
   starting ??= (seat && catalogue.collects ? arrive(seat).catch(say) : chooseByAddress())
     .finally(() => { starting = null; });
   return starting;
 }
 
-/** @type {Record<string, string>} the buttons that keys press */
+/** @type {Record<string, string>} the buttons by key */
 const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert", KeyB: "bc" };
 
-/** Fields keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
+/** Fields keep the focus if they are used by keyboard. After a use by pointer, the arena gets it. */
 for (const [id, changed] of Object.entries({ task: changeNames, variant: changeNames, seed: changeSeed })) {
   let byPointer = false;
   element(id).addEventListener("pointerdown", () => { byPointer = true; });
@@ -405,7 +405,7 @@ element("save").onclick = catalogue.collects ? send : () => save(recording(shown
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
-  if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
+  if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are next to each other
   const button = element(SHORTCUTS[event.code] ?? "arena");
   if (button.id !== "arena" && !button.hidden) button.click();
 });

@@ -1,18 +1,18 @@
 // @ts-check
-/** Policies that act here: ONNX networks from what was seen lately to a value for each action, in ONNX Runtime's WebAssembly build. */
+/** Policies: ONNX networks that map the latest observations to a value for each action, in ONNX Runtime's WebAssembly build. */
 import { SIZE } from "./state.js";
 
-/** @typedef {{state: () => Float32Array, raster: () => import("./raster.js").Raster, data: any}} Seen  a simulation: of it, what policies see */
-/** @typedef {{type: string, dims: number[], look: () => Float32Array | Uint8Array}} Eye  look: takes in what is to be seen now; what was seen lately */
+/** @typedef {{state: () => Float32Array, raster: () => import("./raster.js").Raster, data: any}} Seen  a simulation, with its observations */
+/** @typedef {{type: string, dims: number[], look: () => Float32Array | Uint8Array}} Eye  look: adds the current observation, and returns the latest ones */
 
 const HISTORY = 4;
 const PIXELS = 96;
-/** Presets of pictures: the cameras in the order in which their pictures are stacked, and how many of the latest. */
+/** Presets of pictures: the cameras in stacking order, and the number of the latest pictures of each. */
 const PRESETS = { LoRes4E: { ego: 4 }, LoRes4A: { allo: 4 }, LoRes3EA: { allo: 1, ego: 3 } };
 /** @type {Promise<any> | null} */
 let runtime = null;
 
-/** The runtime; it is fetched when it is first asked for, and again after a failure. */
+/** The runtime. It is fetched at the first call, and again after a failure. */
 function loadRuntime() {
   const folder = new URL("onnx/", document.baseURI).href;
   runtime ??= import(`${folder}ort.js`)
@@ -33,7 +33,7 @@ function loadRuntime() {
  * @param {Seen} simulation  at the start
  */
 export async function loadPolicy(file, simulation) {
-  const ort = await loadRuntime().catch(() => { throw new Error("What runs policies could not be loaded: try again"); });
+  const ort = await loadRuntime().catch(() => { throw new Error("The runtime of policies could not be loaded: try again"); });
   try {
     return await Policy.open(ort, file, simulation);
   } catch (error) {
@@ -43,7 +43,7 @@ export async function loadPolicy(file, simulation) {
 
 export class Policy {
   #ort; #session; #eye; #random;
-  #step = -1;  // for which an action is chosen
+  #step = -1;  // the step of the chosen action
   /** @type {number | null} */ #action = null;
   /** @type {unknown} */ #failure = null;
 
@@ -63,13 +63,13 @@ export class Policy {
   /** @param {any} ort @param {Uint8Array} file @param {Seen} simulation */
   static async open(ort, file, simulation) {
     const { preset } = metadata(file);
-    if (!preset) throw new Error("it is no ONNX file that magical-mj export-policy wrote");
+    if (!preset) throw new Error("it is not an ONNX file from magical-mj export-policy");
     const eye = preset === "State" ? states(simulation) : pictures(simulation, preset);
     const session = await ort.InferenceSession.create(file).catch(() => { throw new Error("its network cannot be run"); });
     return new Policy(ort, session, eye);
   }
 
-  /** The action for this step; null while the network computes. @param {number} step  which was reached: 0, 1, ... */
+  /** The action for this step. Null while the network computes. @param {number} step  the current one: 0, 1, ... */
   next(step) {
     if (this.#failure) throw this.#failure;
     if (step !== this.#step) {
@@ -80,7 +80,7 @@ export class Policy {
     return this.#action;
   }
 
-  /** Looks at the present state; returns the value of each action. @returns {Promise<Float32Array>} */
+  /** Observes the current state, and returns the value of each action. @returns {Promise<Float32Array>} */
   async think() {
     const { type, dims, look } = this.#eye;
     const { logits } = await this.#session.run({ observations: new this.#ort.Tensor(type, look(), dims) });
@@ -88,7 +88,7 @@ export class Policy {
   }
 }
 
-/** The latest states, oldest first; the first one stands for those before it. @param {Seen} simulation @returns {Eye} */
+/** The latest states, oldest first. At the start, the first one is repeated. @param {Seen} simulation @returns {Eye} */
 function states(simulation) {
   const seen = new Float32Array(HISTORY * SIZE);
   let begun = false;
@@ -105,7 +105,7 @@ function states(simulation) {
 /** The latest pictures of some cameras, stacked along the channels, oldest first. @param {Seen} simulation @param {string} preset @returns {Eye} */
 function pictures(simulation, preset) {
   const frames = Object.entries(PRESETS[/** @type {keyof typeof PRESETS} */ (preset)] ?? {});
-  if (!frames.length) throw new Error(`it acts from ${preset}, which is not seen here`);
+  if (!frames.length) throw new Error(`it needs observations of the preset ${preset}, which are not available here`);
   const raster = simulation.raster(), depth = 3 * frames.reduce((sum, [, count]) => sum + count, 0);
   /** @type {Record<string, Uint8Array[]>} */
   const latest = {};
@@ -124,7 +124,7 @@ function pictures(simulation, preset) {
 }
 
 /**
- * What an ONNX file says of itself: texts by their names, the entries 14 of its protocol buffer. Empty if it is no such file.
+ * The metadata of an ONNX file: the entries 14 of its protocol buffer, text by name. Empty for other files.
  * @param {Uint8Array} file
  * @returns {Record<string, string>}
  */
@@ -138,7 +138,7 @@ function metadata(file) {
   }
 }
 
-/** Numbers and contents of what has a length; other values are passed over. @param {Uint8Array} bytes @returns {Generator<[number, Uint8Array]>} */
+/** Yields the numbers and contents of length-delimited fields, and skips all others. @param {Uint8Array} bytes @returns {Generator<[number, Uint8Array]>} */
 function* entries(bytes) {
   let at = 0;
   const number = () => {
@@ -149,12 +149,12 @@ function* entries(bytes) {
   while (at < bytes.length) {
     const tag = number(), size = number();
     if (tag % 8 === 0) continue;
-    if (tag % 8 !== 2 || !(at + size <= bytes.length)) throw new Error("this is no ONNX file");
+    if (tag % 8 !== 2 || !(at + size <= bytes.length)) throw new Error("this is not an ONNX file");
     yield [Math.floor(tag / 8), bytes.subarray(at, at += size)];
   }
 }
 
-/** An action by the softmax of the values. @param {Float32Array} values @param {number} point  in [0, 1) */
+/** An action, sampled from the softmax of the values. @param {Float32Array} values @param {number} point  in [0, 1) */
 function drawn(values, point) {
   const largest = Math.max(...values), weights = [...values].map((value) => Math.exp(value - largest));
   let left = point * weights.reduce((sum, weight) => sum + weight);

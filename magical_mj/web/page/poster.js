@@ -1,32 +1,32 @@
 // @ts-check
-/** Begins to inspect; where that has to wait, with a picture of the scene in the meantime, and with lists to choose another. */
+/** Starts the inspection. If it has to wait, shows a picture of the scene meanwhile, and lists to choose another one. */
 import { addressOf, parseAddress } from "./address.js";
 import { onChoice, showAddress, showChoice } from "./choice.js";
 import { draw } from "./draw.js";
 import { asked, waits } from "./patience.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 
-/** @typedef {import("./address.js").Place} Place */
+/** @typedef {import("./address.js").SceneId} SceneId */
 const message = /** @type {HTMLElement} */ (document.getElementById("message")), loading = message.textContent;
 const begun = new AbortController();
 
 async function wait() {
   message.textContent = "";
   const catalogue = await fetchJson("catalogue.json");
-  const show = async (/** @type {Place} */ place, isNew = true, unknown = "") => {
-    showAddress(`#${addressOf(place)}`, isNew);
-    showChoice(catalogue, place);
+  const show = async (/** @type {SceneId} */ sceneId, isNew = true, unknown = "") => {
+    showAddress(`#${addressOf(sceneId)}`, isNew);
+    showChoice(catalogue, sceneId);
     message.textContent = unknown;
     message.classList.toggle("wrong", unknown !== "");
-    const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
-    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === place.seed) ?? scenes[0]).scene);
+    const { scenes } = await loadEnvironment(sceneId.task, sceneId.variant, sceneId.shifts);
+    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === sceneId.seed) ?? scenes[0]).scene);
   };
   const showHash = () => {
-    const { unknown, ...place } = parseAddress(location.hash, catalogue);
-    return show(place, false, unknown);
+    const { unknown, ...sceneId } = parseAddress(location.hash, catalogue);
+    return show(sceneId, false, unknown);
   };
   onChoice(catalogue, show);
-  if (catalogue.model || location.hash === "#file") return;  // no scene
+  if (catalogue.model || location.hash === "#file") return;  // it is not a scene of the benchmark
   addEventListener("hashchange", showHash, begun);
   await showHash();
 }
@@ -38,7 +38,7 @@ function drawPoster(look, scene) {
   draw(canvas, look, scene, "allo");
 }
 
-if (waits) wait().catch(() => {});  // whoever starts is told
+if (waits) wait().catch(() => {});  // the error is shown when the user starts
 await asked;
 begun.abort();
 message.textContent = loading;

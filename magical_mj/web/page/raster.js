@@ -1,11 +1,11 @@
 // @ts-check
 /**
- * What policies see in pictures: byte for byte what magical_mj's software renderer draws of the same poses. Flat convex polygons
- * are painted one over the other, four samples a pixel. Corners come to a grid of 256 x 256 points a sample, and from there on
- * all is done with integers, which doubles hold exactly.
+ * The pictures that policies observe: the same bytes as those of magical_mj's software renderer for the same poses. Flat convex polygons
+ * are painted in order, with four samples per pixel. Corners are rounded to a grid of 256 x 256 points per sample. All further
+ * calculations use integers, which doubles represent exactly.
  */
 const GRID = 256, HALF = GRID / 2;
-const DRAWN = [0, 2, 4];  // the groups of geoms that the cameras see
+const DRAWN = [0, 2, 4];  // the groups of geoms that are drawn
 const MESH = 7;
 /** Borders of goal regions: their index, and the corners, four for each dash, as x, y, z. */
 const BORDERS = /<mesh name="region(\d+)_border"[^>]*?vertex="([^"]+)"/g;
@@ -20,7 +20,7 @@ export class Raster {
    * @param {import("./scene.js").Scene} scene
    */
   constructor(mujoco, model, mjcf, scene) {
-    if (scene.stains?.length) throw new Error("it acts from pictures, which here cannot have stains: choose a scene without clutter");
+    if (scene.stains?.length) throw new Error("it acts from pictures, and these cannot show stains here: choose a scene without clutter");
     this.mujoco = mujoco;
     this.model = model;
     this.polygons = polygonsOf(model, mjcf, scene);
@@ -35,10 +35,10 @@ export class Raster {
    * @param {number} size  pixels a side
    */
   draw(data, camera, size) {
-    this.mujoco.mj_kinematics(this.model, data);  // after a step of MuJoCo, places are those before it
+    this.mujoco.mj_kinematics(this.model, data);  // MuJoCo's step leaves the positions before the step
     this.mujoco.mj_camlight(this.model, data);
     const id = this.cameras[camera], side = 2 * size, field = this.model.cam_fovy[id];
-    const view = { place: data.cam_xpos.slice(3 * id, 3 * id + 2), axes: data.cam_xmat.slice(9 * id, 9 * id + 9) };
+    const view = { position: data.cam_xpos.slice(3 * id, 3 * id + 2), axes: data.cam_xmat.slice(9 * id, 9 * id + 9) };
     const { xpos, xmat } = data;
     const samples = new Uint32Array(side * side);
     for (const { body, colour, corners } of this.polygons) {
@@ -50,7 +50,7 @@ export class Raster {
 }
 
 /**
- * What the cameras see of a model, in drawing order: what stands still, then what moves.
+ * The drawn polygons of a model in drawing order: static ones, then moving ones.
  * @param {any} model @param {string} mjcf @param {import("./scene.js").Scene} scene
  */
 function polygonsOf(model, mjcf, { regions }) {
@@ -59,7 +59,7 @@ function polygonsOf(model, mjcf, { regions }) {
   const kinds = [[], []];
   let region = 0;
   const meshes = [...model.mesh_vertadr];
-  const first = meshes.length - borders.length;  // borders come after all other meshes
+  const first = meshes.length - borders.length;  // the meshes of borders are the last ones
   for (let geom = 0; geom < model.ngeom; geom++) {
     if (!DRAWN.includes(model.geom_group[geom])) continue;
     const body = model.geom_bodyid[geom], mesh = model.geom_dataid[geom], material = model.geom_matid[geom];
@@ -73,7 +73,7 @@ function polygonsOf(model, mjcf, { regions }) {
   return kinds.flat();
 }
 
-/** A region's corners, which environments keep in single precision. @param {import("./scene.js").Region} region */
+/** A region's corners in single precision, as in environments. @param {import("./scene.js").Region} region */
 function filling({ x_min, y_min, x_max, y_max }) {
   return Float64Array.from([x_max, y_max, x_min, y_max, x_min, y_min, x_max, y_min], Math.fround);
 }
@@ -87,7 +87,7 @@ function dashes(points) {
 const flat = (points) => points.filter((_, i) => i % 3 < 2);
 
 /**
- * The outlines of a geom's mesh in its body's frame if they are convex, else its triangles.
+ * The outlines of a geom's mesh in its body's frame. If they are not convex, its triangles.
  * @param {any} model @param {number} geom @param {number} mesh
  */
 function convexParts(model, geom, mesh) {
@@ -104,7 +104,7 @@ function convexParts(model, geom, mesh) {
   return outlines.every(isConvex) ? outlines : faces.map(cornersOf);
 }
 
-/** The edges that only one triangle has, chained into closed loops of vertices. @param {number[][]} faces */
+/** The edges of only one triangle, chained into closed loops of vertices. @param {number[][]} faces */
 function loops(faces) {
   const edges = faces.flatMap(([a, b, c]) => [[a, b], [b, c], [c, a]]);
   const all = new Set(edges.map(String));
@@ -132,18 +132,18 @@ function isConvex(corners) {
   return true;
 }
 
-/** Red, green and blue in [0, 1] as an opaque pixel 0xAABBGGRR; 0, nothing, if alpha is 0. @param {Float32Array} rgba */
+/** Red, green and blue in [0, 1] as an opaque pixel 0xAABBGGRR, or 0 if alpha is 0. @param {Float32Array} rgba */
 function packed([red, green, blue, alpha]) {
   const level = (/** @type {number} */ value) => Math.floor(255 * value + 0.5);
   return alpha === 0 ? 0 : (255 << 24 | level(blue) << 16 | level(green) << 8 | level(red)) >>> 0;
 }
 
 /**
- * The frame of a body as a camera sees it that looks straight down: x, y, cosine and sine of the angle.
- * @param {Float64Array} place @param {Float64Array} axes  of the body @param {{place: Float64Array, axes: Float64Array}} camera
+ * The frame of a body, relative to a camera that looks straight down: x, y, cosine and sine of the angle.
+ * @param {Float64Array} position @param {Float64Array} axes  of the body @param {{position: Float64Array, axes: Float64Array}} camera
  */
-function relative(place, axes, camera) {
-  const dx = place[0] - camera.place[0], dy = place[1] - camera.place[1];
+function relative(position, axes, camera) {
+  const dx = position[0] - camera.position[0], dy = position[1] - camera.position[1];
   const [cosA, sinA, cosB, sinB] = [camera.axes[0], camera.axes[3], axes[0], axes[3]];
   return [cosA * dx + sinA * dy, cosA * dy - sinA * dx, cosA * cosB + sinA * sinB, cosA * sinB - sinA * cosB];
 }
@@ -163,7 +163,7 @@ function onGrid(corners, [tx, ty, c, s], scale, middle) {
 const firstCentre = (position) => Math.floor((position + HALF - 1) / GRID);
 
 /**
- * Colours the samples whose centres a convex polygon covers; on an edge: those of left and lower edges.
+ * Colours the samples with centres in a convex polygon, including its left and lower edges.
  * @param {Uint32Array} samples  row by row from below @param {number} side  samples in a row
  * @param {Float64Array} corners  x, y, x, y, ... on the grid, counter-clockwise @param {number} colour
  */
@@ -186,7 +186,7 @@ function fill(samples, side, corners, colour) {
 }
 
 /**
- * Writes, for each row that an edge crosses, the first sample whose centre is not left of it: n / d, rounded up.
+ * Writes, for each row that an edge crosses, the first sample with a centre not left of it: n / d, rounded up.
  * @param {number} xa @param {number} ya  where the edge begins @param {number} xb @param {number} yb  where it ends, above that
  * @param {number} first @param {number} last @param {number} side @param {Int32Array} ends
  */

@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * What was played as a small file: enough to replay it, and nothing about who played. `magical_mj.demos` describes it.
+ * A played episode as a small file for replays, without data about the player. `magical_mj.demos.recording` describes it.
  * @typedef {{task: string, variant: string, seed: number, game: import("./game.js").Game | null}} Played
  */
 import { poses } from "./scene.js";
@@ -9,7 +9,7 @@ const FORMAT = 1;
 
 /**
  * @param {Played} played
- * @param {number} protocol  the number of the rules that it was played by
+ * @param {number} protocol  the protocol number
  */
 export function recording({ task, variant, seed, game }, protocol) {
   if (!game) throw new Error("nothing was played");

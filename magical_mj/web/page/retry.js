@@ -1,5 +1,5 @@
 // @ts-check
-/** Says that the page's program could not be loaded, and offers to try again. It is no module, so that it runs in any case. */
+/** Shows that the page's scripts could not be loaded, and offers to try again. It is not a module, so that it always runs. */
 addEventListener("error", ({ target }) => {
   if (!(target instanceof HTMLScriptElement)) return;
   const status = document.querySelector("[role=status]"), button = document.createElement("button");

@@ -1,12 +1,12 @@
 // @ts-check
 /**
- * Scenes as magical_mj writes them: what is where. World units, x to the right, y up; angles in radians, counter-clockwise.
+ * Scenes in the form that magical_mj writes. World units, x to the right, y up. Angles in radians, counter-clockwise.
  * @typedef {{x: number, y: number, angle: number, fingers: number[], body?: string}} Robot
- *   angle 0 faces +y; fingers left, right; body: "gripper" where none is said
+ *   angle 0 faces +y; fingers left, right; body: "gripper" by default
  * @typedef {{shape: string, colour: string, x: number, y: number, angle: number}} Block
  * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number, border?: string}} Region
  * @typedef {{robot: Robot, blocks: Block[], regions: Region[], half_width?: number, pebbles?: {x: number, y: number}[],
- *   stains?: number[][]}} Scene  half_width: of the arena, else 1; stains: x, y, radius, darkness
+ *   stains?: number[][]}} Scene  half_width: of the arena, by default 1; stains: x, y, radius, darkness
  * @typedef {{robot: number[], fingers: number[], blocks: number[][], pebbles?: number[][]}} Poses
  *   robot and each block as x, y, angle; pebbles as x, y
  */
@@ -41,10 +41,10 @@ export function poses({ robot, blocks, pebbles }) {
 }
 
 /**
- * What lies between two scenes of the same things: smooth drawing between two actions.
+ * The interpolation of two scenes with the same objects, for smooth drawing between two actions.
  * @param {Scene} before
  * @param {Scene} after
- * @param {number} share  of the way, 0 to 1
+ * @param {number} share  0 (before) to 1 (after)
  * @returns {Scene}
  */
 export function between(before, after, share) {

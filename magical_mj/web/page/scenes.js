@@ -1,11 +1,11 @@
 // @ts-check
 /**
- * The scenes of an environment, and who simulates them.
+ * The scenes of an environment, and their simulation in the browser.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./game.js").Episode} Episode
  * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[]}} Entry
- *   a scene, the actions of an expert in it (letters, or vectors of speeds), the numbers of the elements of which its model is made,
- *   its shifts, its horizon where its body has one of its own, and what a worn or slow robot does (see `taking`)
+ *   a scene, an expert's actions in it (letters, or vectors of speeds), the indices of its model's elements,
+ *   its shifts, its horizon if its body has another one, and the executed actions with slip or latency (see `taking`)
  * @typedef {{scenes: Entry[], horizon: number, elements?: string[], demonstrations: string[]}} Environment
  *   horizon: actions of an episode; demonstrations: actions in its only scene
  * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null, taken?: number[]}, task: string, variant: string) => Promise<Episode>} Opener
@@ -18,7 +18,7 @@ import { Simulation } from "./simulation.js";
  * An environment's scenes.
  * @param {string} task
  * @param {string} variant
- * @param {string} [shifts]  a shift with its strength, as "clutter:3", or another body, as "body:longstick"
+ * @param {string} [shifts]  a shift with its strength, such as "clutter:3", or another body, such as "body:longstick"
  * @returns {Promise<Environment>}
  */
 export async function loadEnvironment(task, variant, shifts = "") {
@@ -27,10 +27,10 @@ export async function loadEnvironment(task, variant, shifts = "") {
   return { ...all, scenes: all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === shifts) };
 }
 
-/** @param {string} path  beside the page */
+/** @param {string} path  relative to the page */
 export const fetchJson = async (path) => (await fetched(path)).json();
 
-/** @param {string} path  beside the page */
+/** @param {string} path  relative to the page */
 export const fetchFile = async (path) => new Uint8Array(await (await fetched(path)).arrayBuffer());
 
 /** @param {string} path */
@@ -42,13 +42,13 @@ async function fetched(path) {
 
 /**
  * Simulates in the browser, with MuJoCo's WebAssembly build.
- * @param {Promise<void>} asked  when that may be loaded
+ * @param {Promise<void>} asked  resolves when it may be loaded
  * @returns {Opener}
  */
 export function inBrowser(asked) {
-  asked.then(loadMujoco).catch(() => {});  // whoever opens a scene is told
+  asked.then(loadMujoco).catch(() => {});  // the error is shown when a scene is opened
   return async ({ elements = [] }, { scene, mjcf = [], taken }) => {
-    if (!scene) throw new Error("there is no such scene here");
+    if (!scene) throw new Error("this scene is not available here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
     const done = taken && taking(taken);
     return { scene, act: (action) => simulation.act(done ? done(Number(action)) : action), close: () => simulation.close(), simulation };

@@ -1,12 +1,12 @@
 // @ts-check
 /**
- * The scores of the eight tasks and of SweepToTop by the paper's rules, as in magical_mj/tasks; held to them by tests.
+ * The scores of the eight tasks and of SweepToTop by the paper's rules, the same as in magical_mj/tasks. Tests compare them.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./scene.js").Block} Block
  * @typedef {import("./scene.js").Region} Region
  */
 
-/** @param {Region} region @param {{x: number, y: number}} thing */
+/** @param {Region} region @param {{x: number, y: number}} body */
 const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
 
 /** Indices of the blocks in a region. @param {Region} region @param {Block[]} blocks */
@@ -60,7 +60,7 @@ const RULES = {
 };
 
 /**
- * How well the final scene solves the task, in [0, 1].
+ * The score of the final scene, in [0, 1].
  * @param {string} task
  * @param {Scene} initial
  * @param {Scene} final
@@ -72,7 +72,7 @@ const ring = (/** @type {number} */ corners, /** @type {number} */ radius) => Ar
   { length: corners }, (_, i) => [radius * Math.cos(Math.PI / 2 + 2 * Math.PI * i / corners), radius * Math.sin(Math.PI / 2 + 2 * Math.PI * i / corners)]);
 /** @type {Record<string, number[][]>} the outermost corners of blocks; a circle has none */
 const CORNERS = { square: [[SQUARE, SQUARE], [-SQUARE, SQUARE], [-SQUARE, -SQUARE], [SQUARE, -SQUARE]], pentagon: ring(5, PENTAGON), star: ring(5, STAR), circle: [[0, 0]] };
-/** @type {Record<string, number>} what the blocks have around them */
+/** @type {Record<string, number>} the radius of the blocks' rounded margins */
 const MARGINS = { square: 0.02 * SQUARE, circle: SIZE };
 
 /** Whether the bounding box of a block is in a region. @param {Region} region @param {Block} block */
@@ -84,7 +84,7 @@ function isWithin(region, { shape, x, y, angle }) {
   });
 }
 
-/** How many blocks the longest line has. @param {Block[]} blocks */
+/** The number of blocks in the longest line. @param {Block[]} blocks */
 function longestLine(blocks) {
   let longest = 1;
   for (const one of blocks) for (const other of blocks.slice(blocks.indexOf(one) + 1)) {
@@ -105,7 +105,7 @@ function longestLine(blocks) {
 }
 
 /**
- * A block is right if its squared distance to its own kind's centroid is less than a third of that to any other.
+ * The share of correct blocks. The squared distance of a correct block to the centroid of its kind is less than a third of that to any other.
  * @param {Block[]} blocks
  * @param {(block: Block) => string} kind
  */

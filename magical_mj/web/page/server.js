@@ -1,20 +1,20 @@
 // @ts-check
 /**
- * A seat at the server of `magical-mj play --web`: one question after the other, each with one answer.
+ * A connection to the server of `magical-mj play --web`: successive requests, each with one answer.
  * @typedef {import("./scenes.js").Opener} Opener
  */
 import { moved } from "./scene.js";
 
 const GONE = "There is no connection to the server: try again";
 const LOST = "The connection to the server was lost: play this scene again (R)";
-/** Milliseconds after which a connection counts as broken: one that was cut off says nothing. */
+/** Milliseconds without an answer before a connection counts as broken, because interrupted connections give no error. */
 const PATIENCE = 20_000;
 const REFUSED = "The server refuses this address: open the link that it printed; see also its option --origin";
 
 export class Seat {
-  /** @type {string | null} who sits here, if the server collects */
+  /** @type {string | null} the participant's id, if the server runs a study */
   #participant = null;
-  #connected = false;  // whether it ever was
+  #connected = false;  // whether a connection was ever open
 
   constructor() {
     this.#connect();
@@ -34,7 +34,7 @@ export class Seat {
       });
       this.socket.addEventListener("close", () => reject(new Error(this.#connected ? GONE : REFUSED)));
     });
-    this.opened.catch(() => {});  // whoever asks is told
+    this.opened.catch(() => {});  // requests report the error
     this.socket.addEventListener("message", ({ data }) => {
       const reply = JSON.parse(data), asked = waiting.shift();
       if (reply.error) asked?.reject(new Error(reply.error));
@@ -45,7 +45,7 @@ export class Seat {
     });
   }
 
-  /** Asks, over a new connection if the last one broke. @param {object} question @returns {Promise<any>} */
+  /** Sends a request, over a new connection if the last one broke. @param {object} question @returns {Promise<any>} */
   async ask(question) {
     if (this.socket.readyState > WebSocket.OPEN) {
       this.#connect();
@@ -81,7 +81,7 @@ export class Seat {
   /** @type {Opener} */
   open = async (_environment, { seed }, task, variant) => {
     const { scene } = await this.ask({ open: { task, variant, seed } });
-    const { socket } = this;  // whose other end simulates this episode
+    const { socket } = this;  // the connection whose server simulates this episode
     const act = async (/** @type {number} */ action) => {
       if (this.socket !== socket || socket.readyState !== WebSocket.OPEN) throw new Error(LOST);
       return moved(scene, (await this.#send({ act: action })).poses);
@@ -90,7 +90,7 @@ export class Seat {
   };
 }
 
-/** The participant's id, which the browser keeps if it may. @param {string} [id]  to be kept */
+/** The participant's id, stored by the browser if it is allowed to. @param {string} [id]  to store */
 export function remembered(id) {
   try {
     if (id) localStorage.setItem("participant", id);

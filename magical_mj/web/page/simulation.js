@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * One world in MuJoCo's WebAssembly build, from a file that `magical_mj.export_mjcf` wrote: it says what an action does.
+ * A simulation in MuJoCo's WebAssembly build, from a file of `magical_mj.export_mjcf`, which defines the actions' controls.
  * @typedef {import("./scene.js").Scene} Scene
  */
 import { Raster } from "./raster.js";
@@ -11,7 +11,7 @@ import { stateVector } from "./state.js";
 export class Simulation {
   /**
    * @param {any} mujoco  the module that its loader gives
-   * @param {string} mjcf  the world at the start of an episode
+   * @param {string} mjcf  the model at the start of an episode
    * @param {Scene} scene  the same
    */
   constructor(mujoco, mjcf, scene) {
@@ -21,7 +21,7 @@ export class Simulation {
     this.model = mujoco.MjModel.from_xml_string(mjcf);
     this.data = new mujoco.MjData(this.model);
     mujoco.mj_resetDataKeyframe(this.model, this.data, 0);
-    this.controls = this.#numbers("controls");  // a row for each action; where actions are speeds, nothing
+    this.controls = this.#numbers("controls");  // a row for each action, or empty if actions are speeds
     [this.substeps] = this.#numbers("substeps");
     const address = (/** @type {string} */ joint) => {
       const id = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_JOINT.value, joint);
@@ -55,22 +55,22 @@ export class Simulation {
     return moved(this.scene, { robot, fingers: this.#fingers(), blocks, pebbles });
   }
 
-  /** What policies see now. */
+  /** The current state vector for policies. */
   state() {
     return stateVector(this.scene, this.#planar(this.data.qpos), this.#planar(this.data.qvel), this.#fingers());
   }
 
-  /** What draws the pictures that policies see. */
+  /** The renderer of pictures for policies. */
   raster() {
     return new Raster(this.mujoco, this.model, this.mjcf, this.scene);
   }
 
-  /** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Float64Array} values  all joints have one */
+  /** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Float64Array} values  each joint has one */
   #planar(values) {
     return [this.addresses.robot, ...this.addresses.blocks].map((first) => [values[first], values[first + 1], values[first + 2]]);
   }
 
-  /** Their angles; those of the scene, of a body without. */
+  /** The angles of the fingers. For a body without fingers, those of the scene. */
   #fingers() {
     const { fingers } = this.addresses;
     return fingers.length ? fingers.map((at) => this.data.qpos[at]) : this.scene.robot.fingers;
@@ -87,7 +87,7 @@ export class Simulation {
     return id < 0 ? new Float64Array() : data.slice(first[id], first[id] + size[id]);
   }
 
-  /** Frees the memory, which JavaScript does not do by itself. */
+  /** Frees the WebAssembly memory, which is not garbage-collected. */
   close() {
     this.data.delete();
     this.model.delete();

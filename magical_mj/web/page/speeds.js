@@ -1,20 +1,20 @@
 // @ts-check
-/** Actions that are speeds, as in SweepToTop: what they are as values of MuJoCo's `ctrl`, as in `magical_mj.assets.robot.speed_signal`. */
-const FORWARD = 0.8, TURN = 2.5, FINGER = 1;  // the most: units/s, rad/s, rad/s
-/** The most that each actuator is told. */
+/** Converts actions that are speeds, as in SweepToTop, to MuJoCo's `ctrl`, like `magical_mj.assets.robot.speed_signal`. */
+const FORWARD = 0.8, TURN = 2.5, FINGER = 1;  // maximum speeds: units/s, rad/s, rad/s
+/** The maximum command of each actuator. */
 export const MOST = [FORWARD, FORWARD, TURN, TURN, FINGER, FINGER];
 const OPEN = Math.PI / 8, FINGER_GAIN = 10;
 
-/** One of the 18 actions as (speed, turn, grip): full speed, or none. @param {number} action */
+/** One of the 18 actions as (speed, turn, grip), each at full speed or 0. @param {number} action */
 export function vector(action) {
   const sign = (/** @type {number} */ part) => [0, 1, -1][part % 3];
   return [sign(action), sign(Math.floor(action / 3)), action >= 9 ? 1 : -1];
 }
 
 /**
- * @param {number[]} action  speed (units/s), turn and grip (rad ahead); what is beyond the most, or for fingers that are not there, does nothing
- * @param {number[]} fingers  angles of the left and the right one; none for a stick
- * @param {Float64Array} before  the present values, which act for one more substep
+ * @param {number[]} action  speed (units/s), turn and grip (rad ahead); values are clipped to the maximum; grip is ignored without fingers
+ * @param {number[]} fingers  angles of the left and the right one; empty for a stick
+ * @param {Float64Array} before  the current values, which stay active for one more substep
  * @param {number} substeps  of an action
  * @param {number} timestep  seconds
  */

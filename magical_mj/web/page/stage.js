@@ -1,32 +1,32 @@
 // @ts-check
-/** A world as solids under soft light, by three.js; MuJoCo itself says where its helpers (contacts, joints, ...) are. */
+/** Renders a model in 3-D with soft light, by three.js. MuJoCo computes its helper geoms (contacts, joints, ...). */
 import * as THREE from "./three/three.module.js";
 import { OrbitControls } from "./three/OrbitControls.js";
 
-/** What can be shown besides the geoms: the flags of mjvOption, by the names of the page's switches. */
+/** The flags of mjvOption for helper geoms, by the names of the page's switches. */
 const HELPERS = { joints: ["JOINT"], contacts: ["CONTACTPOINT", "CONTACTFORCE"], inertia: ["INERTIA"], tendons: ["TENDON"] };
-/** Groups of geoms, by the names of the page's switches; others are always shown. */
+/** Groups of geoms, by the names of the page's switches. Other groups are always shown. */
 const GROUPS = { flat: [2], collision: [3] };
-const FLAT = 10;  // the layer of what pictures from the task's own cameras show
-const DRAWN = [2, 4];  // the groups that they show
+const FLAT = 10;  // the layer of geoms in pictures of the task's own cameras
+const DRAWN = [2, 4];  // the groups in these pictures
 const [PLANE, FIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [0, 1, 2, 3, 4, 5, 6, 7];
 const [ARROW, ARROW1, ARROW2, LINE, LINEBOX] = [100, 101, 102, 103, 104];
-const ROUGH = 0.6;  // pixels for each of the screen while a slow machine shows movement
+const ROUGH = 0.6;  // rendered pixels per screen pixel, for movement on a slow machine
 const INSET = 0.24, INSET_MOST = 200;  // of the canvas's smaller side; pixels
 
 export class Stage {
-  /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when it must be drawn anew */
+  /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when a new picture is needed */
   constructor(canvas, changed) {
     this.canvas = canvas;
     const isSoftware = drawsBySoftware();
     /** Whether this machine is too slow for shadows and fine pixels while something moves. */
     this.slow = isSoftware;
-    /** Pixels of a still picture for each of the screen: where edges are not smoothed, which software takes long for, more. */
+    /** Rendered pixels per screen pixel of a still picture. More without anti-aliasing, which is slow in software. */
     this.fineness = isSoftware ? 1.5 : Math.min(devicePixelRatio, 2);
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
-    this.renderer.shadowMap.autoUpdate = false;  // insets have none
+    this.renderer.shadowMap.autoUpdate = false;  // insets have no shadows
     this.renderer.autoClear = false;
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
     this.camera.up.set(0, 0, 1);
@@ -34,20 +34,20 @@ export class Stage {
     this.orbit.addEventListener("change", changed);
     this.scene = new THREE.Scene();
     this.shown = { joints: false, contacts: false, inertia: false, tendons: true, flat: true, collision: false, solid: true };
-    /** @type {any[]} one mesh a geom, or null */
+    /** @type {any[]} a mesh for each geom, or null */
     this.meshes = [];
     /** @type {any} */
-    this.world = null;
+    this.inspected = null;
     /** @type {any} */
     this.lamp = null;
     this.insets = true;
   }
 
-  /** Shows another world, from where its file says. @param {import("./world.js").World} world */
-  open(world) {
+  /** Shows another model, with the initial camera of its file. @param {import("./inspected.js").InspectedModel} inspected */
+  open(inspected) {
     this.close();
-    this.world = world;
-    const { mujoco, model } = world, { stat, vis } = model;
+    this.inspected = inspected;
+    const { mujoco, model } = inspected, { stat, vis } = model;
     this.option = new mujoco.MjvOption();
     this.option.geomgroup.fill(0);  // geoms have meshes of their own
     this.perturbation = new mujoco.MjvPerturb();
@@ -78,7 +78,7 @@ export class Stage {
   }
 
   close() {
-    if (!this.world) return;
+    if (!this.inspected) return;
     for (const helper of [this.option, this.perturbation, this.eye, this.helpers]) helper.delete();
     this.scene.clear();
     for (const geometry of this.geometries?.values() ?? []) geometry.dispose();
@@ -86,10 +86,10 @@ export class Stage {
       mesh?.material.map?.dispose();
       mesh?.material.dispose();
     }
-    this.world = null;
+    this.inspected = null;
   }
 
-  /** Light from all sides, and a lamp whose shadow is soft. @param {number} extent @param {any} centre */
+  /** Ambient light, and a lamp with soft shadows. @param {number} extent @param {any} centre */
   #light(extent, centre) {
     this.scene.background = new THREE.Color(isDark() ? 0x23252b : 0xe7e7ea);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0xdddde4, 2.1));
@@ -109,7 +109,7 @@ export class Stage {
 
   /** @param {number} geom */
   #mesh(geom) {
-    const { model } = this.world, type = model.geom_type[geom], group = model.geom_group[geom];
+    const { model } = this.inspected, type = model.geom_type[geom], group = model.geom_group[geom];
     const size = [...model.geom_size.subarray(3 * geom, 3 * geom + 3)];
     const geometry = this.#geometry(type, size, model.geom_dataid[geom]);
     if (!geometry) return null;
@@ -125,7 +125,7 @@ export class Stage {
       mesh.material.color.set(0xd0503c);
       if (model.body_weldid[model.geom_bodyid[geom]] === 0) Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });  // walls
     }
-    if (isDark() && SURROUND.includes(this.world.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in what policies see
+    if (isDark() && SURROUND.includes(this.inspected.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
     mesh.receiveShadow = !isCollision;
     mesh.userData = { geom, group };
@@ -140,9 +140,9 @@ export class Stage {
     return mesh;
   }
 
-  /** The texture of a plane, as often as the material says. @param {number} material @param {number[]} size */
+  /** The texture of a plane, repeated according to the material. @param {number} material @param {number[]} size */
   #texture(material, size) {
-    const { model } = this.world, roles = material < 0 ? [] : [...model.mat_texid.subarray(10 * material, 10 * material + 10)];
+    const { model } = this.inspected, roles = material < 0 ? [] : [...model.mat_texid.subarray(10 * material, 10 * material + 10)];
     const texture = roles.find((id) => id >= 0);
     if (texture === undefined || model.tex_type[texture] !== 0) return null;
     const width = model.tex_width[texture], height = model.tex_height[texture], channels = model.tex_nchannel[texture], first = model.tex_adr[texture];
@@ -153,13 +153,13 @@ export class Stage {
     map.wrapS = map.wrapT = THREE.RepeatWrapping;
     map.magFilter = map.minFilter = THREE.LinearFilter;
     const [x, y] = model.mat_texrepeat.subarray(2 * material, 2 * material + 2);
-    const isUniform = x < 10;  // MuJoCo's build does not say: once or twice over a whole plane would be no pattern
+    const isUniform = x < 10;  // MuJoCo's build does not expose this flag. Fewer repetitions would not be a pattern
     map.repeat.set(isUniform ? x * (size[0] || 50) : x, isUniform ? y * (size[1] || 50) : y);
     map.needsUpdate = true;
     return map;
   }
 
-  /** The geometry of a geom; the same one for geoms of one size. @param {number} type @param {number[]} size @param {number} dataid */
+  /** The geometry of a geom. Geoms of the same size share it. @param {number} type @param {number[]} size @param {number} dataid */
   #geometry(type, size, dataid) {
     const key = `${type} ${type === MESH ? dataid : size}`, { geometries } = this;
     if (!geometries.has(key)) geometries.set(key, this.#made(type, size, dataid));
@@ -168,7 +168,7 @@ export class Stage {
 
   /** @param {number} type @param {number[]} size @param {number} dataid */
   #made(type, [a, b, c], dataid) {
-    const { model } = this.world;
+    const { model } = this.inspected;
     const far = 20 * (model.stat.extent || 1);
     if (type === PLANE) return new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
     if (type === SPHERE) return new THREE.SphereGeometry(a, 24, 16);
@@ -180,27 +180,27 @@ export class Stage {
     return type === MESH && dataid >= 0 ? polyhedron(model, dataid) : null;
   }
 
-  /** Marks a body; -1: none. @param {number} body */
+  /** Highlights a body; -1: none. @param {number} body */
   select(body) {
-    const { model } = this.world;
+    const { model } = this.inspected;
     for (const mesh of this.meshes) {
       const isChosen = mesh && body > 0 && within(model, model.geom_bodyid[mesh.userData.geom], body);
       mesh?.material.emissive.set(isChosen ? 0x5a3c00 : 0);
     }
   }
 
-  /** The body at a place of the canvas; -1 if there is none. @param {number} x  pixels from the left @param {number} y */
+  /** The body at a position on the canvas, or -1. @param {number} x  pixels from the left @param {number} y */
   bodyAt(x, y) {
     const ray = new THREE.Raycaster(), { clientWidth: width, clientHeight: height } = this.canvas;
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
     const [hit] = ray.intersectObjects(this.meshes.filter((mesh) => mesh?.visible), false);
-    return hit ? this.world.model.geom_bodyid[hit.object.userData.geom] : -1;
+    return hit ? this.inspected.model.geom_bodyid[hit.object.userData.geom] : -1;
   }
 
-  /** Draws what is the case now. @param {boolean} isMoving  whether the next picture will follow at once */
+  /** Renders the current state. @param {boolean} isMoving  whether the next picture follows immediately */
   draw(isMoving = false) {
-    const { world, renderer, canvas } = this, isRough = isMoving && this.slow;
-    if (!world) return;
+    const { inspected, renderer, canvas } = this, isRough = isMoving && this.slow;
+    if (!inspected) return;
     this.lamp.castShadow = renderer.shadowMap.needsUpdate = !isRough;
     const ratio = isRough ? ROUGH : this.fineness, { clientWidth: width, clientHeight: height } = canvas;
     if (canvas.width !== Math.floor(width * ratio) || canvas.height !== Math.floor(height * ratio)) {
@@ -209,7 +209,7 @@ export class Stage {
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
     }
-    this.#place();
+    this.#updatePoses();
     this.#decorate();
     renderer.setScissorTest(false);
     renderer.setViewport(0, 0, width, height);
@@ -218,22 +218,22 @@ export class Stage {
     if (this.insets) this.#drawInsets(width, height);
   }
 
-  #place() {
-    const { data } = this.world, places = data.geom_xpos, turns = data.geom_xmat;
+  #updatePoses() {
+    const { data } = this.inspected, positions = data.geom_xpos, turns = data.geom_xmat;
     for (const mesh of this.meshes) {
       if (!mesh) continue;
       const { geom, group } = mesh.userData, p = 3 * geom, t = 9 * geom;
       mesh.visible = GROUPS.flat.includes(group) ? this.shown.flat : GROUPS.collision.includes(group) ? this.shown.collision
         : group < 2 ? this.shown.solid : group !== 4;
-      mesh.matrix.set(turns[t], turns[t + 1], turns[t + 2], places[p], turns[t + 3], turns[t + 4], turns[t + 5], places[p + 1],
-        turns[t + 6], turns[t + 7], turns[t + 8], places[p + 2], 0, 0, 0, 1);
+      mesh.matrix.set(turns[t], turns[t + 1], turns[t + 2], positions[p], turns[t + 3], turns[t + 4], turns[t + 5], positions[p + 1],
+        turns[t + 6], turns[t + 7], turns[t + 8], positions[p + 2], 0, 0, 0, 1);
       mesh.matrixWorldNeedsUpdate = true;
     }
   }
 
-  /** Places joints, contacts and so on, as MuJoCo's own viewer would. */
+  /** Places helper geoms such as joints and contacts, like MuJoCo's own viewer. */
   #decorate() {
-    const { mujoco, model, data } = this.world, { flags } = this.option;
+    const { mujoco, model, data } = this.inspected, { flags } = this.option;
     for (const [name, kinds] of Object.entries(HELPERS)) {
       for (const kind of kinds) flags[mujoco.mjtVisFlag[`mjVIS_${kind}`].value] = Number(this.shown[/** @type {keyof typeof HELPERS} */ (name)]);
     }
@@ -257,9 +257,9 @@ export class Stage {
     for (const child of children.slice(count)) child.visible = false;
   }
 
-  /** Sizes that fit the model: forces range over many powers of ten. @param {number} type @param {Float32Array} size */
+  /** Limits sizes to the scale of the model, since forces range over many powers of ten. @param {number} type @param {Float32Array} size */
   #limited(type, [a, b, c]) {
-    const extent = this.world.model.stat.extent || 1, most = (/** @type {number} */ value, /** @type {number} */ limit) => limit * (1 - Math.exp(-value / limit));
+    const extent = this.inspected.model.stat.extent || 1, most = (/** @type {number} */ value, /** @type {number} */ limit) => limit * (1 - Math.exp(-value / limit));
     if (type === CYLINDER) return [Math.min(a, 0.012 * extent), Math.min(b, 0.012 * extent), Math.min(c || b, 0.002 * extent)];
     return type === ARROW || type === ARROW1 || type === ARROW2 ? [Math.min(a, 0.006 * extent), Math.min(b, 0.006 * extent), most(c, 0.1 * extent)] : [a, b, c];
   }
@@ -274,9 +274,9 @@ export class Stage {
 
   /** The pictures of the model's own first two cameras, in the upper right corner. @param {number} width @param {number} height */
   #drawInsets(width, height) {
-    const { model, data } = this.world, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
-    this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ place) => {
-      const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.world.controls !== null;
+    const { model, data } = this.inspected, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
+    this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ index) => {
+      const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.inspected.controls !== null;
       const camera = model.cam_projection[id]
         ? new THREE.OrthographicCamera(-fovy / 2, fovy / 2, fovy / 2, -fovy / 2, -far, far) : new THREE.PerspectiveCamera(fovy, 1, far / 5000, far);
       const [x, y, z] = data.cam_xpos.subarray(3 * id, 3 * id + 3), turn = data.cam_xmat.subarray(9 * id, 9 * id + 9);
@@ -284,18 +284,18 @@ export class Stage {
       camera.matrix.set(turn[0], turn[1], turn[2], x, turn[3], turn[4], turn[5], y, turn[6], turn[7], turn[8], z, 0, 0, 0, 1);
       camera.matrixWorldNeedsUpdate = true;
       if (isFlat) camera.layers.set(FLAT);
-      const left = width - 8 - side, top = 8 + place * (side + 8);
+      const left = width - 8 - side, top = 8 + index * (side + 8);
       this.renderer.setScissorTest(true);
       this.renderer.setScissor(left - 1, height - top - side - 1, side + 2, side + 2);
       this.renderer.setClearColor(0x8d909b);
       this.renderer.clear();
       this.renderer.setViewport(left, height - top - side, side, side);
       this.renderer.setScissor(left, height - top - side, side, side);
-      const { background } = this.scene, places = this.meshes.filter((mesh) => mesh && isFlat && !mesh.visible && DRAWN.includes(mesh.userData.group));
+      const { background } = this.scene, hidden = this.meshes.filter((mesh) => mesh && isFlat && !mesh.visible && DRAWN.includes(mesh.userData.group));
       if (isFlat) this.scene.background = WHITE;
-      for (const mesh of places) mesh.visible = true;
+      for (const mesh of hidden) mesh.visible = true;
       this.renderer.render(this.scene, camera);
-      for (const mesh of places) mesh.visible = false;
+      for (const mesh of hidden) mesh.visible = false;
       this.scene.background = background;
     });
   }
@@ -303,7 +303,7 @@ export class Stage {
   /** The picture as a PNG. @returns {Promise<Blob>} */
   picture() {
     this.draw();
-    return new Promise((resolve, reject) => this.canvas.toBlob((blob) => blob ? resolve(blob) : reject(new Error("this browser gives no picture"))));
+    return new Promise((resolve, reject) => this.canvas.toBlob((blob) => blob ? resolve(blob) : reject(new Error("this browser cannot save the picture"))));
   }
 }
 
@@ -322,13 +322,13 @@ function arrow() {
   return new THREE.LatheGeometry(profile, 16).rotateX(Math.PI / 2);
 }
 
-/** Whether WebGL is drawn without a graphics processor. */
+/** Whether WebGL runs in software. */
 function drawsBySoftware() {
   const gl = document.createElement("canvas").getContext("webgl2"), about = gl?.getExtension("WEBGL_debug_renderer_info");
   return /swiftshader|llvmpipe|software/i.test(about ? gl?.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
 }
 
-/** Gives a mesh the shape of one of MuJoCo's abstract geoms. @param {any} mesh @param {number} type @param {number[]} size */
+/** Shapes a mesh like one of MuJoCo's helper geoms. @param {any} mesh @param {number} type @param {number[]} size */
 function shape(mesh, type, [a, b, c]) {
   const { stretch } = mesh.userData;
   if (type === ARROW || type === ARROW1 || type === ARROW2) {
@@ -361,15 +361,15 @@ function polyhedron(model, id) {
 function heightField(model, id) {
   const rows = model.hfield_nrow[id], columns = model.hfield_ncol[id], first = model.hfield_adr[id];
   const [x, y, top] = model.hfield_size.subarray(4 * id, 4 * id + 4);
-  const geometry = new THREE.PlaneGeometry(2 * x, 2 * y, columns - 1, rows - 1), place = geometry.attributes.position;
+  const geometry = new THREE.PlaneGeometry(2 * x, 2 * y, columns - 1, rows - 1), position = geometry.attributes.position;
   for (let row = 0; row < rows; row++) for (let column = 0; column < columns; column++) {
-    place.setZ((rows - 1 - row) * columns + column, top * model.hfield_data[first + row * columns + column]);
+    position.setZ((rows - 1 - row) * columns + column, top * model.hfield_data[first + row * columns + column]);
   }
   geometry.computeVertexNormals();
   return geometry;
 }
 
-/** Whether a body is another one, or a part of it. @param {any} model @param {number} body @param {number} whole */
+/** Whether a body equals another one, or is its descendant. @param {any} model @param {number} body @param {number} whole */
 function within(model, body, whole) {
   for (let one = body; one > 0; one = model.body_parentid[one]) if (one === whole) return true;
   return false;

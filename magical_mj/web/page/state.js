@@ -1,13 +1,13 @@
 // @ts-check
-/** The state vector that policies see: as `magical_mj.observations.STATE_NAMES` lists it. World units, rad, and those a second. */
+/** The state vector for policies, with the entries of `magical_mj.scene.state_vector.STATE_NAMES`. World units, rad, units/s, rad/s. */
 const SHAPES = ["square", "pentagon", "star", "circle"], COLOURS = ["red", "green", "blue", "yellow"];
 const ROBOT = 8, BLOCK = 7 + SHAPES.length + COLOURS.length, REGION = 5 + COLOURS.length, BLOCKS = 10, REGIONS = 3;
 export const SIZE = ROBOT + BLOCKS * BLOCK + REGIONS * REGION;
 
 /**
- * @param {import("./scene.js").Scene} scene  with what does not move
+ * @param {import("./scene.js").Scene} scene  for the constant entries
  * @param {number[][]} poses  of the robot and each block: x, y, angle
- * @param {number[][]} velocities  likewise
+ * @param {number[][]} velocities  of the robot and each block
  * @param {number[]} fingers  angles of the left and the right one
  */
 export function stateVector({ blocks, regions }, poses, velocities, fingers) {

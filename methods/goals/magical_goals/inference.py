@@ -1,7 +1,7 @@
 """Infers a goal from demonstrations, by minimum description length (Rissanen, 1978).
 
 The goal is the relation that gives the final states of the demonstrations the shortest description: the bits of the
-relation itself, plus the bits that select each final state among all layouts in which the relation holds. The fewer
+relation itself, plus the bits that select each final state among all layouts that fulfil the relation. The fewer
 layouts fulfil a relation, the fewer bits this takes. So the strictest of the relations that hold in all final states
 is preferred. In Bayesian concept learning this is called the size principle (Tenenbaum, 1999).
 """
@@ -107,7 +107,7 @@ def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene,
 
 
 def _share(off: Floats, limits: Floats) -> float:
-    """The share of random layouts in which the relation holds, with Laplace smoothing."""
+    """The share of random layouts that fulfil the relation, with Laplace smoothing."""
     return float(((off <= limits).all(axis=1).sum() + 1) / (len(off) + 2))
 
 

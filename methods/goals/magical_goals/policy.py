@@ -22,7 +22,7 @@ from magical_mj.policies.interface import Episode
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
 
 CANDIDATES: Final = 4  # manoeuvres tried in one situation
-PATIENCE: Final = 2  # failures after which a block is left alone
+PATIENCE: Final = 2  # after this number of failures, a block is left alone
 BUDGET: Final = 16  # simulated steps per step of the episode; after them, no new plan is started
 
 GOALS: Final = "goals.json"

@@ -105,7 +105,7 @@ class Belonging(Relation):
         return wanted
 
     def deviations(self, layouts: Layouts) -> Floats:
-        """For each block, the number of regions in which it is wrongly inside or outside."""
+        """For each block, the number of regions that wrongly contain it, or wrongly do not."""
         wrong = _inside(layouts.blocks, layouts.initial) != self.wanted(layouts.initial)
         return wrong.sum(axis=2, keepdims=True).astype(float)
 

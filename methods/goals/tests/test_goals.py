@@ -1,4 +1,4 @@
-"""Goals: what demonstrations have in common, hand-made and shipped; and the policy that plans towards it."""
+"""Goals: inference from hand-made and shipped demonstrations, and the policy that plans towards the goal."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_subgoals_lead_to_the_goal_and_so_to_the_full_score(task: str, goals: di
         assert magical_mj.score(task, scene, after) == 1.0
 
 
-# Hand-made demonstrations. The robot has nothing to do with them.
+# Hand-made demonstrations, in which the robot does not move.
 
 ROBOT = Robot(0.8, -0.8, 0.0)
 LEFT, RIGHT = GoalRegion("red", -0.9, -0.3, -0.3, 0.3), GoalRegion("blue", 0.3, -0.3, 0.9, 0.3)
@@ -86,14 +86,14 @@ CORNERS = [(-0.8, 0.8), (0.0, 0.8), (0.8, 0.7), (-0.7, -0.8), (0.0, -0.7)]
 
 
 def scene_of(*kinds: str, regions: tuple[GoalRegion, ...] = ()) -> Scene:
-    """A scene with blocks such as "red star", all in other places."""
+    """A scene with blocks such as "red star", each at another position."""
     words: list[Any] = [kind.split() for kind in kinds]
     blocks = tuple(Block(shape, colour, *at, 0.0) for (colour, shape), at in zip(words, CORNERS, strict=False))
     return Scene(ROBOT, blocks, regions)
 
 
 def demonstrations_of(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10) -> list[Example]:
-    """Demonstrations that bring some blocks near to these places, each a little elsewhere."""
+    """Demonstrations that bring some blocks near these positions, with small random differences."""
     rng = np.random.default_rng(0)
     ends = []
     for _ in range(count):
@@ -201,10 +201,10 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     table = json.loads((tmp_path / "run" / GOALS).read_text())
     assert table["MoveToRegion"]["goal"] == "the robot is in a region"
     before = (tmp_path / "run" / GOALS).read_bytes()
-    train(settings, tmp_path / "run", resume=True)  # there is nothing left to do
+    train(settings, tmp_path / "run", resume=True)  # the training is complete
     assert (tmp_path / "run" / GOALS).read_bytes() == before
     (tmp_path / "run" / GOALS).unlink()
-    train(settings, tmp_path / "run", resume=True)  # with what the checkpoint holds
+    train(settings, tmp_path / "run", resume=True)  # from the checkpoint
     assert (tmp_path / "run" / GOALS).read_bytes() == before
     asked = {"tasks": "MoveToRegion,FixColour", "variants": "Layout", "episodes": 3, "preset": "State", "jobs": 1}
     first = magical_mj.evaluate(str(tmp_path / "run"), **asked)
@@ -246,7 +246,7 @@ def test_whoever_installs_the_package_has_the_method(tmp_path: Path) -> None:
 
 
 ASKED: list[str] = []
-"""What the policy asked of the task below, and must not."""
+"""The forbidden calls of the policy to the task below."""
 
 
 def _score(*_: Any) -> float:

@@ -3,7 +3,7 @@
 Demonstrations approach a block directly and close the fingers around it. None shows how to act next to a block, or
 after a block was pushed aside. Here the robot leaves a demonstration at random shortly before a grip, and may push that
 block. Then it tries several random manoeuvres to grip the block: back off, turn to it, drive to it, close the fingers.
-The shortest manoeuvre after which the block follows the fingers becomes the target action sequence.
+After a successful manoeuvre, the block follows the fingers. The shortest one becomes the target action sequence.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def _moments(replay: Replay) -> list[list[_Moment]]:
 
 
 def _free_steps(replay: Replay) -> list[int]:
-    """The steps at which the robot is not near any block. If there are none, the one with the largest distance."""
+    """The steps without a block near the robot. Without such steps, the one with the largest distance."""
     there = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
     gaps = np.linalg.norm(replay.positions - replay.states[:, None, :2], axis=2)
     gaps = np.where(there, gaps, np.inf).min(1)[:-1]
@@ -235,7 +235,7 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
 
 
 def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment) -> NDArray[np.bool_]:
-    """The steps from which the path stays clear of other blocks, or as clear as the moment at its end."""
+    """The steps with a remaining path that stays clear of other blocks, or as clear as the path's end."""
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
     others = blocks[:, 0] > 0
     if moment.held is not None:

@@ -75,7 +75,7 @@ class Messages(nn.Module):
         self.update = nn.Sequential(nn.Linear(2 * hidden, hidden), nn.ReLU(), nn.Linear(hidden, hidden))
 
     def forward(self, nodes: Tensor, edges: Tensor, hears: Tensor) -> Tensor:
-        """New nodes (n, k, hidden), from nodes, edges (n, k, k, EDGE), and which nodes send to which (n, k, k)."""
+        """New nodes (n, k, hidden), from nodes, edges (n, k, k, EDGE), and a mask of the messages (n, k, k)."""
         said = self.edge(edges) + self.listener(nodes)[:, :, None] + self.speaker(nodes)[:, None]
         heard = said.relu().masked_fill(~hears[..., None], 0.0).amax(2)
         return nodes + self.update(torch.cat([nodes, heard], 2))

@@ -38,7 +38,7 @@ from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STAT
 MOVED: Final = 0.03
 """The least motion (units) of a block that counts as moved."""
 GRIPPING: Final = 3
-"""The number of steps before a block moves in which the robot counts as having reached it."""
+"""The robot counts as having reached a block this number of steps before the block moves."""
 CARRIED: Final = 4
 """The least number of steps of a block's motion that counts as carrying or pushing."""
 FRONT: Final = 0.2
@@ -118,8 +118,8 @@ class Replay:
         actions: shape (steps,).
         never: a step after all others.
         positions: of the blocks, in the arena, shape (steps + 1, MAX_BLOCKS, 2).
-        begins: the step at which each block first starts to move, or `never`, shape (MAX_BLOCKS,).
-        next: from each step on, the step at which each block moves next, or `never`, shape (steps + 1, MAX_BLOCKS).
+        begins: the step of each block's first motion, or `never`, shape (MAX_BLOCKS,).
+        next: for each step, the step of each block's next motion, or `never`, shape (steps + 1, MAX_BLOCKS).
         moving: whether each block moves in each step, shape (steps + 1, MAX_BLOCKS).
         used: whether a block or the robot enters or leaves each region, shape (MAX_REGIONS,).
     """

@@ -1,4 +1,4 @@
-"""`relational`: its view of the world, its assumptions, the rule that keeps them; `redraw`, which learns from it."""
+"""`relational`: its network, its assumptions, and the rule that keeps them. `redraw`, which learns from it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def turned(states: torch.Tensor, x: float, y: float) -> torch.Tensor:
-    """The same states in an arena that is turned by 90 degrees and shifted."""
+    """The same states in an arena that is rotated by 90 degrees and moved."""
     states = states.clone()
     blocks, regions = blocks_of(states), regions_of(states)
     for rows in (states, blocks[..., 1:]):
@@ -84,7 +84,7 @@ def test_the_order_of_blocks_changes_nothing() -> None:
 
 
 def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
-    """What `mirror` makes of a state and an action is what physics makes of the mirrored scene."""
+    """Compares `mirror`'s states and actions with a simulation of the mirrored scene."""
     demonstration = shipped("MatchRegions")[0]
     scene = demonstration.scene
     poses = [(-block.x, block.y, -block.angle) for block in scene.blocks]
@@ -120,7 +120,7 @@ def displaced(samples: Samples, *, pairs: bool) -> Samples:
 
 
 def test_only_what_does_not_matter_now_is_displaced() -> None:
-    """Never the block that the robot is heading for; others are, and regions with what is in them."""
+    """Other blocks are displaced, and regions with their content, but not the block that the robot approaches."""
     samples = demonstrated([shipped("FixColour")[0]], NOTHING_TRIED, 0).shown
     other = displaced(samples, pairs=False)
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
@@ -135,7 +135,7 @@ def test_only_what_does_not_matter_now_is_displaced() -> None:
 
 
 def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -> None:
-    """Elsewhere on its way to the block, and with the block in it about a region's middle."""
+    """The robot moves with the block that it approaches. With a held block, it rotates about a region's centre."""
     samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0).shown
     samples = samples._replace(movable=torch.zeros_like(samples.movable))
     other = displaced(samples, pairs=True)
@@ -163,7 +163,7 @@ def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
 
 
 def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
-    """Mostly, from a standing start, too; that block may have been pushed, and all others are where they were."""
+    """Most samples do, also from rest. The block may have been pushed, but the others are not moved."""
     demonstration = shipped("MatchRegions")[0]
     with closing(Engine.of_scene(demonstration.scene)) as engine:
         replay = Replay(engine, demonstration)
@@ -203,7 +203,7 @@ def test_a_robot_that_is_stuck_acts_less_sharply() -> None:
 
 
 class Judged(Relational):
-    """What its policies score in the demo scene is given."""
+    """A method with prescribed scores of its policies in the demo scene."""
 
     given: tuple[float, ...]
 
@@ -227,7 +227,7 @@ LETTERS = dict(zip("emrhgd", RelationalSettings().assumptions, strict=True))
 def test_the_rule_keeps_what_the_demo_scene_bears(
     scores: tuple[float, ...], assumed: list[str], best: int, tmp_path: Path
 ) -> None:
-    """All together, or one after the other; the policy is that of the last trial that was kept."""
+    """Tries all together, or one after the other. The policy is that of the last kept trial."""
     learner = Judged(load_settings("relational", "MoveToRegion", **SMALL))
     learner.given, weights = scores, []
     while not learner.finished:

@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * Any model in MuJoCo's WebAssembly build: its state, its parts, and what the file says about them.
+ * Any model in MuJoCo's WebAssembly build: its state, its parts, and the file's comments about them.
  * @typedef {import("./comments.js").Comments} Comments
  * @typedef {{name: string, about: string, facts: [string, string][], joints: string[][], geoms: string[][]}} Description
  */
@@ -9,14 +9,14 @@ import { MOST, speedSignal, vector } from "./speeds.js";
 
 const JOINTS = ["free", "ball", "slide", "hinge"];
 const GEOMS = ["plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "SDF"];
-/** The file's attributes that name other files, and the settings that say where those lie. */
+/** The file's attributes that refer to other files, and the settings with their folders. */
 const FILES = /\bfile\s*=\s*["']([^"']+)["']/g;
 const FOLDERS = /\b(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']*)["']/g;
 
 /** @param {ArrayLike<number>} values @param {number} [digits] */
 const numbers = (values, digits = 4) => [...Array.from(values)].map((value) => Number(value.toPrecision(digits))).join(" ");
 
-export class World {
+export class InspectedModel {
   /**
    * @param {any} mujoco  the module
    * @param {string} text  MJCF
@@ -34,20 +34,20 @@ export class World {
       return id < 0 ? null : values.slice(first[id], first[id] + size[id]);
     };
     const controls = custom("controls"), { nu } = this.model;
-    /** A row of ctrl for each action; null if the file has none. @type {Float64Array | null} */
+    /** A row of ctrl for each action, or null if the file does not define actions. @type {Float64Array | null} */
     this.controls = controls?.length === 18 * nu && nu > 0 ? controls : null;
     const actsBySpeeds = !controls && custom("protocol") !== null;
-    /** Whether the file is of this benchmark, with its actions. */
+    /** Whether the file is from this benchmark and defines actions. */
     this.acts = this.controls !== null || actsBySpeeds;
     const most = (/** @type {number} */ id) => this.controls ? Math.max(...this.controls.filter((_, i) => i % nu === id).map(Math.abs)) : 1;
-    /** The largest value of each actuator that an action has. @type {number[]} */
+    /** The largest control value of each actuator over all actions. @type {number[]} */
     this.most = actsBySpeeds ? MOST.slice(0, nu) : Array.from({ length: nu }, (_, id) => most(id));
     this.substeps = custom("substeps")?.[0] ?? 1;
     this.horizon = custom("horizon")?.[0] ?? null;
     this.reset();
   }
 
-  /** Goes to the first keyframe if there is one, else to the initial state. */
+  /** Resets to the first keyframe if there is one, otherwise to the initial state. */
   reset() {
     const { mujoco, model, data } = this;
     if (model.nkey) mujoco.mj_resetDataKeyframe(model, data, 0);
@@ -55,7 +55,7 @@ export class World {
     mujoco.mj_forward(model, data);
   }
 
-  /** Takes one action of the benchmark, which is several steps of MuJoCo. @param {number | number[]} action  0 to 17; or, where actions are speeds, a vector of them */
+  /** Performs an action of the benchmark, which takes several steps of MuJoCo. @param {number | number[]} action  0 to 17, or a vector of speeds */
   act(action) {
     const { ctrl, qpos } = this.data, { mujoco, model } = this;
     if (this.controls) ctrl.set(this.controls.subarray(Number(action) * ctrl.length, (Number(action) + 1) * ctrl.length));
@@ -67,12 +67,12 @@ export class World {
     for (let i = 0; i < this.substeps; i++) this.step();
   }
 
-  /** One step of MuJoCo, with ctrl as it is. */
+  /** A step of MuJoCo with the current ctrl. */
   step() {
     this.mujoco.mj_step(this.model, this.data);
   }
 
-  /** Computes what follows from the state, which a step of MuJoCo leaves as it was before: places, contacts, sensors. The next step is the same to the bit. */
+  /** Computes positions, contacts and sensors for the current state, since MuJoCo's step leaves those before the step. The next step is unchanged to the bit. */
   update() {
     this.mujoco.mj_forward(this.model, this.data);
   }
@@ -83,23 +83,23 @@ export class World {
     return { time, qpos: [...qpos], qvel: [...qvel], act: [...act], ctrl: [...ctrl] };
   }
 
-  /** The name of a part, "" if it has none. @param {string} kind  "body", "jnt", "geom", ... @param {number} id */
+  /** The name of a part, or "". @param {string} kind  "body", "jnt", "geom", ... @param {number} id */
   name(kind, id) {
     const { names, [`name_${kind}adr`]: first } = this.model;
     return new TextDecoder().decode(names.slice(first[id], names.indexOf(0, first[id])));
   }
 
-  /** Names of many, numbered where they have none. @param {string} kind @param {string} word @param {number} count */
+  /** The names of all parts of a kind. Unnamed ones are numbered. @param {string} kind @param {string} word @param {number} count */
   names(kind, word, count) {
     return Array.from({ length: count }, (_, id) => this.name(kind, id) || `${word} ${id}`);
   }
 
-  /** What a list of the bodies says of one. @param {number} body */
+  /** The label of a body in lists. @param {number} body */
   label(body) {
     return body === 0 ? "world" : this.name("body", body) || `body ${body}`;
   }
 
-  /** Everything about a body at this moment. @param {number} body @returns {Description} */
+  /** The current description of a body. @param {number} body @returns {Description} */
   describe(body) {
     const { model, data, mujoco } = this, at = (/** @type {any} */ all, /** @type {number} */ width) => all.subarray(body * width, (body + 1) * width);
     const velocity = new mujoco.DoubleBuffer(6);
@@ -148,7 +148,7 @@ export class World {
     ];
   }
 
-  /** Frees the memory, which JavaScript does not do by itself. */
+  /** Frees the WebAssembly memory, which is not garbage-collected. */
   close() {
     this.data.delete();
     this.model.delete();
@@ -173,7 +173,7 @@ function compiled(mujoco, text, files) {
 }
 
 /**
- * Files under all paths at which the model may look for them: whoever drops files drops their last names only.
+ * The files under all paths in the model, since dropped files have only names without folders.
  * @param {string} text
  * @param {Map<string, Uint8Array>} files
  */
@@ -191,7 +191,7 @@ function placed(text, files) {
 /** @param {string} path */
 const last = (path) => path.split(/[\\/]/).pop();
 
-/** What the compiler says, without what only programmers need, and with the line that it means. @param {string} message @param {string} text */
+/** The compiler's message, without internal details, and with the line that it refers to. @param {string} message @param {string} text */
 function explained(message, text) {
   const said = message.replace(/^(MuJoCo Error: )?(Loading error: )?((XML )?Error: )?/, "").trim();
   const missing = /Error opening file '([^']+)'|resource not found.*?'([^']+)'|could not open.*?'([^']+)'/i.exec(said);
