@@ -1,4 +1,4 @@
-"""Where a scene's coordinates are in MuJoCo's vectors."""
+"""The indices of a scene's coordinates in MuJoCo's vectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled worlds: a model that is rewritten for another scene equals one that is compiled from it, to the bit."""
+"""Compiled models: a model rewritten for another scene equals one compiled from that scene, to the bit."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from magical_mj.variants.placement import jitter
 
 
 def arrays(parts: object) -> Iterator[tuple[str, Any]]:
-    """Every number and array of a MuJoCo structure, those of its parts included."""
+    """Every number and array of a MuJoCo structure and of its nested structures."""
     for name in dir(parts):
         if name.startswith("_"):
             continue
         try:
             value = getattr(parts, name)
-        except (AttributeError, ValueError):  # has no value in this version
+        except (AttributeError, ValueError):  # not available in this version
             continue
         if isinstance(value, np.ndarray | int | float | bytes):
             yield name, value
@@ -39,17 +39,17 @@ def assert_same_model(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
     assert fields.keys() == wanted.keys()
     assert {"body_pos", "skin_vert", "dof_invweight0", "stat.meaninertia", "opt.timestep"} <= fields.keys()
     for name, value in fields.items():
-        if name.startswith("stat."):  # a viewer's measures
+        if name.startswith("stat."):  # only used by viewers
             np.testing.assert_allclose(value, wanted[name], rtol=1e-12, err_msg=name)
         else:
             np.testing.assert_array_equal(value, wanted[name], err_msg=name)
 
 
 def repeats(task: str, variant: str) -> list[tuple[World, World]]:
-    """Two pairs of worlds of the environment that differ, but have the same structure."""
+    """Two pairs of scenes of the environment that differ but have the same structure."""
     scenes = [magical_mj.sample_scene(task, variant, seed) for seed in range(8)]
     size = task_spec(task).region_size
-    moved = jitter(scenes[0], np.random.default_rng(0), size)  # where no two scenes have the same structure
+    moved = jitter(scenes[0], np.random.default_rng(0), size)  # if no two scenes have the same structure
     worlds = [World(scene) for scene in dict.fromkeys((scenes[0], moved, *scenes))]
     pairs = ((a, b) for a, b in itertools.permutations(worlds, 2) if a.structure == b.structure)
     return list(itertools.islice(pairs, 2))
@@ -62,7 +62,7 @@ def test_rewriting_equals_compiling() -> None:
         for before, after in pairs:
             used, fresh = Simulation.of(before.scene), mujoco.MjModel.from_xml_string(world_mjcf(after.scene))
             for _ in range(3):
-                used.act(10)  # a simulation that ran is no different
+                used.act(10)  # earlier steps must not matter
             model = used.model
             used.start(after.scene)
             assert used.model is model
@@ -70,7 +70,7 @@ def test_rewriting_equals_compiling() -> None:
 
 
 def test_rewriting_changes_everything_that_a_scene_holds() -> None:
-    """The blocks, regions, dynamics and fingers of two scenes that differ in every number."""
+    """Two scenes differ in every number of their blocks, regions, dynamics and fingers."""
     first = magical_mj.sample_scene("MatchRegions", "Colour", 0)
     dynamics = magical_mj.sample_scene("MatchRegions", "Dynamics", 0).dynamics
     other = Scene(

@@ -200,7 +200,7 @@ def test_a_limit_counts_the_steps_of_an_episode_wherever_it_goes_on(kind: str, s
     engine.set_state(states[30])
     assert scores == [0.0] * 19 + [engine.score()]
     for late in (30, 35, 40) if kind != "async" else ():  # whose processes end with an error
-        with pytest.raises(StateError, match="give an earlier state, of less than 30"):
+        with pytest.raises(StateError, match="give a state with fewer than 30"):
             env.reset(options={"state": states[late]})
     env.close()
 

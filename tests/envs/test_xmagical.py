@@ -165,7 +165,7 @@ def test_bodies_that_a_task_does_not_offer_are_refused() -> None:
     with pytest.raises(InvalidSceneError, match="gripper, shortstick"):
         magical_mj.Engine("SweepToTop", body="snake")
     engine = magical_mj.Engine("SweepToTop", body="shortstick", seed=0)
-    with pytest.raises(InvalidSceneError, match="make another one with body='gripper'"):
+    with pytest.raises(InvalidSceneError, match="make another environment with body='gripper'"):
         engine.reset(scene=DEMO)
 
 

@@ -142,11 +142,11 @@ class Environment(composer.Environment):
         self.task.setup.check_start(seed=seed, scene=scene, state=state)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
-            return self._start(*setup.begin({}, state.scene, state.draws), state=state)
-        if scene is not None or self._fixed:
-            return self._start(
-                *setup.begin(strengths, self.initial_scene if scene is None else check_scene_type(scene))
-            )
+            return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
+        if scene is None and self._fixed:
+            scene = self.initial_scene
+        if scene is not None:
+            return self._start(*setup.begin(strengths, scene=scene))
         if seed is None:
             seed = self._first_seed
         if seed is None:
@@ -210,7 +210,7 @@ class Environment(composer.Environment):
         self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
-        self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)
+        self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
 
     def to_engine(self) -> Engine:
         """An engine in the same state of the same episode: to export it, or to ask the scripted expert. It is a copy.
@@ -399,7 +399,6 @@ def load(
     strengths, body = split_body(shifts, task, body)
     setup, renderer = Setup(task, variant, rules, body), check_renderer(renderer)
     settings = Settings(setup, strengths, observations, check_size(image_size), reward, renderer)
-    scene = None if scene is None else check_scene_type(scene)
     return _loaded(settings, seed, scene, recompile=recompile_mjcf_every_episode)
 
 
@@ -423,5 +422,5 @@ def load_scene(
 
 def _loaded(settings: Settings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
     seed = None if seed is None else check_seed(seed)
-    first = settings.setup.begin(settings.strengths, (seed or 0) if scene is None else scene)
+    first = settings.setup.begin(settings.strengths, seed or 0, scene)
     return Environment(SceneTask(settings, *first), seed, fixed=scene is not None, recompile=recompile)
