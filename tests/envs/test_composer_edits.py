@@ -434,13 +434,13 @@ def test_exports_are_the_same_from_every_interface(tmp_path: Path) -> None:
     for source in sources:
         assert text(source) == mjcf_text(engine)
     for mode in ("sync", "vector_entry_point"):
-        worlds = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, renderer="software")
-        worlds.reset(seed=[9, 3])  # pyright: ignore[reportArgumentType]
-        worlds.step(np.array([5, 5]))
-        assert text(worlds, 1) == mjcf_text(engine) != text(worlds, 0)
+        envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, renderer="software")
+        envs.reset(seed=[9, 3])  # pyright: ignore[reportArgumentType]
+        envs.step(np.array([5, 5]))
+        assert text(envs, 1) == mjcf_text(engine) != text(envs, 0)
         with pytest.raises(SettingsError, match="0 to 1"):
-            text(worlds, 2)
-        worlds.close()
+            text(envs, 2)
+        envs.close()
     for other in (3, gymnasium.make("CartPole-v1"), gymnasium.make_vec("CartPole-v1", num_envs=2)):
         with pytest.raises(InvalidSceneError, match="environment"):
             text(other)
