@@ -291,7 +291,7 @@ class Engine:
     @property
     def initial_scene(self) -> Scene:
         """The initial scene of this episode."""
-        return self.simulation.world.scene
+        return self.simulation.scene_model.scene
 
     @property
     def draws(self) -> Draws:
@@ -391,7 +391,7 @@ class Engine:
 
     def fingers(self) -> NDArray[np.float64]:
         """Angles of the left and the right finger, rad. Shape (2,)."""
-        return self.simulation.world.fingers(self.data.qpos)
+        return self.simulation.scene_model.fingers(self.data.qpos)
 
     def render(self, view: str = "allo", size: int = 384, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the current state. Shape (size, size, 3), uint8 RGB, top row first.

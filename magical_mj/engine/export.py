@@ -22,7 +22,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.mjcf import elements, numbers, parsed
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import body_named
@@ -102,7 +102,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
     about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
     if isinstance(source, Scene):
         check_scene(source)
-        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
+        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(scene_mjcf(source)))
     else:
         scene, data = source.initial_scene, source.data
         drawn = source.seed is not None  # a user's scene may belong to another variant, or to none
@@ -151,7 +151,7 @@ def _takes_speeds(about: Mapping[str, Any]) -> bool:
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData, *, rounded: bool) -> Element:
     """The model of a scene, and what only files have: descriptive names, comments, sensors, custom data, a keyframe."""
-    root = parsed(world_mjcf(scene))
+    root = parsed(scene_mjcf(scene))
     _name_blocks(root, scene)
     _regions_as_geoms(root, scene)
     speeds = _takes_speeds(about)

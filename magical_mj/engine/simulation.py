@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal, speed_signal
-from magical_mj.assets.world import World, world_model
+from magical_mj.assets.scene_model import SceneModel, compiled_model
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Views, check_out
 from magical_mj.scene import Scene
@@ -100,7 +100,7 @@ class Simulation:
     """The simulation of a scene. After `start`, the scene's objects are at rest in their initial poses.
 
     Args:
-        world: the initial scene and its coordinates.
+        scene_model: the initial scene and its coordinates.
         model: the scene's compiled model.
         data: MuJoCo's data of this model; None: new data.
         renderer: "opengl", "software" or None, as for `magical_mj.Engine`.
@@ -108,7 +108,7 @@ class Simulation:
         speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
 
     Attributes:
-        world: the initial scene of the current episode, and its coordinates.
+        scene_model: the initial scene of the current episode, and its coordinates.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's data of that model.
         shifts: the shifts of the current episode; None if there are none.
@@ -116,7 +116,7 @@ class Simulation:
 
     def __init__(
         self,
-        world: World,
+        scene_model: SceneModel,
         model: mujoco.MjModel,
         data: mujoco.MjData | None = None,
         renderer: str | None = None,
@@ -124,7 +124,7 @@ class Simulation:
         *,
         speeds: bool = False,
     ) -> None:
-        self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
+        self.scene_model, self.model, self.data = scene_model, model, data or mujoco.MjData(model)
         self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
         self.shifts: EpisodeShifts | None = None
         self._views: Views | None = None
@@ -140,8 +140,8 @@ class Simulation:
         speeds: bool = False,
     ) -> Simulation:
         """The simulation of an episode that starts in this scene, with these shifts."""
-        world = World(scene)
-        simulation = cls(world, copy(world_model(world.structure)), renderer=renderer, speeds=speeds)
+        scene_model = SceneModel(scene)
+        simulation = cls(scene_model, copy(compiled_model(scene_model.structure)), renderer=renderer, speeds=speeds)
         simulation.shifts = shifts
         simulation._begin()
         return simulation
@@ -149,7 +149,7 @@ class Simulation:
     @property
     def scene(self) -> Scene:
         """The current scene, with the poses of robot, blocks and fingers."""
-        return self.world.read(self.data.qpos)
+        return self.scene_model.read(self.data.qpos)
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
         """Starts an episode in this scene with these shifts. The result equals that of a newly compiled model.
@@ -157,12 +157,12 @@ class Simulation:
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
         if self.shifts is not None and self.shifts.changes_model:
-            write_numbers(self.model, world_model(self.world.structure))
+            write_numbers(self.model, compiled_model(self.scene_model.structure))
         self.shifts = shifts
-        if scene != self.world.scene:
-            before, self.world = self.world, World(scene)
-            if self.world.structure != before.structure:
-                self.model = copy(world_model(self.world.structure))
+        if scene != self.scene_model.scene:
+            before, self.scene_model = self.scene_model, SceneModel(scene)
+            if self.scene_model.structure != before.structure:
+                self.model = copy(compiled_model(self.scene_model.structure))
                 self.data = mujoco.MjData(self.model)
         self._begin()
 
@@ -172,7 +172,7 @@ class Simulation:
         `mj_forward` is called twice: its solver starts from the previous solution, and protocol 1 is defined so.
         """
         model, data = self.model, self.data
-        self.world.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
@@ -184,7 +184,9 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """A copy in the same state that shares the model. It has no shifts, so it executes actions as commanded."""
-        return Simulation(self.world, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds)
+        return Simulation(
+            self.scene_model, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds
+        )
 
     def act(self, action: Any) -> None:
         """Simulates one action of 1/8 s; see `command` and `advance`."""
@@ -200,22 +202,24 @@ class Simulation:
         if self.speeds:
             self._command_speeds(action)
             return
-        number, scene = action_number(action), self.world.scene
+        number, scene = action_number(action), self.scene_model.scene
         if self.shifts is not None:
             number = self.shifts.action(number)
-        self.data.ctrl[self.world.coordinates.ctrl] = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        self.data.ctrl[self.scene_model.coordinates.ctrl] = control_signal(
+            number, scene.robot.body, scene.dynamics.veer
+        )
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
-        world, data = self.world, self.data
-        size = 3 if world.has_fingers else 2
+        scene_model, data = self.scene_model, self.data
+        size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
             number = action_number(action)
             vector = to_vector(number if self.shifts is None else self.shifts.action(number))[:size]
         else:
             vector = as_speeds(action, size)
-        fingers = world.fingers(data.qpos) if world.has_fingers else None
-        controls = world.coordinates.ctrl
+        fingers = scene_model.fingers(data.qpos) if scene_model.has_fingers else None
+        controls = scene_model.coordinates.ctrl
         data.ctrl[controls] = speed_signal(vector, fingers, data.ctrl[controls])
 
     def advance(self, steps: int) -> None:
@@ -243,10 +247,12 @@ class Simulation:
 
     def state_vector(self) -> NDArray[np.float32]:
         """See `magical_mj.Engine.state_vector`."""
-        world, data = self.world, self.data
-        if self._encoder is None or self._encoder[0] is not world.scene:
-            self._encoder = world.scene, StateEncoder(world.scene)
-        return self._encoder[1](world.poses(data.qpos), world.velocities(data.qvel), world.fingers(data.qpos))
+        scene_model, data = self.scene_model, self.data
+        if self._encoder is None or self._encoder[0] is not scene_model.scene:
+            self._encoder = scene_model.scene, StateEncoder(scene_model.scene)
+        return self._encoder[1](
+            scene_model.poses(data.qpos), scene_model.velocities(data.qvel), scene_model.fingers(data.qpos)
+        )
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the current state, in a fresh array or in `out`; see `rendering.renderer.Views.draw`."""
@@ -259,7 +265,7 @@ class Simulation:
         target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
         picture = self._views.draw(self.data, view, size, target, bare)
         frame = self._frame(view, self.shifts.steps)
-        picture = self.shifts.picture(picture, frame, bare, self.world.scene.half_width)
+        picture = self.shifts.picture(picture, frame, bare, self.scene_model.scene.half_width)
         if out is None or target is out:
             return picture
         for channel in range(3):  # three strided copies are faster than one copy of triples
@@ -283,7 +289,7 @@ class Simulation:
             steps: the number of control steps so far.
             trajectory: the scenes so far, if the score depends on all of them.
         """
-        scene, saved = self.world.scene, self.save()
+        scene, saved = self.scene_model.scene, self.save()
         if self.shifts is None:
             return State(scene, steps, saved, trajectory=tuple(trajectory))
         commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}

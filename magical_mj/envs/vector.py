@@ -163,7 +163,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         known = check_options(options, "reset_mask", *STARTS)
-        mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), world_seeds(seed, self.num_envs)
+        mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), environment_seeds(seed, self.num_envs)
         start = {name: known[name] for name in STARTS if name in known}
         rows = self._rows()
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
@@ -174,7 +174,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 infos[index] = env.reset(seed=seeds[index], options=start)[1]
             env.observe(rows[index])
 
-        self.each_world(reset)
+        self.each_environment(reset)
         return self._with_instructions(), self._batched(infos)
 
     def step(
@@ -217,7 +217,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                     infos[index] = env.reset()[1]
             env.observe(rows[index])
 
-        self.each_world(step)
+        self.each_environment(step)
         batched: dict[str, Any] = {}
         for index in sorted(final):
             batched = self._add_info(batched, final[index], index)
@@ -301,7 +301,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._observations["instruction"] = tuple(env.instruction for env in self.envs)
         return self._observations
 
-    def each_world(self, do: Callable[[int], None]) -> None:
+    def each_environment(self, do: Callable[[int], None]) -> None:
         """Calls a function with the index of each environment, on all threads.
 
         After each call, a thread takes the next index. The last call does not wait for threads that have not started:
@@ -335,7 +335,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return arrays | {f"_{key}": np.ones(self.num_envs, np.bool_) for key in arrays}
 
 
-def world_seeds(seed: Any, count: int) -> list[int | None]:
+def environment_seeds(seed: Any, count: int) -> list[int | None]:
     """A seed for each of `count` environments: `seed` and the next integers, or the entries of a sequence."""
     if seed is None:
         return [None] * count

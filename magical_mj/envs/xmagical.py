@@ -100,7 +100,7 @@ class XMagicalEnv(MagicalEnv):
         )
         self.rewards: RewardKind = reward
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
-        self._size = 3 if self.engine.simulation.world.has_fingers else 2
+        self._size = 3 if self.engine.simulation.scene_model.has_fingers else 2
         self.action_space = spaces.Box(-1.0, 1.0, (self._size,), np.float32)
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND

@@ -21,7 +21,7 @@ from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
 from magical_mj.assets.readable import DECIMALS, LINE
 from magical_mj.assets.robot import control_signal, controls
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES
@@ -315,7 +315,7 @@ def test_what_is_rounded_does_not_move_anything(body: str, tmp_path: Path) -> No
         Robot(0, -0.5, 0.3, body=body), (*blocks, Block("star", "blue", 0, 0.1, 1, 0.01)), pebbles=(Pebble(0.5, -0.5),)
     )
     model, _ = exported(scene, tmp_path)
-    right = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    right = mujoco.MjModel.from_xml_string(scene_mjcf(scene))
     looks = ("name", "mesh_", "mat_", "bvh_", "skin_", "text_", "numeric_", "sensor_", "key_", "path", "body_bvh")
     drawn = np.isin(right.geom_group, (style.SOLID_GROUP, style.DRAWN_GROUP, style.TASK_GROUP))
     drawn[right.geom("floor").id] = False

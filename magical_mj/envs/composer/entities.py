@@ -29,7 +29,7 @@ from magical_mj.assets.robot import (
     robot_pairs,
     tendons_mjcf,
 )
-from magical_mj.assets.world import APART, world_mjcf
+from magical_mj.assets.scene_model import APART, scene_mjcf
 from magical_mj.envs.composer.observables import (
     ArenaObservables,
     BlockObservables,
@@ -262,7 +262,7 @@ class Arena(composer.Arena):
 
     def _build(self, scene: Scene) -> None:
         body = scene.robot.body
-        self._model = mjcf.from_xml_string(world_mjcf(scene, empty=True))
+        self._model = mjcf.from_xml_string(scene_mjcf(scene, empty=True))
         self._model.size.memory = str(33 * 2**20)  # as dm_control writes it after attaching again
         self.scene = self._shown = scene
         self.compiling = True

@@ -16,7 +16,7 @@ from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
-from magical_mj.assets.world import Structure
+from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, Setup, restored
 from magical_mj.engine.simulation import Simulation, check_state, different_numbers
@@ -76,7 +76,7 @@ class Environment(composer.Environment):
             recompile_mjcf_every_episode=self._recompile,
         )
         task.root_entity.compiled()
-        self._structure: Structure | None = task.world.structure
+        self._structure: Structure | None = task.scene_model.structure
         for name, hook in self._hooks_added:
             super().add_extra_hook(name, hook)
 
@@ -88,7 +88,7 @@ class Environment(composer.Environment):
     @property
     def initial_scene(self) -> Scene:
         """The initial scene of this episode."""
-        return self.task.world.scene
+        return self.task.scene_model.scene
 
     @property
     def horizon(self) -> int | None:
@@ -168,7 +168,7 @@ class Environment(composer.Environment):
         if self._recompile:
             if task.root_entity.edited:  # composer looks for the hooks of new entities only in its constructor
                 self._compile(task, self.random_state)
-        elif self._never_reset or task.world.structure != self._structure or task.outdated:
+        elif self._never_reset or task.scene_model.structure != self._structure or task.outdated:
             task.root_entity.refuse_variations()
             if not self._never_reset:  # composer's own reset compiles the first time
                 task.compile_next()

@@ -16,7 +16,7 @@ from dm_control.rl.control import PhysicsError
 from dm_env import specs
 
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
@@ -83,7 +83,7 @@ class SceneTask(composer.Task):
         shifts: the shifts of the first episode.
 
     Attributes:
-        world: the initial scene of this episode, and its coordinates.
+        scene_model: the initial scene of this episode, and its coordinates.
         shifts: the shifts of this episode.
         steps: the number of actions since the start of the episode.
         stepwise: whether an action has ten substeps of composer, as of the last compilation.
@@ -106,7 +106,7 @@ class SceneTask(composer.Task):
         if "state" in self.settings.observations:
             StateEncoder(scene)  # raises an error if the vector is too short, before anything is changed
         self._arena.check(scene)
-        self.world, self.shifts, self._state = World(scene), shifts, state
+        self.scene_model, self.shifts, self._state = SceneModel(scene), shifts, state
         self._arena.scene = scene
 
     def _observable(self, name: str) -> CurrentObservable:
@@ -133,10 +133,10 @@ class SceneTask(composer.Task):
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
             renderer, speeds = self.settings.renderer, self.setup.speeds
-            self.world.find_in(model)
-            self._simulation = Simulation(self.world, model, data, renderer, CAMERA_NAMES, speeds=speeds)
-        self.world.coordinates = self._simulation.world.coordinates
-        self._simulation.world, self._simulation.shifts = self.world, self.shifts
+            self.scene_model.find_in(model)
+            self._simulation = Simulation(self.scene_model, model, data, renderer, CAMERA_NAMES, speeds=speeds)
+        self.scene_model.coordinates = self._simulation.scene_model.coordinates
+        self._simulation.scene_model, self._simulation.shifts = self.scene_model, self.shifts
         return self._simulation
 
     def free(self) -> None:
@@ -207,7 +207,7 @@ class SceneTask(composer.Task):
         """Writes the episode's scene into the trees."""
         del random_state
         self.compile_next()
-        self._arena.show(self.world.scene)
+        self._arena.show(self.scene_model.scene)
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Raises a `SettingsError` if hooks have changed attributes that the scene determines."""
@@ -226,10 +226,10 @@ class SceneTask(composer.Task):
             write_numbers(model, self._compiled[1])
         elif self.shifts is not None and self.shifts.changes_model:
             self._compiled = model, copy(model)
-        self.world.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.steps, self._trajectory = 0, [self.world.scene] if self.setup.trajectory else []
+        self.steps, self._trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
         if self._state is not None:
             self.resume(physics, self._state)
         for stack in self._stacks():
@@ -281,7 +281,7 @@ class SceneTask(composer.Task):
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self._trajectory or (self.world.scene, self.simulation(physics).scene))
+        return self.setup.score(self._trajectory or (self.scene_model.scene, self.simulation(physics).scene))
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The spec of the 18 actions."""

@@ -1,8 +1,8 @@
 """The model of a scene: its MJCF text, its compiled model, and the coordinates of its objects.
 
 Parsing MJCF text takes longer than compiling it. The models of scenes with the same number of blocks and regions differ
-only in the shapes of blocks and in numbers. So specs are assembled from parts that are parsed once, and `World.rewrite`
-writes the numbers into the compiled model.
+only in the shapes of blocks and in numbers. So specs are assembled from parts that are parsed once, and
+`SceneModel.rewrite` writes the numbers into the compiled model.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 
 """Wall -> the unit vector from the middle of the arena towards it."""
 
 
-def world_mjcf(
+def scene_mjcf(
     scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None, *, empty: bool = False
 ) -> str:
     """The MJCF text of a scene, whose poses are the reference poses. The robot follows the blocks: it is drawn on top.
@@ -157,8 +157,8 @@ _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 """The attributes of geoms that differ between shapes."""
 
 
-def world_spec(structure: Structure) -> mujoco.MjSpec:
-    """A spec for scenes of this structure; `World.rewrite` writes the numbers into the compiled model."""
+def scene_spec(structure: Structure) -> mujoco.MjSpec:
+    """A spec for scenes of this structure; `SceneModel.rewrite` writes the numbers into the compiled model."""
     spec = _unshaped(*structure[1:]).copy()
     find_class = cache(spec.find_default)
     for index, (shape, mass) in enumerate(zip(structure.shapes, structure.masses, strict=True)):
@@ -178,10 +178,10 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
 
 
 @lru_cache(16)
-def world_model(structure: Structure) -> mujoco.MjModel:
-    """The compiled model for scenes of this structure (0.2 MB). It is cached: copy it before `World.rewrite`."""
+def compiled_model(structure: Structure) -> mujoco.MjModel:
+    """The compiled model for scenes of this structure (0.2 MB). It is cached: copy it before `SceneModel.rewrite`."""
     with _COMPILER:
-        return world_spec(structure).compile()
+        return scene_spec(structure).compile()
 
 
 @lru_cache(16)
@@ -192,7 +192,7 @@ def _unshaped(
     blocks = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
     grit = tuple(Pebble(0, -index) for index in range(pebbles))
     scene = Scene(Robot(0, 0, 0, body=body), blocks, half_width=half_width, pebbles=grit)
-    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=blank_regions_mjcf(dashes)))
+    spec = mujoco.MjSpec.from_string(scene_mjcf(scene, regions=blank_regions_mjcf(dashes)))
     for index in range(len(masses)):
         block = spec.body(f"block{index}")
         for geom in (block.geoms[SIDES], *block.first_body().geoms):  # sides and collision geoms
@@ -214,7 +214,7 @@ def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     return tuple((geom.classname.name, own_attributes(geom)) for geom in spec.geoms)
 
 
-class World:
+class SceneModel:
     """Writes a scene into a compiled model, and reads the current scene from `qpos`.
 
     Args:
