@@ -333,7 +333,7 @@ class Engine:
         simulation = self.simulation
         self.setup.check_start(seed=seed, scene=scene, state=state)
         if state is not None:
-            self.set_state(state)
+            self._restore(state)
             return
         if seed is not None:
             seed = check_seed(seed)
@@ -425,8 +425,11 @@ class Engine:
                 scene, the current episode ends.
             InvalidSceneError: if the state's scene does not belong to this task.
         """
-        simulation = self.simulation
         check_state(state)
+        self._restore(state)
+
+    def _restore(self, state: State) -> None:
+        simulation = self.simulation
         trajectory = self.setup.trajectory_of(state)
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)

@@ -89,7 +89,7 @@ def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
     assert dash_count(small) == DASHES < dash_count(large)
     models = [SceneModel(Scene(Robot(0, 0, 0), regions=(region,))) for region in (small, large)]
     assert models[0].structure != models[1].structure
-    with pytest.raises(ValueError, match="compile it again"):
+    with pytest.raises(ValueError, match="broadcast"):
         rewrite_region(Simulation.of(models[0].scene).model, 0, large)
 
 
