@@ -27,7 +27,7 @@ import numpy as np
 import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.canvases import opengl_name
 from magical_mj.rendering.flat import FlatRenderer
@@ -42,7 +42,7 @@ REPEATS = 7
 def states(task: str, variant: str, seed: int, count: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
     """Yields a model and its data `count` times: at the start, and after each random action."""
     rng = np.random.default_rng(seed)
-    model = mujoco.MjModel.from_xml_string(world_mjcf(magical_mj.sample_scene(task, variant, seed)))
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(magical_mj.sample_scene(task, variant, seed)))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     action = 0

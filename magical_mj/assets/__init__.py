@@ -1,14 +1,14 @@
-"""MJCF models of scenes: the look of each thing, its collision geometry and its actuators. Independent of tasks."""
+"""MJCF models of scenes: visual geoms, collision geoms and actuators. This layer does not depend on tasks."""
 
 import os
 
 try:
-    import mujoco  # here first: all that needs it imports this package before
-except Exception:  # its exceptions differ: it imports what draws for MUJOCO_GL, which is wrong or not installed
+    import mujoco  # modules that need mujoco import this package first
+except Exception:  # various types: MUJOCO_GL names an OpenGL backend that does not exist or is not installed
     variable = os.environ.pop("MUJOCO_GL", None)
     if variable is None:
         raise
-    os.environ["MUJOCO_GL"] = "off"  # all but mujoco's own renderer works; our pictures say what is wrong
+    os.environ["MUJOCO_GL"] = "off"  # mujoco works without its renderer; the first picture raises a clear error
     try:
         import mujoco  # noqa: F401
     finally:

@@ -1,6 +1,6 @@
 """Blocks: planar bodies with dry friction against the ground, collision geoms and visual geoms.
 
-Pebbles are small discs of that kind, which only shifts put into scenes. Models without them are as if there were none.
+Pebbles are small discs of the same kind that only shifts add to scenes. They do not change the models of other scenes.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ INERTIA: Final[dict[Shape, float]] = {
     "pentagon": 0.0036611027179584824,
     "star": 0.004682686464592393,
 }
-"""Moments of inertia about the centre, as in the original's engine, of blocks of mass 0.5."""
+"""Moments of inertia about the centre of blocks of mass 0.5, as in the original's engine."""
 SIDES: Final = 3
 """The index of the sides among a block's geoms, after outline, fill and foot."""
 
 PEBBLE_CORNERS: Final = 12
 PEBBLE_HEIGHT: Final = 0.03  # world units
-PEBBLE_OUTLINE: Final = 0.008  # its width
+PEBBLE_OUTLINE: Final = 0.008  # width of the outline, world units
 
 
 def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
@@ -50,10 +50,10 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
         f'<inertial pos="0 0 0" mass="{block.mass}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
         + style.visual_geom(f"{name}_fill", f"{block.shape}_fill", BLOCK_FILL[block.colour])
-        + comment("a foot with constant pressure: dry friction with the ground")
+        + comment("a foot that presses on the ground with a constant force: dry friction")
         + foot(f"{name}_foot")
         + style.block_sides(f"{name}_sides", block.shape, block.colour)
-        # a separate body: collision tests skip visual geoms
+        # in a body of their own, so that collision tests skip the visual geoms
         + f'<body name="{name}_collision">{collision_geoms(name, block.shape, block.mass, settings)}</body>'
     )
     hinge = f'class="spin" frictionloss="{numbers(dynamics.block_friction_torque)}"'
@@ -71,9 +71,9 @@ def block_pair(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
 
 
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
-    """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling.
+    """Writes pose, colour and friction of a block into a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_name`.
+    For `scope`, see `planar_name`.
     """
     name = f"block{index}"
     move_body(model, name, block.pose, scope)
@@ -87,7 +87,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
 
 @lru_cache(128)
 def collision_geoms(name: str, shape: Shape, mass: float = c.BLOCK_MASS, settings: PhysicsSettings = SETTINGS) -> str:
-    """The collision geoms of the block with this name, as MJCF: a disc, or edges and convex vertices."""
+    """The collision geoms of the block with this name, as MJCF: a disc, or edges and convex corners."""
     overlap = settings.debris_overlap if mass < DEBRIS_MASS else settings.block_overlap
     if shape == "circle":
         return f'<geom name="{name}_disc" class="disc" size="{numbers(c.BLOCK_SIZE - overlap)}"/>'
@@ -100,7 +100,7 @@ def collision_geoms(name: str, shape: Shape, mass: float = c.BLOCK_MASS, setting
     if shape == "star":
         radius = settings.star_tip_radius
         tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - overlap - radius)
-        # blunt tips also meet other corners
+        # blunt tips also collide with other corners
         return _edges(name, outline, settings.star_edge_radius) + _corners(name, tips, radius, "disc")
     return polygon_geoms(name, outline, settings)
 
@@ -128,7 +128,7 @@ def _corners(name: str, points: Points, radius: float, kind: str = "vertex") -> 
 
 @cache
 def pebble_library() -> str:
-    """The meshes of a pebble, as MJCF. They come after those of all models, and only where there are pebbles."""
+    """The meshes of a pebble, as MJCF. Models with pebbles list them after the meshes that all models share."""
     outline = convex(disc(PEBBLE_CORNERS, c.PEBBLE_RADIUS), PEBBLE_HEIGHT)
     fill = convex(disc(PEBBLE_CORNERS, c.PEBBLE_RADIUS - PEBBLE_OUTLINE), PEBBLE_HEIGHT + style.LIFT)
     return mesh_mjcf("pebble_outline", outline) + mesh_mjcf("pebble_fill", fill)

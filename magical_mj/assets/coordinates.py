@@ -1,7 +1,7 @@
 """The indices of a scene's coordinates and controls in MuJoCo's vectors `qpos`, `qvel` and `ctrl`.
 
-Models that this package compiles list them in one order, and demonstrations are recorded in that order. The model of a
-composer environment may hold joints and actuators of users between them. There, indices are looked up by name.
+Models that this package compiles list them in one order, and demonstrations are recorded in that order. Users may add
+joints and actuators to the model of a composer environment. There, indices are looked up by name.
 """
 
 from __future__ import annotations
@@ -28,18 +28,24 @@ class Coordinates(NamedTuple):
     qpos: Indices
     """x, y and angle of the robot, and then of each block. Shape (1 + blocks, 3)."""
     qvel: Indices
-    """Their velocities. Shape (1 + blocks, 3)."""
+    """Velocities of the same coordinates. Shape (1 + blocks, 3)."""
     fingers: Indices
-    """In `qpos`: the left and the right finger. Shape (2,), without fingers (0,)."""
+    """Indices into `qpos`: the left and the right finger. Shape (2,), without fingers (0,)."""
     pebbles: Indices
-    """In `qpos`: x, y and angle of each pebble. Shape (pebbles, 3)."""
+    """Indices into `qpos`: x, y and angle of each pebble. Shape (pebbles, 3)."""
     ctrl: Indices
     """The robot's actuators. Shape (6,), without fingers (4,)."""
 
 
 @lru_cache(64)
 def own_coordinates(blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coordinates:
-    """Those in a model that this package compiles, of a scene with so many blocks, this robot, and so many pebbles."""
+    """The coordinates in a model that this package compiles.
+
+    Args:
+        blocks: the number of blocks.
+        body: the robot's body.
+        pebbles: the number of pebbles.
+    """
     robot = len(AXES) * blocks
     first, order = robot + len(joints(body)), joints(body)
     planar = np.arange(len(AXES)) + np.array([robot, *range(0, robot, len(AXES))])[:, None]
@@ -49,7 +55,7 @@ def own_coordinates(blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coord
 
 
 def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coordinates:
-    """Those in the model of a composer environment, which may hold more than the scene.
+    """The coordinates in the model of a composer environment, which may contain more than the scene.
 
     Raises:
         SettingsError: if the model lacks a joint or an actuator of the scene.

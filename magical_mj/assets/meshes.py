@@ -1,11 +1,11 @@
 """The meshes of the visual geoms, the same in all models.
 
-The cameras ego and allo look straight down and see flat polygons: an outline, and on it a smaller one in the fill
-colour. The solids below them, which only other cameras see, are mostly boxes and cylinders; only pentagons and stars
+The cameras ego and allo look straight down and see flat polygons: an outline, and above it a smaller polygon in the
+fill colour. Other cameras also see solids below them. These are mostly boxes and cylinders; only pentagons and stars
 need meshes for their sides.
 
-Every model with the same body and arena lists the same meshes in the same order, used or not, so that one drawing
-context can draw them all.
+All models with the same body and arena list the same meshes in the same order, whether they use them or not. So one
+drawing context can draw all these models.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Faces = NDArray[np.int64]
 Mesh = tuple[Vertices, Faces]
 
 CIRCLE_SIDES, ROBOT_SIDES, EYE_SIDES, PUPIL_SIDES = 32, 40, 16, 10
-SURROUND_HALF = 3.2  # in half widths of the arena: larger than what the ego camera sees from any corner
+SURROUND_HALF = 3.2  # in half widths of the arena: more than the camera ego sees from any corner
 
 
 def disc(sides: int, radius: float) -> Points:
@@ -51,12 +51,12 @@ def inset(outline: Points, depth: float) -> Points:
 
 
 def at_height(points: Points, z: float) -> Vertices:
-    """Points of the plane at height `z`. Shape (n, 3)."""
+    """2-D points at height `z`. Shape (n, 3)."""
     return np.column_stack([points, np.full(len(points), z)])
 
 
 def convex(outline: Points, z: float = 0.0) -> Mesh:
-    """A flat convex polygon, triangulated by halving its arcs: compact triangles are drawn faster than a fan's."""
+    """A flat convex polygon, triangulated by halving its arcs: compact triangles are drawn faster than a fan."""
 
     def cut(first: int, last: int) -> list[tuple[int, int, int]]:
         if last - first < 2:
@@ -86,7 +86,7 @@ def frame(inner: float, outer: float, z: float) -> Mesh:
 
 
 def sides(outline: Points, height: float) -> Mesh:
-    """The upright faces of a prism on the floor. Faces share no vertices, since shared ones are shaded as if round."""
+    """The vertical faces of a prism on the floor. They share no vertices: shared ones are shaded as if round."""
     ends = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
     first, above = np.arange(0, len(ends), 2), len(ends)
     faces = [[first, first + 1, first + 1 + above], [first, first + 1 + above, first + above]]
@@ -104,7 +104,7 @@ def together(parts: Iterable[Mesh]) -> Mesh:
 
 
 def loops(faces: Faces) -> list[list[int]]:
-    """The outlines of a flat mesh: the edges that only one triangle has, chained into closed loops of vertices."""
+    """The outlines of a flat mesh, as closed loops of vertices. Their edges belong to one triangle only."""
     edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
     after = {start: end for start, end in edges if (end, start) not in edges}
     outlines = []
@@ -128,7 +128,7 @@ def _block(shape: Shape, depth: float, z: float) -> Mesh:
 
 
 def _finger(sign: int, depth: float, z: float) -> Mesh:
-    """Upper segment and forearm of the right (sign 1) or left (sign -1) finger, moved inwards by `depth`."""
+    """Upper segment and forearm of the right (sign 1) or left (sign -1) finger, with edges moved inwards by `depth`."""
     outlines = (outline if sign > 0 else mirrored(outline) for outline in finger_outlines())
     return together(convex(inset(outline, depth), z) for outline in outlines)
 
@@ -140,7 +140,7 @@ def _pair(outline: Points, x: float, y: float, z: float) -> Mesh:
 
 @cache
 def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, Mesh]:
-    """The shared meshes of every model with this body, in an arena of this half width, by name."""
+    """The meshes of all models with this body and this half width of the arena, by name."""
     line, lift, shape = style.ARENA_BORDER_WIDTH / 2, style.LIFT, body_named(body)
     wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
     aside, ahead = shape.eye
@@ -150,7 +150,7 @@ def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, M
         for depth in (0.0, style.ROBOT_OUTLINE_WIDTH)
     )
     shared = {
-        "surround": frame(half, SURROUND_HALF * half, 0),  # begins under the border line
+        "surround": frame(half, SURROUND_HALF * half, 0),  # its inner edge is under the border line
         "border": frame(half - line, half + line, wall + lift),
         "robot_outline": convex(outline, robot),
         "robot_fill": convex(fill, robot + lift),
@@ -171,7 +171,7 @@ def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, M
 
 @cache
 def library(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> str:
-    """The shared meshes of every model, as MJCF."""
+    """These meshes as MJCF."""
     return "".join(mesh_mjcf(name, mesh) for name, mesh in meshes(body, half).items())
 
 

@@ -15,15 +15,15 @@ from magical_mj.scene import Pose
 from magical_mj.utils.errors import SettingsError
 
 AXES: Final = ("x", "y", "angle")
-"""The joints of a planar body are its name with one of these."""
+"""The joints of a planar body are named after the body, with one of these appended."""
 _KINDS: Final = {name.removeprefix("mjOBJ_").lower(): kind.value for name, kind in mujoco.mjtObj.__members__.items()}
-"""MuJoCo's numbers of kinds of objects. To look them up takes longer than to find an object."""
+"""Kind of object -> MuJoCo's number for it. Reading the enum takes longer than finding an object."""
 
 
 def numbers(*values: float) -> str:
     """Numbers as an MJCF attribute, with the fewest digits that parse to the same doubles.
 
-    Numbers below the smallest normal one become 0: MuJoCo's reader refuses them.
+    Numbers below the smallest normal double become 0, since MuJoCo's reader refuses them.
     """
     return " ".join(repr(_readable(float(value), sys.float_info.min)).removesuffix(".0") for value in values)
 
@@ -31,7 +31,7 @@ def numbers(*values: float) -> str:
 def single(values: Iterable[float]) -> str:
     """The same for numbers that MuJoCo stores in single precision."""
     smallest = float(np.finfo(np.float32).tiny)
-    with np.errstate(all="ignore"):  # values may be too small for it
+    with np.errstate(all="ignore"):  # values may underflow
         return " ".join(str(np.float32(_readable(float(value), smallest))).removesuffix(".0") for value in values)
 
 
@@ -45,20 +45,20 @@ def quaternion(angle: float) -> tuple[float, float, float, float]:
 
 
 def slide_axes(angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The world's x and y axes in the frame of a body that is rotated by `angle` (rad)."""
+    """The x and y axes of the world frame, in the frame of a body rotated by `angle` (rad)."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return (cosine, -sine, 0.0), (sine, cosine, 0.0)
 
 
 def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
-    """A body at `pose` with two slide joints and a hinge: it moves in the plane.
+    """A body at `pose` with two slide joints and a hinge, so that it moves in the plane.
 
-    The values of its joints `<name>_x`, `<name>_y` and `<name>_angle` are world coordinates, and its reference position
-    is the pose, so that viewers that ignore keyframes show it in its place.
+    The values of its joints `<name>_x`, `<name>_y` and `<name>_angle` are world coordinates. The pose is also the
+    reference pose, so that viewers that ignore keyframes show the body there.
 
     Args:
         name: the body's name.
-        pose: x, y, angle.
+        pose: x, y (world units) and angle (rad).
         content: the elements in the body, as MJCF.
         hinge: additional attributes of the hinge.
     """
@@ -78,14 +78,14 @@ def planar_name(name: str, scope: str) -> str:
 
     Args:
         name: the joint's name.
-        scope: "" or, where bodies are models of their own that dm_control attached, what precedes names, as "block0/".
-            Planar joints are in the frame of the attachment there, and names of what is in it end with "/", too.
+        scope: "", or the prefix of names, such as "block0/", if dm_control attached the body as a model of its own.
+            dm_control puts the planar joints into the attachment frame, and appends "/" to names in that frame.
     """
     return f"{scope}{name}/" if scope else name
 
 
 def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
-    """The index of an object in a compiled model, faster than by the model's own accessors.
+    """The index of an object in a compiled model. Faster than the model's own accessors.
 
     Args:
         model: a compiled model.
@@ -93,7 +93,7 @@ def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
         name: the object's name.
 
     Raises:
-        SettingsError: if there is none of this name; users can remove parts of a composer environment.
+        SettingsError: if no object has this name: users of a composer environment can remove elements.
     """
     index = mujoco.mj_name2id(model, _KINDS[kind], name)
     if index < 0:
@@ -104,9 +104,9 @@ def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
 
 
 def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> None:
-    """Changes the reference pose of a planar body in a compiled model, with the same result as compiling.
+    """Writes the reference pose of a planar body into a compiled model, with the same result as compiling.
 
-    `scope` is that of `planar_name`.
+    For `scope`, see `planar_name`.
     """
     joints = [index_of(model, "joint", planar_name(f"{name}_{axis}", scope)) for axis in AXES]
     body = model.jnt_bodyid[joints[0]]
@@ -117,19 +117,19 @@ def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> 
 
 
 def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
-    """The same for the reference angle of a body with one hinge, which has the body's name."""
+    """The same for the reference angle of a body with one hinge. The hinge has the body's name."""
     joint = index_of(model, "joint", name)
     model.body_quat[model.jnt_bodyid[joint]] = quaternion(angle)
     model.qpos0[model.jnt_qposadr[joint]] = angle
 
 
 def parsed(text: str) -> Element:
-    """MJCF text of this package as an element, with its comments."""
+    """Parses MJCF text of this package, and keeps its comments."""
     return fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
 
 
 def elements(text: str) -> list[Element]:
-    """The same for several elements side by side."""
+    """The same for text with several elements in sequence."""
     return list(parsed(f"<mujoco>{text}</mujoco>"))
 
 

@@ -1,7 +1,7 @@
-"""Models as people read them: an MJCF tree with materials, without meshes that nothing shows, as indented text.
+"""Makes MJCF files readable: materials instead of colours, no unused meshes, rounded coordinates, indented text.
 
-Nothing of this changes how a model moves. A program that must draw exactly what environments draw leaves visual
-coordinates as they are: rounded ones differ by up to 5e-7 units, which here and there is another pixel.
+None of this changes the dynamics. A program that must draw exactly the environment's pictures should not round:
+rounding moves visual coordinates by up to 5e-7 units, which changes a few pixels.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from magical_mj.scene.constants import SHAPES
 
 DECIMALS: Final = 6
 """Of visual coordinates, in world units."""
-ROUNDED: Final = """Coordinates of what is only drawn are rounded to 6 decimals, apart from outlines of blocks,
-    since MuJoCo puts a block to sleep at a speed that depends on its size. Numbers of the physics have all digits"""
+ROUNDED: Final = """Coordinates of visual geoms are rounded to 6 decimals. Outlines of blocks are not rounded: a block
+    sleeps below a speed that depends on its size. Numbers of the physics have all digits"""
 DRAWN: Final = ("visual", "solid")
-"""The classes of geoms that are only drawn."""
+"""The classes of visual geoms."""
 FARTHEST: Final = tuple(f"{kind}_outline" for kind in (*SHAPES, "pebble"))
 """The meshes of geoms that reach farthest from the centre of a body with a hinge."""
-PLACE: Final = ("pos", "quat", "size")
+COORDINATES: Final = ("pos", "quat", "size")
 """The attributes of geoms that are coordinates."""
 
 INDENT: Final = "  "
 LINE: Final = 120
 """The longest line of an indented file, in characters."""
 GROUPS: Final = {"vertex": 3, "face": 3}
-"""Attribute -> how many numbers of its list form one entry, such as 3 coordinates of a vertex."""
+"""Attribute -> how many of its numbers form one entry, such as the 3 coordinates of a vertex."""
 
 
 def name_colours(root: Element) -> None:
-    """Gives the geoms materials instead of colours, and lists those materials among the assets."""
+    """Replaces the colours of geoms by materials, and adds those materials to the assets."""
     names = {rgba(rgb): name for name, rgb in MATERIALS.items()}
     used = set[str]()
     for geom in root.iter("geom"):
@@ -48,7 +48,7 @@ def name_colours(root: Element) -> None:
 
 
 def drop_unused_meshes(root: Element) -> None:
-    """Removes the meshes that no geom shows."""
+    """Removes the meshes that no geom uses."""
     used = {geom.get("mesh") for geom in root.iter("geom")}
     for assets in root.iter("asset"):
         for mesh in assets.findall("mesh"):
@@ -57,20 +57,20 @@ def drop_unused_meshes(root: Element) -> None:
 
 
 def round_coordinates(root: Element) -> None:
-    """Rounds the coordinates of what is only drawn, and says so in a comment before the world.
+    """Rounds the coordinates of visual geoms, and adds a comment about it before `worldbody`.
 
-    The geom that reaches farthest from the centre of a body with a hinge is left as it is: MuJoCo takes its reach as
-    the size of the body, and a body sleeps once it turns slower than a limit that depends on its size.
+    The geom that reaches farthest from the centre of a body with a hinge is not rounded. MuJoCo takes this distance as
+    the body's size, and a body sleeps once it turns slower than a limit that depends on its size.
     """
     for mesh in root.iter("mesh"):
         if mesh.get("name") not in FARTHEST:
             _round(mesh, "vertex")
     for geom in root.iter("geom"):
         if geom.get("class") in DRAWN:
-            for name in PLACE:
+            for name in COORDINATES:
                 _round(geom, name)
-    place = list(root).index(cast("Element", root.find("worldbody")))
-    root.insert(place, Comment(ROUNDED))
+    index = list(root).index(cast("Element", root.find("worldbody")))
+    root.insert(index, Comment(ROUNDED))
 
 
 def _round(element: Element, name: str) -> None:
@@ -79,7 +79,7 @@ def _round(element: Element, name: str) -> None:
 
 
 def indented(element: Element, depth: int = 0) -> str:
-    """An element as indented text: one per line, blank lines between sections, long lists of numbers wrapped."""
+    """Indented text: one element per line, blank lines between sections, long lists of numbers wrapped."""
     pad = INDENT * depth
     if element.tag is Comment:
         return f"{pad}<!-- {str(element.text).strip()} -->\n"
@@ -95,7 +95,7 @@ def indented(element: Element, depth: int = 0) -> str:
 
 
 def _attributes(element: Element, pad: str) -> str:
-    """The attributes of an element, wrapped where the line would be too long."""
+    """The attributes of an element; lines that would be too long are wrapped."""
     text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
     line_break = f"\n{deeper}"
     for name, value in element.items():
@@ -111,7 +111,7 @@ def _attributes(element: Element, pad: str) -> str:
 
 
 def _wrapped(value: str, group: int, width: int) -> Iterator[str]:
-    """A list of numbers as lines; groups of numbers are never split."""
+    """The lines of a wrapped list of numbers; groups are never split."""
     entries = value.split()
     row = ""
     for start in range(0, len(entries), group):

@@ -1,7 +1,7 @@
-"""Goal regions: drawn, never solid. Each consists of two flat skins, its fill and its dashed border.
+"""Goal regions: drawn, without collisions. Each consists of two flat skins: its fill and its border.
 
-A mesh would have to be uploaded to the drawing context whenever a region changes its size, and that context is shared
-by all environments. The vertices of a skin are uploaded with every frame, so it is enough to change them in the model.
+Regions change their size between episodes. A mesh would have to be uploaded again to the drawing context, which
+environments share. The vertices of a skin are uploaded with every frame, so changing them in the model is enough.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WI
 from magical_mj.scene import GoalRegion
 
 BONE = "regions"
-"""The static body at the world's origin to which the vertices of all regions' skins are bound."""
+"""The static body at the origin of the world frame. The vertices of all regions' skins are bound to it."""
 
 DASHES = 42
-"""The least number of quads for the border of one region: enough for 0.8 x 0.8 world units."""
+"""The minimum number of quads for the border of a region: enough for 0.8 x 0.8 world units."""
 
 
 _AHEAD: Final = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])
-"""Along the top, right, bottom and left side."""
+"""Unit vectors along the top, right, bottom and left side, clockwise."""
 _OUTWARD: Final = REGION_BORDER_WIDTH / 2 * np.array([[0, 1.0], [1, 0], [0, -1], [-1, 0]])
-"""From the middle of each side's line to its outer edge."""
+"""Vectors from the centre line of each side's border to its outer edge."""
 _ACROSS: Final = np.stack([-_OUTWARD, -_OUTWARD, _OUTWARD, _OUTWARD], axis=1)
 
 
 @lru_cache(16)
 def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
-    """The dashes along a region's edge, clockwise from its top-left corner; of a solid border one for each side.
+    """The dashes of a region's border, clockwise from its top left corner. A solid border has one for each side.
 
     Returns:
         Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash around a corner is two quads.
@@ -45,11 +45,11 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     length = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
     end_of_side = length.cumsum()
     start_of_side = end_of_side - length
-    start = 2 * DASH_LENGTH * np.arange(np.ceil(end_of_side[-1] / (2 * DASH_LENGTH)))[:, None]  # of each dash
+    start = 2 * DASH_LENGTH * np.arange(np.ceil(end_of_side[-1] / (2 * DASH_LENGTH)))[:, None]  # along the border
     end = start + DASH_LENGTH
     if region.border == "solid":
-        start, end = np.full((1, 1), -1.0), end_of_side[-1:, None]  # before the corner, for a mitre joint there
-    first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # its part on each side
+        start, end = np.full((1, 1), -1.0), end_of_side[-1:, None]  # starts before the corner, to get a mitre joint
+    first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # each dash's part on each side
     dash, side = (last > first).nonzero()
     first, last, start_of_side, end_of_side = (
         first[dash, side],
@@ -67,7 +67,7 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
 
 
 def dash_count(region: GoalRegion) -> int:
-    """The number of quads that a model has for the region's border."""
+    """The number of quads for the region's border in a model."""
     return max(DASHES, len(dash_quads(region)))
 
 
@@ -82,10 +82,10 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
 
 
 def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
-    """A region made of geoms instead of skins, as MJCF: the mesh of its border, and the geoms of fill and border."""
+    """A region of geoms instead of skins, as MJCF: the mesh of its border, the geom of its fill, that of its border."""
     name, (x, y), z = f"region{index}_{region.colour}", region.centre, style.Z_REGION + index * style.REGION_STEP
-    place = f'pos="{numbers(x, y, z)}" size="{numbers(region.width / 2, region.height / 2, 1)}"'
-    fill = f'<geom name="{name}_fill" class="visual" type="plane" {place} rgba="{rgba(REGION_FILL[region.colour])}"/>'
+    box = f'pos="{numbers(x, y, z)}" size="{numbers(region.width / 2, region.height / 2, 1)}"'
+    fill = f'<geom name="{name}_fill" class="visual" type="plane" {box} rgba="{rgba(REGION_FILL[region.colour])}"/>'
     count, mesh = len(dash_quads(region)), f"region{index}_border"
     border = style.visual_geom(f"{name}_border", mesh, REGION_BORDER[region.colour])
     corners = _corners(region, index, count).astype(np.float64)
@@ -93,7 +93,7 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
-    """The skins of regions with these numbers of dashes; `rewrite_region` writes their vertices and colours later."""
+    """The skins of regions with these numbers of quads; `rewrite_region` writes their vertices and colours later."""
     parts = ((index, *part) for index, count in enumerate(dashes) for part in (("fill", 1), ("border", count)))
     return "".join(
         _skin(f"region{index}_{name}", style.WHITE, "0 " * 12 * count, count) for index, name, count in parts
@@ -101,16 +101,16 @@ def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
 
 
 def _skin(name: str, rgb: style.Rgb, corners: str, count: int) -> str:
-    """A flat skin of so many quads."""
+    """A flat skin of `count` quads."""
     look = f'rgba="{rgba(rgb)}" group="{style.DRAWN_GROUP}"'
     return f'<skin name="{name}" {look} vertex="{corners}" {_connection(count)}</skin>'
 
 
 def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
-    """Changes box and colour of a region in a compiled model, with the same result as compiling.
+    """Writes box and colour of a region into a compiled model, with the same result as compiling.
 
     Raises:
-        ValueError: if the model was compiled for fewer dashes than the region needs.
+        ValueError: if the model has fewer quads than the region needs. Models of equal `Structure` have enough.
     """
     for part, palette in (("fill", REGION_FILL), ("border", REGION_BORDER)):
         skin = index_of(model, "skin", f"region{index}_{part}")
@@ -121,18 +121,13 @@ def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> Non
 
 @lru_cache(16)
 def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
-    """Corners of the fill (one quad) or of the border; unused quads are collapsed into one point.
-
-    Shape (4 * count, 3).
-    """
+    """Corners of the fill (`count` 1) or of the border. Unused quads collapse into one point. Shape (4 * count, 3)."""
     z = style.Z_REGION + index * style.REGION_STEP
     if count == 1:
         x0, y0, x1, y1 = region.box
         flat = np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]])
     else:
         flat = dash_quads(region).reshape(-1, 2)
-        if len(flat) > 4 * count:
-            raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it again")
         z += style.BORDER_ABOVE_FILL
     corners = np.empty((4 * count, 3), np.float32)
     corners[: len(flat), :2], corners[len(flat) :, :2], corners[:, 2] = flat, flat[-1], z
@@ -142,12 +137,12 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
 
 @cache
 def _connection(count: int) -> str:
-    """The faces and the bone of a skin with `count` quads, as MJCF."""
+    """The attribute `face` and the bone of a skin with `count` quads, as MJCF."""
     faces, ids = " ".join(map(str, _quad_faces(count).ravel())), " ".join(map(str, range(4 * count)))
     bone = f'<bone body="{BONE}" bindpos="0 0 0" bindquat="1 0 0 0" vertid="{ids}" vertweight="{"1 " * 4 * count}"/>'
     return f'face="{faces}">{bone}'
 
 
 def _quad_faces(count: int) -> Faces:
-    """Two triangles for each quad of four successive corners. Shape (2 * count, 3)."""
+    """Two triangles for each quad; a quad has four successive corners. Shape (2 * count, 3)."""
     return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

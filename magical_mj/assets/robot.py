@@ -1,17 +1,17 @@
 """The robot: a body that drives and turns, and the two hinged fingers of a gripper.
 
-How the parts of the original's 2-D engine are modelled:
+The original's 2-D engine has four features that MuJoCo lacks. They are modelled as follows:
 
-- its velocity servo, a force in any direction with one cap that also brakes and prevents side-slip: driven wheels under
-  the robot's centre that press on the floor with a constant force, since Coulomb friction has the same cap in all
-  directions;
-- its turning servo with a torque cap: dry friction between the robot and heavy rotors that spin;
-- its finger motors: dry friction between a finger and a heavy rotor that turns at the finger's speed. The original
-  slows down over the last 0.1 rad, ours stops at the limit;
-- its latency of one substep: each command passes through a filter of one substep, and the wheels are mounted on a light
-  castor that has the robot's heading of the substep before.
+- The velocity servo applies a force in any direction with one cap. It also brakes and prevents side-slip. Here, driven
+  wheels under the robot's centre press on the floor with a constant force: Coulomb friction has the same cap in all
+  directions.
+- The turning servo has a torque cap. Here, dry friction couples the robot to heavy spinning rotors.
+- The finger motors have a torque cap. Here, dry friction couples each finger to a heavy rotor. The original
+  slows down over the last 0.1 rad; here the finger stops at its limit.
+- Commands act one substep late. Here, each command passes through a filter of one substep, and the wheels are mounted
+  on a light castor that has the robot's heading of the previous substep.
 
-Wheels and rotors come in pairs because a load slows the original's servos; see `PhysicsSettings.loaded_share`.
+There are two wheels and two rotors because a load slows the original's servos; see `PhysicsSettings.loaded_share`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Side = Literal["left", "right"]
 SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}
 """The sign of the x coordinate of a finger in the robot's frame."""
 FINGER_INERTIA: Final[dict[Side, float]] = {"left": 0.00500649436186835, "right": 0.004983019517209476}
-"""Moments of inertia about the pivot, where the centre of mass is; the original's two fingers differ slightly."""
+"""Moments of inertia about the pivot, which is the centre of mass. The original's two fingers differ slightly."""
 WHEELS: Final = ("wheel", "loaded_wheel")
 ROTORS: Final = ("rotor", "loaded_rotor")
 MOTORS: Final[dict[Side, str]] = {"left": "left_motor", "right": "right_motor"}
@@ -57,7 +57,7 @@ JOINTS: Final = (*_PLANAR, "castor", *WHEELS, *ROTORS, *MOTORS.values(), "left_f
 
 
 def joints(body: str) -> tuple[str, ...]:
-    """The joints of a robot with this body, likewise."""
+    """The joints of a robot with this body, in the order of the model's coordinates."""
     return JOINTS if body_named(body).fingers else JOINTS[: JOINTS.index(MOTORS["left"])]
 
 
@@ -66,35 +66,35 @@ def actuators(body: str) -> tuple[str, ...]:
     return (*WHEELS, *ROTORS, *(MOTORS.values() if body_named(body).fingers else ()))
 
 
-CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
+CASTOR_INERTIA: Final = 1e-5  # light enough to have no effect on the robot
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
 def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HALF_WIDTH) -> str:
-    """The body `robot` with its motors, fingers, face and the ego camera, in an arena of this half width."""
+    """The body `robot` with its motors, fingers, face and camera ego, in an arena of this half width."""
     body = body_named(robot.body)
     disc = f'<geom name="robot_disc" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     fingers = ""
     if body.fingers:
-        fingers = f"""<!-- Finger motors: heavy rotors likewise, one for each finger -->
+        fingers = f"""<!-- Finger motors: a heavy rotor for each finger -->
 {"".join(_spinner(name, "0 0 1") for name in MOTORS.values())}
 {_finger("left", robot.fingers[0], settings)}
 {_finger("right", robot.fingers[1], settings)}"""
     content = f"""
 <inertial pos="0 0 0" mass="{numbers(body.mass)}" diaginertia="{numbers(*[body.inertia] * 3)}"/>
 {polygon_geoms("robot", body.corners, settings) if body.outline else disc}
-<!-- What the robot sees: it stands near the bottom and heads up -->
+<!-- The robot's camera: in its picture the robot is near the bottom and heads up -->
 {style.ego_camera(half)}
-<!-- The drive: wheels that press on the ground with a constant force, too heavy to be slowed. -->
-<!-- The second of each pair tends to a lower speed while the gripper closes, as under a load -->
-<!-- A light castor keeps the wheels in the heading of the step before: commands come one step late -->
+<!-- The drive: wheels that press on the ground with a constant force. They are too heavy to be slowed. -->
+<!-- The second wheel and the second rotor have a lower speed while the gripper closes, as under a load -->
+<!-- A light castor keeps the wheels in the heading of the previous step, since commands act one step late -->
 <body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>
-<!-- Turning: heavy rotors, which spin against the robot; dry friction with them turns it -->
+<!-- Turning: heavy rotors, which spin in the opposite direction; dry friction with them turns the robot -->
 {"".join(_spinner(name, "0 0 1") for name in ROTORS)}
 {fingers}
-<!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
+<!-- Body and eyes, listed after the fingers: in flat pictures they cover the fingers' roots -->
 <body name="face">{_face(body)}</body>"""
     return comment("The robot") + planar_body("robot", robot.pose, content)
 
@@ -106,7 +106,7 @@ def _spinner(name: str, axis: str, geom: str = "") -> str:
 
 
 def _face(body: Body) -> str:
-    """The visual geoms of body and eyes. They are drawn after the fingers, whose roots the disc covers."""
+    """The visual geoms of body and eyes. They are drawn after the fingers: the body covers the fingers' roots."""
     sides = style.cylinder_shape(body.radius, style.ROBOT_HEIGHT)
     if body.outline:
         sides = 'type="mesh" mesh="robot_sides"'
@@ -125,7 +125,7 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     half, bend = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND
 
     def forearm(inwards: float, onwards: float) -> tuple[float, float]:
-        """A point of the forearm, from its hinge: the outer corner of the upper segment's tip."""
+        """A point of the forearm, relative to the outer corner of the upper segment's tip, where the two meet."""
         cosine, sine = math.cos(bend), math.sin(bend)
         return (
             sign * half - cosine * sign * inwards - sine * onwards,
@@ -164,27 +164,27 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
 def robot_pairs(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contacts of the wheels with the floor."""
     mass = body_named(robot.body).total_mass
-    return comment("Wheels grip the ground up to the drive's cap") + "".join(
+    return comment("The wheels' friction with the ground, up to the drive's force cap") + "".join(
         floor_pair(wheel, force, mass, settings) for wheel, force in wheel_caps(dynamics.drive_force, settings).items()
     )
 
 
 def wheel_caps(drive_force: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
-    """Wheel -> the largest force with which it drives; of arrays, too."""
+    """Wheel -> its largest driving force. Accepts arrays."""
     return {WHEELS[0]: (1 - settings.loaded_share) * drive_force, WHEELS[1]: settings.loaded_share * drive_force}
 
 
 def torque_caps(turn_torque: Floats, finger_torque: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
-    """Rotor or finger motor -> the largest torque of its tendon; of arrays, too."""
+    """Rotor or finger motor -> the largest torque of its tendon. Accepts arrays."""
     loaded = settings.loaded_turn_share
     rotors = {ROTORS[0]: (1 - loaded) * turn_torque, ROTORS[1]: loaded * turn_torque}
     return rotors | dict.fromkeys(MOTORS.values(), finger_torque)
 
 
 def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) -> str:
-    """Dry friction of the turning servo and of the finger motors, and damping of swaying fingers and of the castor.
+    """Dry friction of the turning servo and the finger motors, and damping of the fingers' sway and of the castor.
 
-    The damping of the castor makes it lag behind the robot by one substep.
+    Its damping makes the castor lag one substep behind the robot.
     """
     caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque, settings)
     turns = "".join(
@@ -199,7 +199,7 @@ def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) ->
     if not body_named(robot.body).fingers:
         return (
             f"{comment('Dry friction up to the torque cap: rotors with the robot')}{turns}"
-            f"{comment('Drag on the castor, which is to lag a step')}{castor}"
+            f"{comment('Damping that makes the castor lag one step')}{castor}"
         )
     grips = "".join(
         f'<fixed name="{motor}" class="motor" frictionloss="{numbers(caps[motor])}">'
@@ -209,23 +209,23 @@ def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) ->
     return (
         f"{comment('Dry friction up to the torque caps: rotors with the robot, motors with fingers')}"
         f"{turns}{grips}"
-        f"{comment('Drags: on fingers that swing to the same side, and on the castor, which is to lag a step')}"
+        f"{comment('Damping: of fingers that swing to the same side, and of the castor, so that it lags one step')}"
         f'<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
         f'<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>{castor}'
     )
 
 
 def actuators_mjcf(body: str = GRIPPER) -> str:
-    """Speeds that are reached in one substep: two wheels (units/s), two rotors and two finger motors (rad/s).
+    """Actuators that reach their speed in one substep: two wheels (units/s), two rotors and two finger motors (rad/s).
 
     A body without fingers has the first four.
     """
     classes: dict[tuple[str, ...], str] = {WHEELS: "wheel", ROTORS: "rotor"}
-    what = "Speeds of wheels (units/s) and rotors (rad/s), one step late"
+    text = "Speeds of wheels (units/s) and rotors (rad/s), one step late"
     if body_named(body).fingers:
         classes[tuple(MOTORS.values())] = "motor"
-        what = "Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late"
-    return comment(what) + "".join(
+        text = "Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late"
+    return comment(text) + "".join(
         f'<general name="{joint}" class="{kind}" joint="{joint}"/>'
         for joints, kind in classes.items()
         for joint in joints
@@ -254,8 +254,7 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
 def controls(body: str = GRIPPER, veer: float = 0.0, settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
     """The values of `ctrl` for each of the 18 actions: speeds of wheels, rotors and finger motors. Shape (18, 6).
 
-    A body without fingers has none of the last two, shape (18, 4), and ignores the actions' part for the gripper.
-    `veer` is that of `Dynamics`.
+    Without fingers, the shape is (18, 4), and the gripper's part of an action is ignored. `veer` is `Dynamics.veer`.
     """
     rows = []
     fingers = body_named(body).fingers
@@ -280,9 +279,9 @@ def control_signal(action: int, body: str = GRIPPER, veer: float = 0.0) -> NDArr
 
 
 TURN_GAIN: Final = 0.5 / TIMESTEP
-"""Turning speed (rad/s) for each radian that x-magical's servo of the heading is ahead of the robot."""
+"""Gain of x-magical's heading servo: turning speed (rad/s) per radian between its target and the robot's heading."""
 FINGER_GAIN: Final = 10.0
-"""The speed of its finger motors (rad/s) for each radian that they are from their target."""
+"""Gain of x-magical's finger motors: speed (rad/s) per radian between the finger and its target."""
 
 
 def speed_signal(
@@ -290,13 +289,14 @@ def speed_signal(
 ) -> NDArray[np.float64]:
     """The values of `ctrl` for one of x-magical's actions: speed (units/s), turn (rad) and, with fingers, grip (rad).
 
-    The speed is the same forwards and backwards. Its finger motors slow down near their target, in every substep. Ours
-    get one speed for the whole action, with which a free finger is at its end where theirs would be.
+    The top speed is the same forwards and backwards. In x-magical, finger motors slow down near their target in every
+    substep. Here, a motor has one speed for the whole action. It is chosen so that a free finger ends at the same angle
+    as in x-magical.
 
     Args:
         action: the vector, shape (2,), with fingers (3,).
-        fingers: the angles of the left and the right finger, shape (2,); None without fingers.
-        before: the present values, which still act for one substep.
+        fingers: angles of the left and the right finger, rad, shape (2,); None without fingers.
+        before: the current values of `ctrl`, which still act for one substep.
     """
     speed = float(np.clip(action[0], -c.SPEED_FORWARD, c.SPEED_FORWARD))
     turn = float(np.clip(TURN_GAIN * action[1], -c.SPEED_TURN, c.SPEED_TURN))

@@ -1,8 +1,8 @@
-"""The look: colours, heights of the drawing layers, widths of lines, visual geoms, cameras and lamps.
+"""Appearance: colours, heights of the drawing layers, widths of lines, visual geoms, cameras and lamps.
 
-The cameras ego and allo look straight down without shading, so that each thing is a flat polygon of one colour. RGB
-values are those of the original's pictures. Below the polygons are solid geoms with a height, for all other cameras:
-boxes and cylinders where possible, which cost less than meshes and are easier to read in an exported file.
+The cameras ego and allo look straight down without shading, and see each object as flat polygons of one colour. RGB
+values are those of the original's pictures. For all other cameras, solid geoms are below the polygons. They are boxes
+and cylinders where possible: these cost less than meshes and are easier to read in an exported file.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ MATERIALS: Final[Mapping[str, Rgb]] = MappingProxyType(
     | {f"{colour}_fill": rgb for colour, rgb in BLOCK_FILL.items()}
     | {f"{colour}_region": rgb for colour, rgb in REGION_FILL.items()}
 )
-"""The names of all colours in exported files; borders of regions have those of blocks' fills."""
+"""The names of all colours in exported files. The border of a region has the colour of a block's fill."""
 
-# Heights (world units). What is drawn later is higher, so that every program shows the same picture from above.
+# Heights (world units). Objects that are drawn later are higher, so every program shows the same picture from above.
 Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
 WALL_HEIGHT, BLOCK_HEIGHT, FINGER_HEIGHT, ROBOT_HEIGHT = 0.05, 0.08, 0.09, 0.13
-LIFT: Final = 0.001  # distance between stacked polygons; in the same plane, which one is visible would be undefined
+LIFT: Final = 0.001  # distance between stacked polygons: in one plane, their order would be undefined
 
 # Widths (world units)
 WALL_THICKNESS: Final = 0.06
@@ -63,7 +63,7 @@ REGION_BORDER_WIDTH: Final = 0.01328125
 DASH_LENGTH: Final = 0.0425  # of a dash, and of the gap between dashes
 
 # Geom groups: MuJoCo's viewers show 0 to 2 and hide the others.
-SOLID_GROUP: Final = 1  # hidden from the cameras ego and allo: sides, ground and floor; their background is white
+SOLID_GROUP: Final = 1  # sides, ground and floor: hidden from the cameras ego and allo, which have a white background
 DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
 TASK_GROUP: Final = 4  # seen by the cameras ego and allo only
@@ -73,12 +73,12 @@ CAMERA_HEIGHT: Final = 2.0
 
 
 def allo_camera(half: float = c.ARENA_HALF_WIDTH) -> str:
-    """The camera that sees the whole arena, whose walls are at `half`."""
+    """The camera that sees the whole arena of this half width."""
     return f'<camera name="allo" {_camera(half)} pos="{numbers(0, 0, CAMERA_HEIGHT)}"/>'
 
 
 def ego_camera(half: float = c.ARENA_HALF_WIDTH) -> str:
-    """The camera of the robot, which appears in the middle near the bottom of the picture and heads up."""
+    """The camera on the robot. In its picture the robot is near the bottom, centred, and heads up."""
     ahead = c.VISIBLE_SIZE * half * (0.5 - c.EGO_ANCHOR)
     return f'<camera name="ego" {_camera(half)} pos="{numbers(0, ahead, CAMERA_HEIGHT)}"/>'
 
@@ -89,7 +89,7 @@ def _camera(half: float) -> str:
 
 _SKY: Final = ".91 .91 .92"
 LOOK: Final = f"""
-<!-- For viewers: a camera above a corner that sees all, and soft light -->
+<!-- For viewers: a free camera above a corner with everything in view, and soft light -->
 <visual>
   <headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>
   <global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>
@@ -99,13 +99,13 @@ LOOK: Final = f"""
 </visual>
 <statistic extent="4" center="0.08 -0.1 0"/>
 """
-"""For all cameras except ego and allo: a free camera that starts above a corner with all in view, and soft light."""
+"""For all cameras except ego and allo: a free camera above a corner with everything in view, and soft light."""
 SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
 LAMPS: Final = ((0.32, 0.18), (0.44, 0.18), (0.32, 0.30), (0.44, 0.30))
-"""The slopes of light from four lamps side by side, which make shadows with soft edges."""
+"""The slopes of the light of four lamps side by side. Together they make shadows with soft edges."""
 AIM: Final = -1.2
-"""Where lamps point to, x and y: in the half of MuJoCo's shadow map that is nearer to the lamp, the ground shades
-itself in speckles. So that half is outside the arena."""
+"""The x and y that all lamps point to. In the half of MuJoCo's shadow map nearer to the lamp, the ground shades itself
+in speckles. This point keeps that half outside the arena."""
 
 
 def lamps_mjcf() -> str:
@@ -131,7 +131,7 @@ def levels(rgb: Rgb) -> tuple[float, ...]:
 
 
 def visual_geom(name: str, mesh: str, rgb: Rgb, more: str = "") -> str:
-    """A visual geom that shows a flat mesh; `more` holds further attributes."""
+    """A visual geom with a flat mesh; `more` holds further attributes."""
     return f'<geom name="{name}" class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" {more}/>'
 
 
@@ -141,14 +141,14 @@ def solid(name: str, shape: str, rgb: Rgb) -> str:
 
 
 def box_shape(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
-    """Attributes of a box on the floor at (x, y), rotated by `angle` (rad), whose top is just below `height`."""
+    """Attributes of a box on the floor at (x, y), rotated by `angle` (rad). Its top is just below `height`."""
     height -= LIFT
     turned = f'quat="{numbers(*quaternion(angle))}"' if angle else ""
     return f'type="box" size="{numbers(half_x, half_y, height / 2)}" pos="{numbers(x, y, height / 2)}" {turned}'
 
 
 def cylinder_shape(radius: float, height: float) -> str:
-    """Attributes of a cylinder on the floor at the origin, whose top is just below `height`."""
+    """Attributes of a cylinder on the floor at the origin. Its top is just below `height`."""
     height -= LIFT
     return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
 
@@ -165,7 +165,7 @@ def block_sides(name: str, shape: Shape, colour: Colour) -> str:
 
 
 def wall_sides(name: str, x: int, y: int, arena: float = c.ARENA_HALF_WIDTH) -> str:
-    """The wall on the side of the arena to which (x, y), a unit vector, points; at corners two walls overlap."""
+    """The wall in direction (x, y), a unit vector, from the arena's centre. At corners, two walls overlap."""
     middle, along = arena + WALL_THICKNESS / 2, arena + WALL_THICKNESS * abs(y)
     half = (WALL_THICKNESS / 2, along) if x else (along, WALL_THICKNESS / 2)
     return solid(name, box_shape(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)

@@ -19,7 +19,7 @@ from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler, sample
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
-from magical_mj.envs.vector import check_mask, world_seeds
+from magical_mj.envs.vector import check_mask, environment_seeds
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
@@ -136,7 +136,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._check_open()
         mask = check_options(options, "reset_mask").get("reset_mask")
         envs = np.flatnonzero(check_mask(arrays(mask), self.num_envs)).tolist()
-        each = world_seeds(arrays(seed), self.num_envs)
+        each = environment_seeds(arrays(seed), self.num_envs)
         if mask is None and as_integer(seed) is not None:
             self._sampler.seed(check_seed(seed))
         observation = self._begin(envs, None if seed is None else [check_seed(each[env]) for env in envs])

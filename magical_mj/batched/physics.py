@@ -27,7 +27,7 @@ from torch import Tensor
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
 from magical_mj.assets.coordinates import own_coordinates
 from magical_mj.assets.robot import controls, torque_caps, wheel_caps
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.batched.scenes import ABSENT, BatchScenes
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES, Shape
@@ -280,7 +280,7 @@ class Slot(NamedTuple):
 def block_parts(shape: Shape) -> BlockParts:
     """Compiles a block of this shape."""
     scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
-    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=""))
+    spec = mujoco.MjSpec.from_string(scene_mjcf(scene, regions=""))
     model = spec.compile()
     slot = Slot.of(model, 0)
     solid = spec.body("block0").first_body()
@@ -306,7 +306,7 @@ def slotted_model(blocks: int) -> mujoco.MjModel:
     copied from models with one block of each shape.
     """
     apart = tuple(Block("circle", "red", 2.0 * index, 0.0, 0.0) for index in range(blocks))
-    spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
+    spec = mujoco.MjSpec.from_string(scene_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
     needed: Counter[tuple[str, int]] = Counter()
     for shape in SHAPES:
         needed |= Counter(block_parts(shape).classes)  # the maximum number of each

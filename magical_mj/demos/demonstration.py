@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from magical_mj._version import __version__
 from magical_mj.assets.robot import joints
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
@@ -97,12 +97,12 @@ class Demonstration:
 
     def scenes(self) -> list[Scene]:
         """The scenes before the first and after each action."""
-        world = World(self.scene)
+        world = SceneModel(self.scene)
         return [world.read(qpos) for qpos in self.qpos]
 
     def rescored(self, step: int | None = None) -> float:
         """The score after this number of steps, computed from the states. None: at the end."""
-        world, last = World(self.scene), len(self.actions) if step is None else step
+        world, last = SceneModel(self.scene), len(self.actions) if step is None else step
         first = 1 if task_spec(self.task).trajectory else last
         return score_trajectory(self.task, (self.scene, *map(world.read, self.qpos[first : last + 1])))
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
@@ -84,7 +84,7 @@ def stream(
 
 def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | None = None) -> Observations:
     """The observations of the preset before the first and after each action: steps + 1 rows."""
-    kind, world = preset_named(preset), World(demo.scene)
+    kind, world = preset_named(preset), SceneModel(demo.scene)
     with np.errstate(all="ignore"):  # underflow to 0 in float32 is expected, even if the caller makes it an error
         if kind.layout == "state" and task_spec(demo.task).speeds:
             return np.array([state_vector(scene) for scene in demo.scenes()])

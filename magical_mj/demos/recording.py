@@ -30,7 +30,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
@@ -90,7 +90,7 @@ class Recorder:
         """
         self._check_complete()
         if self._env.setup.speeds:
-            size = 3 if self._env.simulation.world.has_fingers else 2
+            size = 3 if self._env.simulation.scene_model.has_fingers else 2
             is_number = np.ndim(action) == 0 or isinstance(action, Action)
             action = np.asarray(to_vector(action_number(action))[:size] if is_number else action, np.float32)
         over = self._env.step(action)
@@ -252,7 +252,7 @@ def from_recording(text: str | bytes) -> Imported:
         return Imported(demonstration, None, suspect=False)
     if len(final.blocks) != blocks:
         raise DemonstrationError(f"final must contain the poses of {blocks} blocks, not of {len(final.blocks)}")
-    end = World(demonstration.scene).read(demonstration.qpos[-1])
+    end = SceneModel(demonstration.scene).read(demonstration.qpos[-1])
     replayed = _Final(end.robot.pose, end.robot.fingers, [block.pose for block in end.blocks])
     deviation = float(np.abs(_numbers(replayed) - _numbers(final)).max())
     return Imported(demonstration, deviation, deviation > TOLERANCE)
@@ -401,5 +401,5 @@ def _path(demo: Demonstration) -> NDArray[np.float64]:
 
 def _poses(demo: Demonstration) -> NDArray[np.float64]:
     """The poses of the robot and the blocks at each time. Shape (steps + 1, 1 + blocks, 3)."""
-    world = World(demo.scene)
+    world = SceneModel(demo.scene)
     return np.array([world.poses(qpos) for qpos in demo.qpos])

@@ -1,8 +1,8 @@
-"""The engine: one world of MuJoCo with its scene, score and states."""
+"""The engine: simulates one environment in MuJoCo, scores it, and saves and restores its state."""
 
 from __future__ import annotations
 
-import magical_mj.assets  # noqa: F401 - which imports mujoco, whatever MUJOCO_GL is
+import magical_mj.assets  # noqa: F401 - imports mujoco first, whatever MUJOCO_GL is
 from magical_mj.engine.engine import Engine
 from magical_mj.engine.simulation import State
 

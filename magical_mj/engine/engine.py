@@ -1,4 +1,4 @@
-"""`Engine`: one world with its task's horizon and score, pictures, and states that can be saved and restored."""
+"""`Engine`: one environment with its task's horizon and score, pictures, and states that can be saved and restored."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from magical_mj.variants import check_seed
 
 @dataclass(frozen=True)
 class Setup:
-    """What is played: the arguments of `Engine` that say so, checked, and what follows from them.
+    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
 
-    The task is None for plain scenes, which have no score and no horizon, and say the robot's body themselves.
+    The task is None for plain scenes: these have no score and no horizon, and contain the robot's body.
     """
 
     task: str | None
@@ -55,7 +55,7 @@ class Setup:
 
     @property
     def horizon(self) -> int | None:
-        """The number of actions after which an episode ends; None: never."""
+        """The number of actions of an episode; None if it never ends."""
         return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
 
     @property
@@ -68,17 +68,18 @@ class Setup:
         """Whether the score depends on the scenes of all steps."""
         return self.task is not None and task_spec(self.task).trajectory
 
-    def check(self, scene: object) -> None:
-        """Raises `InvalidSceneError` unless it is a `Scene` in which an episode can start."""
+    def check(self, scene: object) -> Scene:
+        """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
         scene = check_scene_type(scene)
         check_scene(scene)
         if self.task is not None:
             task_spec(self.task).check(scene)
             if scene.robot.body != self.body:
                 raise InvalidSceneError(
-                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment is made for "
-                    f"{self.body!r}: make another one with body={scene.robot.body!r}"
+                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
+                    f"{self.body!r}: make another environment with body={scene.robot.body!r}"
                 )
+        return scene
 
     def sample(self, seed: int) -> Scene:
         """The scene of this seed.
@@ -92,26 +93,33 @@ class Setup:
         return sample_scene(self.task, self.variant, seed, self.body)
 
     def begin(
-        self, shifts: Mapping[str, int], start: int | Scene, draws: Draws | None = None
+        self,
+        shifts: Mapping[str, int],
+        seed: int | None = None,
+        scene: Scene | None = None,
+        draws: Draws | None = None,
     ) -> tuple[Scene, EpisodeShifts | None]:
-        """The scene in which an episode starts, and its shifts.
+        """The initial scene of an episode, and its shifts.
 
         Args:
-            shifts: their strengths.
-            start: the seed of the scene, and of what the shifts draw. Or a scene, which stays as it is, whatever the
-                shifts would change in it; the rest is drawn from seed 0.
-            draws: what the shifts have drawn, instead.
+            shifts: the strengths of the shifts.
+            seed: draws the scene and the values of the shifts.
+            scene: the initial scene instead. Shifts do not change it, and draw their values from seed 0.
+            draws: the values of the shifts instead.
+
+        Raises:
+            InvalidSceneError: if an episode cannot start in the scene.
         """
-        draws = draw_shifts(shifts, start if isinstance(start, int) else 0) if draws is None else draws
+        if draws is None:
+            draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
         episode = EpisodeShifts(draws) if draws else None
-        if not isinstance(start, int):
-            self.check(start)
-            return start, episode
-        scene = self.sample(start)
-        return (scene if episode is None or self.task is None else episode.scene(scene, self.task)), episode
+        if scene is not None or seed is None:
+            return self.check(scene), episode
+        drawn = self.sample(seed)
+        return (drawn if episode is None or self.task is None else episode.scene(drawn, self.task)), episode
 
     def instruction(self, shifts: EpisodeShifts | None) -> str:
-        """The sentence that says what is to be done in an episode with these shifts; "" for plain scenes."""
+        """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
         if self.task is None:
             return ""
         sentence = task_spec(self.task).summary
@@ -119,84 +127,88 @@ class Setup:
 
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last.
+        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last scene.
 
         Raises:
             InvalidSceneError: without a task.
         """
         if self.task is None:
-            raise InvalidSceneError("a plain scene has no score; name a task, or use magical_mj.score(task, ...)")
+            raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
         return task_spec(self.task).checked_score(scenes, self.rules)
 
     def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
-        """Raises an error unless an episode can start here: from one thing at most, and no state that is over.
+        """Checks the arguments of a reset.
 
         Raises:
-            SettingsError, StateError: accordingly.
+            SettingsError: if there is more than one of them.
+            StateError: if the state is invalid, or its episode has ended.
         """
         starts = {"seed": seed, "scene": scene, "state": state}
         names = [name for name, value in starts.items() if value is not None]
         if len(names) > 1:
-            raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(names)}")
+            raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
         if state is not None:
             check_state(state)
             check_goes_on(state, self.horizon)
             self.trajectory_of(state)
 
     def trajectory_of(self, state: State) -> list[Scene]:
-        """The scenes of a state's episode, where the score depends on them.
+        """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
 
         Raises:
-            StateError: if the state lacks them, as one that another task or a plain scene has given.
+            StateError: if the state lacks these scenes, because it comes from another task or a plain scene.
         """
         if not self.trajectory:
             return []
         if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
             raise StateError(
-                f"the score of {self.task} depends on the scenes of all steps, which this state lacks: "
-                f"give a state that get_state() of an environment of {self.task} returned"
+                f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
+                f"give a state from get_state() of an environment of {self.task}"
             )
         return list(state.trajectory)
 
 
 def check_goes_on(state: State, limit: int | None) -> None:
-    """Raises a `StateError` if a state is that of an episode which has ended after `limit` steps."""
+    """Raises a `StateError` if the state's episode has ended, which it does after `limit` steps."""
     if limit is not None and state.steps >= limit:
         raise StateError(
-            f"the episode of this state is over, after {state.steps} steps: give an earlier state, of less than {limit}"
+            f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than {limit}"
         )
 
 
 class Engine:
-    """One of the benchmark's environments without observations, rewards and wrappers: both doors stand on it.
+    """An environment of the benchmark without observations and rewards. The Gymnasium and dm_env environments wrap it.
 
-    A new engine is at the start of its first episode: in `scene`, or else in `sample_scene(task, variant, seed)`.
+    A new engine is at the start of its first episode: in `scene` if given, otherwise in
+    `sample_scene(task, variant, seed)`.
 
     Args:
-        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
-        variant: one of `magical_mj.VARIANTS` that the task has.
-        scene: the scene in which to start.
+        task: one of `magical_mj.TASKS`, a task of an installed plug-in, or ``"package.module:SPEC"``.
+        variant: a variant of the task, one of `magical_mj.VARIANTS`.
+        scene: the initial scene.
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         seed: the seed of the first scene; None: drawn from the system's entropy.
-        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
+        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or the first that works
+            (docs/pictures.md).
         shifts: shifts and their strengths, such as ``"camera:3,latency:1"`` or ``{"camera": 3}``; see docs/shifts.md.
         body: the robot's body, see docs/bodies.md.
 
     Attributes:
-        setup: task, variant and rules, with what follows from them.
-        task, variant, rules: likewise; the task is None for plain scenes.
-        seed: the seed of the present episode's scene; None if it came from elsewhere.
+        setup: task, variant, rules and body, and the properties that follow from them.
+        task: the task; None for plain scenes.
+        variant: the variant.
+        rules: the rules of score and horizon.
+        seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
         steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
         shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
-        UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
+        UnknownNameError: for an unknown task, variant or rules, or if the task does not have the variant.
         TaskError: if the task of another package is invalid.
-        InvalidSceneError: if the scene is illegal or not one of the task.
-        InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if both a scene and a seed are given; for wrong shifts, or such as the task cannot have; for a
-            body that it does not offer.
+        InvalidSceneError: if the scene is illegal or does not belong to the task.
+        InvalidSeedError: if the seed is negative or not an integer.
+        SettingsError: if both a scene and a seed are given, or if the task does not support the shifts or the body.
         ShiftError: if a shift of another package is invalid.
     """
 
@@ -212,20 +224,18 @@ class Engine:
         shifts: Shifts = None,
         body: str = GRIPPER,
     ) -> None:
-        task_spec(task)  # None, too, is no task
+        task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
         strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body)
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
-            seed = start = secrets.randbits(63) if seed is None else check_seed(seed)
-        else:
-            start = check_scene_type(scene)
-        self._begin(setup, *setup.begin(strengths, start), renderer, strengths)
+            seed = secrets.randbits(63) if seed is None else check_seed(seed)
+        self._begin(setup, *setup.begin(strengths, seed, scene), renderer, strengths)
         self.seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
-        """An engine for a plain scene: no task, so no score and no horizon.
+        """An engine for a plain scene. Without a task it has no score and no horizon.
 
         Raises:
             InvalidSceneError: if the scene is illegal.
@@ -265,7 +275,7 @@ class Engine:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """MuJoCo's model. A reset may replace it, and writes every number that the scene determines."""
+        """MuJoCo's model. A reset overwrites all numbers that depend on the scene, and may replace the model."""
         return self.simulation.model
 
     @property
@@ -275,27 +285,27 @@ class Engine:
 
     @property
     def scene(self) -> Scene:
-        """Where everything is now, fingers included."""
+        """The current scene, with the poses of robot, blocks and fingers."""
         return self.simulation.scene
 
     @property
     def initial_scene(self) -> Scene:
-        """The scene in which this episode started."""
-        return self.simulation.world.scene
+        """The initial scene of this episode."""
+        return self.simulation.scene_model.scene
 
     @property
     def draws(self) -> Draws:
-        """What the shifts of this episode have drawn: the values of each one's factors, and its seed."""
+        """The values that the shifts of this episode have drawn: for each shift its factors and its seed."""
         return {} if self.simulation.shifts is None else self.simulation.shifts.draws
 
     @property
     def instruction(self) -> str:
-        """The sentence that says what is to be done; "" for plain scenes."""
+        """The sentence that describes the task in this episode; "" for plain scenes."""
         return self.setup.instruction(self.simulation.shifts)
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended: at its horizon, or because the simulation became unstable."""
+        """Whether the episode has ended, at its horizon or because the simulation became unstable."""
         return self._broken or (self.horizon is not None and self.steps >= self.horizon)
 
     def reset(
@@ -306,41 +316,42 @@ class Engine:
         state: State | None = None,
         draws: Draws | None = None,
     ) -> None:
-        """Starts an episode in the scene of `seed`, or in `scene`, or again in the present episode's scene.
+        """Starts an episode. Without seed, scene and state, it starts in the current episode's initial scene again.
 
         Args:
-            seed: the seed of this episode's scene, and of what its shifts draw.
-            scene: the scene in which to start, whatever shifts would change in it.
-            state: a state to continue from, as `set_state`, of an episode that goes on.
-            draws: what shifts draw in this episode, such as `draws` of another one, instead of the seed's draws.
+            seed: draws this episode's scene and the values of its shifts.
+            scene: the initial scene. Shifts do not change it.
+            state: a state of an episode that has not ended; the episode continues from it, as with `set_state`.
+            draws: the values of the shifts, such as `draws` of another engine, instead of those drawn from the seed.
 
         Raises:
-            InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
+            InvalidSceneError: if the scene is illegal or does not belong to the task.
+            InvalidSeedError: if the seed is negative or not an integer.
+            StateError: if the state does not fit the task, or its episode has ended.
+            SettingsError: if more than one of seed, scene and state is given.
         """
         simulation = self.simulation
         self.setup.check_start(seed=seed, scene=scene, state=state)
         if state is not None:
-            self.set_state(state)
+            self._restore(state)
             return
         if seed is not None:
-            seed = start = check_seed(seed)
-        elif scene is not None:
-            start = check_scene_type(scene)
-        else:
-            start, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
-        start = self.setup.begin(self.shifts, start, draws)
-        self._broken = True  # until it has succeeded
+            seed = check_seed(seed)
+        elif scene is None:
+            scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
+        start = self.setup.begin(self.shifts, seed, scene, draws)
+        self._broken = True  # until the start has succeeded
         simulation.start(*start)
         self.seed = seed
         self._start_counting()
 
     def step(self, action: Any) -> bool:
-        """One action of 1/8 s. Returns whether the episode is over.
+        """Executes one action of 1/8 s. Returns whether the episode has ended.
 
         Raises:
-            InvalidActionError: if the action is not one of the 18, nor, in x-magical's suite, a vector of speeds.
-            StateError: if the episode is over already.
-            PhysicsError: if the simulation becomes unstable, which ends the episode.
+            InvalidActionError: if the action is neither one of the 18 nor, in x-magical's suite, a vector of speeds.
+            StateError: if the episode had ended before.
+            PhysicsError: if the simulation becomes unstable. This ends the episode.
         """
         simulation = self.simulation
         if self.over:
@@ -357,7 +368,7 @@ class Engine:
 
     @property
     def scored_scenes(self) -> tuple[Scene, ...]:
-        """What the score depends on: the initial and the present scene, or the scenes of all steps."""
+        """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
         return tuple(self._trajectory) or (self.initial_scene, self.scene)
 
     def score(self) -> float:
@@ -369,50 +380,59 @@ class Engine:
         return self.setup.score(self.scored_scenes)
 
     def state_vector(self) -> NDArray[np.float32]:
-        """What `magical_mj.scene.state_vector.STATE_NAMES` names, in a fresh vector. Shape (len(STATE_NAMES),).
+        """The state vector, in a fresh array of shape (len(STATE_NAMES),).
+
+        `magical_mj.scene.state_vector.STATE_NAMES` describes its entries.
 
         Raises:
-            InvalidSceneError: if the scene has more blocks or regions than the vector holds.
+            InvalidSceneError: if the scene has more blocks or regions than the vector has entries for.
         """
         return self.simulation.state_vector()
 
     def fingers(self) -> NDArray[np.float64]:
-        """The angles of the left and the right finger, rad. Shape (2,)."""
-        return self.simulation.world.fingers(self.data.qpos)
+        """Angles of the left and the right finger, rad. Shape (2,)."""
+        return self.simulation.scene_model.fingers(self.data.qpos)
 
     def render(self, view: str = "allo", size: int = 384, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the present state in a fresh array or in `out`. Shape (size, size, 3), uint8 RGB, top row first.
+        """A picture of the current state. Shape (size, size, 3), uint8 RGB, top row first.
 
         Args:
-            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner; or
-                "ego-segmentation" or "allo-segmentation", of shape (size, size), which say what is where.
+            view: "ego" or "allo", the flat views of the benchmark; "scene", a 3-D view from above a corner; or
+                "ego-segmentation" or "allo-segmentation", an object id for each pixel, shape (size, size).
             size: pixels per side.
-            out: the array to write to.
+            out: the array for the picture; None: a fresh array.
 
         Raises:
-            UnknownNameError, SettingsError, RenderingError: for another view, size or array; without OpenGL.
+            UnknownNameError: for an unknown view.
+            SettingsError: if the size is invalid, or the array has another shape or type.
+            RenderingError: if the picture needs OpenGL, and OpenGL does not work.
         """
         check_name("view", view, (*CAMERAS, *SEGMENTATIONS))
         return self.simulation.draw(view, check_size(size, "size"), out)
 
     def get_state(self) -> State:
-        """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
+        """The exact current state of the episode. Takes about 1/40 of a step's time."""
         return self.simulation.state(self.steps, self._trajectory)
 
     def set_state(self, state: State) -> None:
-        """Restores a state of this engine, or of another one with the same task: what follows is exactly the same.
+        """Restores a state of this engine or of another one with the same task. The episode continues exactly.
 
-        Takes half a step's time, or as long as a reset if the state has another scene than the present one. The shifts
-        of the state's episode are those of this one from then on.
+        Takes half a step's time, or as long as a reset if the state has another initial scene. The engine continues
+        with the shifts of the state's episode.
 
         Raises:
-            StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
+            StateError: if the state does not belong to this task, or is damaged. If a damaged state has another initial
+                scene, the current episode ends.
+            InvalidSceneError: if the state's scene does not belong to this task.
         """
-        simulation = self.simulation
         check_state(state)
+        self._restore(state)
+
+    def _restore(self, state: State) -> None:
+        simulation = self.simulation
         trajectory = self.setup.trajectory_of(state)
         if state.scene != self.initial_scene or state.draws != self.draws:
-            start = self.setup.begin({}, state.scene, state.draws)
+            start = self.setup.begin({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
             simulation.start(*start)
             self.seed = None
@@ -422,19 +442,19 @@ class Engine:
         self.steps, self._broken, self._trajectory = int(state.steps), False, trajectory
 
     def clone(self) -> Engine:
-        """A copy in the same state, in as long as a new one takes. Both go on alike."""
+        """A copy in the same state, with the same future. Takes as long as making a new engine."""
         return restored(*self.__reduce__()[1])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Engine:
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For copying and pickling: what it was made of, and its state."""
+        """For copying and pickling: the arguments of `restored`."""
         state = self.get_state()
         return restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
 
     def close(self) -> None:
-        """Frees the simulation. Closing twice is fine."""
+        """Frees the simulation. Can be called more than once."""
         if self._simulation is not None:
             self._simulation.free()
         self._simulation = None
@@ -443,7 +463,7 @@ class Engine:
 def restored(
     setup: Setup, shifts: dict[str, int], seed: int | None, state: State, broken: bool, renderer: str | None
 ) -> Engine:
-    """A copy of an engine, as `Engine.__reduce__` describes it."""
+    """A copy of an engine, made from the values that `Engine.__reduce__` returns."""
     engine = Engine.__new__(Engine)
     engine._begin(setup, state.scene, EpisodeShifts(state.draws) if state.draws else None, renderer, shifts)
     engine.set_state(state)

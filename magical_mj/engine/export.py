@@ -1,7 +1,7 @@
-"""Scenes and running episodes as MJCF files that plain MuJoCo loads, and that people can read.
+"""Exports scenes and running episodes as readable MJCF files that plain MuJoCo loads.
 
-A program needs only such a file to show, play and score an episode: besides the model it holds, under `<custom>`, the
-scene, the task and its rules, the horizon and the values of `ctrl` for each of the 18 actions.
+Such a file is enough to show, play and score an episode. Besides the model, its element `<custom>` holds the scene, the
+task and its rules, the horizon, and the values of `ctrl` for each of the 18 actions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.mjcf import elements, numbers, parsed
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import body_named
@@ -34,51 +34,51 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, as_integer, short_repr
 
 HEADER: Final = """<!--
-  {what}, as a MuJoCo model. Written by magical-mj {version}.
+  {title}, as a MuJoCo model. Written by magical-mj {version}.
 
   View it:     python -m mujoco.viewer -mjcf=FILE
-  Play it:     start in keyframe "now"; for each action, write {controls} into ctrl, and call
-               mj_step as often as the numeric "substeps" says.
+  Play it:     start in the keyframe "now". For each action, write {controls} into ctrl,
+               and call mj_step as many times as the numeric "substeps" says.
 
-  Units: the workspace is {sides}, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
+  Units: the workspace is {sides}; seconds; radians. Angles are counter-clockwise; at 0 the robot heads up (+y).
 -->
 """
-ABOUT: Final = """For programs. "scene": at the start of the episode. "controls": a row for each action, which is
+ABOUT: Final = """For programs. "scene": the initial scene. "controls": a row for each action. The actions are
     9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
-ABOUT_SPEEDS: Final = """For programs. "scene": at the start of the episode. Actions are speeds: write into ctrl those
-    of both wheels (units/s), of both rotors (rad/s) and, with fingers, of both finger motors (rad/s)"""
+ABOUT_SPEEDS: Final = """For programs. "scene": the initial scene. Actions are speeds: write into ctrl the speeds of
+    both wheels (units/s), of both rotors (rad/s) and, with fingers, of both finger motors (rad/s)"""
 NUMERIC: Final = ("protocol", "substeps", "horizon")
-THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|pebbles)")')
-"""The places where the JSON of a scene is broken into lines, one for each thing."""
+LINE_BREAKS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|pebbles)")')
+"""Positions of line breaks in the JSON of a scene: one line for each object."""
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
-SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
+SENSORS: Final = "For plots: positions and velocities, in world coordinates"
 
 
 def export_mjcf(source: Any, path: str | os.PathLike[str], *, overwrite: bool = False, index: int = 0) -> Path:
     """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
 
-    The reference pose of the model is the scene (for an episode: the one in which it started), and the keyframe "now"
-    is the present state with velocities. From the start of an episode, the model moves exactly as the engine does if it
-    is played as the file's header says; from later states, up to rounding.
+    The model's reference poses are those of the scene, or of an episode's initial scene. The keyframe "now" is the
+    current state, with velocities. Played as the file's header says, the model moves exactly as the engine does from
+    the start of an episode, and up to rounding from later states.
 
     Args:
-        source: a scene; or an engine or an environment at any point of an episode: Gymnasium's, wrapped or not, a
-            composer environment, or a vector environment. For an episode, the file also holds task, rules and horizon,
-            and variant and seed if the scene was drawn from a seed.
-        path: the file to write; its folder is made if missing.
+        source: a scene; or an engine or environment at any point of an episode: a Gymnasium environment, wrapped or
+            not, a composer environment, or a vector environment. For an episode, the file also holds task, rules and
+            horizon. If the scene was drawn from a seed, it also holds variant and seed.
+        path: the file to write. Missing folders are created.
         overwrite: whether an existing file may be replaced.
-        index: which environment of a vector environment.
+        index: the index of the environment in a vector environment.
 
     Returns:
         The path written.
 
     Raises:
-        InvalidSceneError: if the scene is not legal, or the source is something else.
-        SettingsError: if users have changed the model of a composer environment, whose tree dm_control can write; if a
-            vector environment has no environment of this index.
+        InvalidSceneError: if the scene is illegal, or the source has another type.
+        SettingsError: if users have changed the model of a composer environment (dm_control can export its tree), or
+            if a vector environment has no environment with this index.
         ClosedError: if the engine or environment is closed.
         FileExistsError: if the file exists and `overwrite` is false.
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     path = files.to_path(path)
     text = mjcf_text(_scene_or_engine(source, index))
@@ -91,20 +91,21 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
     """The content of the file that `export_mjcf` writes.
 
     Args:
-        source: as `export_mjcf`.
-        rounded: whether coordinates of what is only drawn are rounded, for people who read the file. A program that
-            draws as environments do, to the pixel, needs all digits.
+        source: a scene, or the engine of an episode.
+        rounded: whether coordinates of visual geoms are rounded, which makes the file easier to read. A program that
+            must draw exactly the environment's pictures needs all digits.
 
     Raises:
-        InvalidSceneError, ClosedError: as `export_mjcf`.
+        InvalidSceneError: if the scene is illegal.
+        ClosedError: if the engine is closed.
     """
     about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
     if isinstance(source, Scene):
         check_scene(source)
-        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
+        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(scene_mjcf(source)))
     else:
         scene, data = source.initial_scene, source.data
-        drawn = source.seed is not None  # else the scene may be of no variant, or of another one
+        drawn = source.seed is not None  # a user's scene may belong to another variant, or to none
         about |= {"task": source.task, "variant": source.variant if drawn else None, "seed": source.seed}
         about |= {"shifts": shift_label(source.shifts) or None}
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
@@ -113,7 +114,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
 
 
 def _scene_or_engine(source: Any, index: int) -> Scene | Engine:
-    """A scene or an engine itself, or the engine of an environment, or of one of a vector environment."""
+    """The scene or engine to export. Environments are exported by their engine."""
     if isinstance(source, Scene | Engine):
         return source
     env = getattr(source, "unwrapped", source)
@@ -121,7 +122,7 @@ def _scene_or_engine(source: Any, index: int) -> Scene | Engine:
         number = as_integer(index, 0, env.num_envs - 1)
         if number is None:
             raise SettingsError(
-                f"index is one of the {env.num_envs} environments, 0 to {env.num_envs - 1}, not {index}"
+                f"index must be that of one of the {env.num_envs} environments, 0 to {env.num_envs - 1}, not {index}"
             )
         with contextlib.suppress(AttributeError):
             env = env.get_attr("engine")[number]
@@ -130,18 +131,18 @@ def _scene_or_engine(source: Any, index: int) -> Scene | Engine:
     engine = env if isinstance(env, Engine) else getattr(env, "engine", None)
     if not isinstance(engine, Engine):
         raise InvalidSceneError(
-            "a file is made of a magical_mj.Scene, a magical_mj.Engine, or an environment that runs one, not of "
+            "only a magical_mj.Scene, a magical_mj.Engine or an environment that runs one can be exported, not "
             f"{short_repr(source)}"
         )
     return engine
 
 
 def _header(about: Mapping[str, Any], side: float) -> str:
-    """The comment at the top."""
+    """The comment at the top of the file."""
     words = {"task": "{}", "variant": ", variant {}", "seed": ", seed {}"}
-    what = "".join(text.format(about[name]) for name, text in words.items() if name in about)
+    title = "".join(text.format(about[name]) for name, text in words.items() if name in about)
     controls = "its speeds" if _takes_speeds(about) else 'its row of the numeric "controls"'
-    return HEADER.format(what=what or "A scene", version=__version__, controls=controls, sides=f"{side:g} x {side:g}")
+    return HEADER.format(title=title or "A scene", version=__version__, controls=controls, sides=f"{side:g} x {side:g}")
 
 
 def _takes_speeds(about: Mapping[str, Any]) -> bool:
@@ -149,8 +150,8 @@ def _takes_speeds(about: Mapping[str, Any]) -> bool:
 
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData, *, rounded: bool) -> Element:
-    """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
-    root = parsed(world_mjcf(scene))
+    """The model of a scene, and what only files have: descriptive names, comments, sensors, custom data, a keyframe."""
+    root = parsed(scene_mjcf(scene))
     _name_blocks(root, scene)
     _regions_as_geoms(root, scene)
     speeds = _takes_speeds(about)
@@ -164,7 +165,7 @@ def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData, *, round
     SubElement(
         keyframe, "key", {"name": "now"} | {name: numbers(*value) for name, value in state.items() if len(value)}
     )
-    root[-2:-2] = [Comment(SENSORS), _sensors(scene), Comment("The present state"), keyframe]  # before the meshes
+    root[-2:-2] = [Comment(SENSORS), _sensors(scene), Comment("The current state"), keyframe]  # before the meshes
     return root
 
 
@@ -178,7 +179,7 @@ def _name_blocks(root: Element, scene: Scene) -> None:
 
 
 def _regions_as_geoms(root: Element, scene: Scene) -> None:
-    """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
+    """Replaces the regions' skins by geoms. Only environments need skins, since they change the regions."""
     paths = ("deformable", "asset[last()]", f".//body[@name='{BONE}']")
     skins, assets, body = (cast("Element", root.find(path)) for path in paths)
     root.remove(skins)
@@ -190,11 +191,11 @@ def _regions_as_geoms(root: Element, scene: Scene) -> None:
 
 
 def _custom(scene: Scene, about: Mapping[str, Any], speeds: bool) -> Element:
-    """The `<custom>` element: the data that programs need besides the model."""
+    """The element `<custom>`: data that programs need in addition to the model."""
     custom = Element("custom")
     for name, value in about.items():
         SubElement(custom, "numeric" if name in NUMERIC else "text", {"name": name, "data": str(value)})
-    SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
+    SubElement(custom, "text", {"name": "scene", "data": "\n" + LINE_BREAKS.sub("\n", scene.to_json())})
     if not speeds:
         rows = (numbers(*row) for row in controls(scene.robot.body, scene.dynamics.veer))
         SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
@@ -202,7 +203,7 @@ def _custom(scene: Scene, about: Mapping[str, Any], speeds: bool) -> Element:
 
 
 def _sensors(scene: Scene) -> Element:
-    """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers, blocks and pebbles."""
+    """The element `<sensor>`: value and velocity of each coordinate of the robot, its fingers, blocks and pebbles."""
     bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
     bodies += [f"pebble{index}" for index in range(len(scene.pebbles))]
     joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]

@@ -1,6 +1,6 @@
-"""The simulation of a world: MuJoCo's model and data, with actions, pictures, and states that can be saved.
+"""The simulation of a scene: MuJoCo's model and data, with actions, pictures, and states that can be saved.
 
-A `State` is plain data from which an episode goes on: for search, for an expert's corrections, for resets.
+A `State` is plain data. Restoring it continues the episode: for search, for an expert's corrections, for resets.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal, speed_signal
-from magical_mj.assets.world import World, world_model
+from magical_mj.assets.scene_model import SceneModel, compiled_model
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Views, check_out
 from magical_mj.scene import Scene
@@ -37,22 +37,23 @@ _NO_ACTUATION: Final = mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that determines how an episode continues: `get_state` returns it, `set_state` restores it exactly.
+    """Everything that determines how an episode continues. `get_state` returns it, `set_state` restores it exactly.
 
-    It holds numbers only, so it can be copied, pickled, sent to another process, or saved in a file field by field (the
-    scene as `scene.to_json()`). It can be restored in every environment that runs the same task, or the same scene
-    without a task, whatever that environment observes. The generator that draws the scenes of later episodes is not
-    part of it.
+    It contains only numbers. So it can be copied, pickled, sent to another process, or saved in a file field by field
+    (the scene as `scene.to_json()`). It can be restored in every environment with the same task, or with the same scene
+    without a task. The environments may have different observations. The generator that draws the scenes of later
+    episodes is not part of the state.
 
     Attributes:
-        scene: the scene in which the episode started.
-        steps: number of control steps since then.
-        simulation: MuJoCo's state, a vector with the same length for all states of episodes with this scene:
-            positions, velocities, actuators, the solver's warm start, and which blocks sleep.
-        frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
-        draws: what the shifts of the episode have drawn; see `magical_mj.shifts`.
-        commands: the last commands that each of them was given which changes actions.
-        trajectory: the scenes of the episode so far, the present one last, if the task's score depends on them all.
+        scene: the episode's initial scene.
+        steps: the number of control steps so far.
+        simulation: MuJoCo's state: positions, velocities, actuators, the solver's warm start, and which blocks sleep.
+            A vector with the same length for all states of episodes with this scene.
+        frames: the stacks of frames of the environment, by name; empty if it has none.
+        draws: the values that the shifts of the episode have drawn; see `magical_mj.shifts`.
+        commands: for each shift that changes actions, the last commands that it received.
+        trajectory: the scenes of the episode so far, the current one last, if the task's score depends on all scenes;
+            otherwise empty.
     """
 
     scene: Scene
@@ -64,7 +65,7 @@ class State:
     trajectory: tuple[Scene, ...] = ()
 
     def __eq__(self, other: object) -> bool:
-        """Whether the simulations are in exactly the same state. Pictures are not compared: they follow from it."""
+        """Whether both episodes are in exactly the same state. Frames are not compared: they follow from the rest."""
         if not isinstance(other, State):
             return NotImplemented
         return self._identity() == other._identity()
@@ -78,7 +79,7 @@ class State:
 
 
 def check_state(state: object) -> None:
-    """Raises `StateError` unless it is a `State`, whose simulation may still not fit."""
+    """Raises `StateError` unless it is a `State` with fields of the right types. `restore` checks the simulation."""
     if not (
         isinstance(state, State)
         and isinstance(state.scene, Scene)
@@ -90,32 +91,32 @@ def check_state(state: object) -> None:
         and all(isinstance(scene, Scene) for scene in state.trajectory)
     ):
         raise StateError(
-            "a state is what get_state() returns: a scene, a number of steps from 0 up, the simulation's numbers, and "
-            f"frames by name; not {short_repr(state)}"
+            "a state must be a result of get_state(): a scene, the number of steps (0 or more), the simulation's "
+            f"numbers, and frames by name; not {short_repr(state)}"
         )
 
 
 class Simulation:
-    """The simulation of a world, at rest in its scene after `start`.
+    """The simulation of a scene. After `start`, the scene's objects are at rest in their initial poses.
 
     Args:
-        world: the world of the first scene.
-        model: a compiled model of it.
-        data: its state, which others may use too.
-        renderer: as `magical_mj.Engine`.
-        cameras: as those of `Views`.
+        scene_model: the initial scene and its coordinates.
+        model: the scene's compiled model.
+        data: MuJoCo's data of this model; None: new data.
+        renderer: "opengl", "software" or None, as for `magical_mj.Engine`.
+        cameras: the names of the views' cameras in the model, where they differ from the views' names.
         speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
 
     Attributes:
-        world: the world of the present scene.
+        scene_model: the initial scene of the current episode, and its coordinates.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
-        data: MuJoCo's state of that model.
-        shifts: those of the present episode; None: none.
+        data: MuJoCo's data of that model.
+        shifts: the shifts of the current episode; None if there are none.
     """
 
     def __init__(
         self,
-        world: World,
+        scene_model: SceneModel,
         model: mujoco.MjModel,
         data: mujoco.MjData | None = None,
         renderer: str | None = None,
@@ -123,7 +124,7 @@ class Simulation:
         *,
         speeds: bool = False,
     ) -> None:
-        self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
+        self.scene_model, self.model, self.data = scene_model, model, data or mujoco.MjData(model)
         self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
         self.shifts: EpisodeShifts | None = None
         self._views: Views | None = None
@@ -138,40 +139,43 @@ class Simulation:
         *,
         speeds: bool = False,
     ) -> Simulation:
-        """The simulation of an episode that begins in this scene, with these shifts."""
-        world = World(scene)
-        simulation = cls(world, copy(world_model(world.structure)), renderer=renderer, speeds=speeds)
+        """The simulation of an episode that starts in this scene, with these shifts."""
+        scene_model = SceneModel(scene)
+        simulation = cls(scene_model, copy(compiled_model(scene_model.structure)), renderer=renderer, speeds=speeds)
         simulation.shifts = shifts
         simulation._begin()
         return simulation
 
     @property
     def scene(self) -> Scene:
-        """Where everything is now, fingers included."""
-        return self.world.read(self.data.qpos)
+        """The current scene, with the poses of robot, blocks and fingers."""
+        return self.scene_model.read(self.data.qpos)
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
-        """Puts everything to the start of an episode in this scene, exactly as if newly compiled, with these shifts.
+        """Starts an episode in this scene with these shifts. The result equals that of a newly compiled model.
 
-        Compiling takes more than ten times as long as rewriting a model, and most scenes differ in numbers only.
+        Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
         if self.shifts is not None and self.shifts.changes_model:
-            write_numbers(self.model, world_model(self.world.structure))
+            write_numbers(self.model, compiled_model(self.scene_model.structure))
         self.shifts = shifts
-        if scene != self.world.scene:
-            before, self.world = self.world, World(scene)
-            if self.world.structure != before.structure:
-                self.model = copy(world_model(self.world.structure))
+        if scene != self.scene_model.scene:
+            before, self.scene_model = self.scene_model, SceneModel(scene)
+            if self.scene_model.structure != before.structure:
+                self.model = copy(compiled_model(self.scene_model.structure))
                 self.data = mujoco.MjData(self.model)
         self._begin()
 
     def _begin(self) -> None:
-        """Solves twice, since the solver starts from its last solution, and protocol 1 has always started after two."""
+        """Writes the scene into the model and computes the initial state.
+
+        `mj_forward` is called twice: its solver starts from the previous solution, and protocol 1 is defined so.
+        """
         model, data = self.model, self.data
-        self.world.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
-        model.opt.disableflags = enabled | _NO_ACTUATION  # there are no controls yet
+        model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
         try:
             mujoco.mj_forward(model, data)
             mujoco.mj_forward(model, data)
@@ -179,8 +183,10 @@ class Simulation:
             model.opt.disableflags = enabled
 
     def copy(self) -> Simulation:
-        """Another simulation in the same state, which shares the model, and takes actions as they are commanded."""
-        return Simulation(self.world, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds)
+        """A copy in the same state that shares the model. It has no shifts, so it executes actions as commanded."""
+        return Simulation(
+            self.scene_model, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds
+        )
 
     def act(self, action: Any) -> None:
         """Simulates one action of 1/8 s; see `command` and `advance`."""
@@ -191,34 +197,39 @@ class Simulation:
         """Writes the controls of an action.
 
         Raises:
-            InvalidActionError: if the action is not one of the 18, nor, where actions are speeds, a vector of them.
+            InvalidActionError: if the action is neither one of the 18 nor, with `speeds`, a vector of speeds.
         """
         if self.speeds:
             self._command_speeds(action)
             return
-        number, scene = action_number(action), self.world.scene
+        number, scene = action_number(action), self.scene_model.scene
         if self.shifts is not None:
             number = self.shifts.action(number)
-        self.data.ctrl[self.world.coordinates.ctrl] = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        self.data.ctrl[self.scene_model.coordinates.ctrl] = control_signal(
+            number, scene.robot.body, scene.dynamics.veer
+        )
 
     def _command_speeds(self, action: Any) -> None:
-        """Writes the controls of a vector of speeds, or of one of the 18 actions: full speed, or none."""
-        world, data = self.world, self.data
-        size = 3 if world.has_fingers else 2
+        """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
+        scene_model, data = self.scene_model, self.data
+        size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
             number = action_number(action)
             vector = to_vector(number if self.shifts is None else self.shifts.action(number))[:size]
         else:
             vector = as_speeds(action, size)
-        fingers = world.fingers(data.qpos) if world.has_fingers else None
-        controls = world.coordinates.ctrl
+        fingers = scene_model.fingers(data.qpos) if scene_model.has_fingers else None
+        controls = scene_model.coordinates.ctrl
         data.ctrl[controls] = speed_signal(vector, fingers, data.ctrl[controls])
 
     def advance(self, steps: int) -> None:
-        """Takes some steps of MuJoCo.
+        """Takes steps of MuJoCo.
 
-        The last half of its step is done first, and its first half last. So positions and what follows from them, such
-        as contacts and the places of bodies, are always those of the present state.
+        The second half of a step (`mj_step2`) comes first, and the first half (`mj_step1`) last. So contacts, positions
+        of bodies and everything else that depends on positions always belong to the current state.
+
+        Args:
+            steps: the number of steps, at least 1.
 
         Raises:
             PhysicsError: if the simulation becomes unstable.
@@ -232,55 +243,62 @@ class Simulation:
         if warnings.tobytes() != before:
             counts = zip(mujoco.mjtWarning.__members__, warnings > np.frombuffer(before, warnings.dtype), strict=False)
             names = ", ".join(name for name, new in counts if new)
-            raise PhysicsError(f"the simulation has become unstable, MuJoCo warns of {names}: the episode cannot go on")
+            raise PhysicsError(f"the simulation has become unstable (MuJoCo's warning: {names}): reset the environment")
 
     def state_vector(self) -> NDArray[np.float32]:
         """See `magical_mj.Engine.state_vector`."""
-        world, data = self.world, self.data
-        if self._encoder is None or self._encoder[0] is not world.scene:
-            self._encoder = world.scene, StateEncoder(world.scene)
-        return self._encoder[1](world.poses(data.qpos), world.velocities(data.qvel), world.fingers(data.qpos))
+        scene_model, data = self.scene_model, self.data
+        if self._encoder is None or self._encoder[0] is not scene_model.scene:
+            self._encoder = scene_model.scene, StateEncoder(scene_model.scene)
+        return self._encoder[1](
+            scene_model.poses(data.qpos), scene_model.velocities(data.qvel), scene_model.fingers(data.qpos)
+        )
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
-        """A view of the present state, fresh or in `out`, top row first: see `rendering.renderer.Views.draw`."""
+        """A picture of the current state, in a fresh array or in `out`; see `rendering.renderer.Views.draw`."""
         if self._views is None or self._views.model is not self.model:
             self._views = Views(self.model, self.renderer, self._cameras)
         if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
         check_out(out, size)
         bare = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
-        place = None if self.shifts.filters else out  # which has gaps in memory
-        picture = self._views.draw(self.data, view, size, place, bare)
+        target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
+        picture = self._views.draw(self.data, view, size, target, bare)
         frame = self._frame(view, self.shifts.steps)
-        picture = self.shifts.picture(picture, frame, bare, self.world.scene.half_width)
-        if out is None or place is out:
+        picture = self.shifts.picture(picture, frame, bare, self.scene_model.scene.half_width)
+        if out is None or target is out:
             return picture
-        for channel in range(3):  # three strided copies are faster than one of triples
+        for channel in range(3):  # three strided copies are faster than one copy of triples
             out[..., channel] = picture[..., channel]
         return out
 
     def _frame(self, view: str, step: int) -> Frame:
-        """What shifts are told about a picture of this view."""
+        """The description of a picture that shifts receive: the view, the step and the camera."""
         camera = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, self._cameras.get(view, view))
         (x, y, _), axes = self.data.cam_xpos[camera].tolist(), self.data.cam_xmat[camera].tolist()
         return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self.model.cam_fovy[camera])))
 
     def free(self) -> None:
-        """Frees what the simulation drew with; the drawing context, which all share, remains."""
+        """Frees the simulation's renderer. The drawing context is shared and remains."""
         self._views = None
 
     def state(self, steps: int, trajectory: Sequence[Scene] = ()) -> State:
-        """The state of the episode, after so many steps through these scenes, if they count."""
-        scene, saved = self.world.scene, self.save()
+        """The current state of the episode.
+
+        Args:
+            steps: the number of control steps so far.
+            trajectory: the scenes so far, if the score depends on all of them.
+        """
+        scene, saved = self.scene_model.scene, self.save()
         if self.shifts is None:
             return State(scene, steps, saved, trajectory=tuple(trajectory))
         commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}
         return State(scene, steps, saved, draws=self.shifts.draws, commands=commands, trajectory=tuple(trajectory))
 
     def save(self) -> NDArray[np.float64]:
-        """The complete present state in a fresh array. Shape (state size + number of trees,).
+        """MuJoCo's complete current state in a fresh array. Shape (state size + number of trees,).
 
-        It is MuJoCo's integration state and, since that lacks it, which trees (bodies with their children) sleep.
+        It is MuJoCo's integration state, and which trees (bodies with their children) sleep: that state lacks this.
         """
         size = mujoco.mj_stateSize(self.model, _INTEGRATION)
         saved = np.empty(size + self.model.ntree)
@@ -289,7 +307,7 @@ class Simulation:
         return saved
 
     def restore(self, saved: NDArray[np.float64]) -> None:
-        """Restores a state that `save` returned for the same model: what follows is exactly the same.
+        """Restores a state that `save` returned for the same model. The simulation then continues exactly as before.
 
         Raises:
             StateError: if it is not a state of this model.
@@ -297,10 +315,10 @@ class Simulation:
         size = mujoco.mj_stateSize(self.model, _INTEGRATION)
         length = size + self.model.ntree
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (length,)
-        if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # beyond, MuJoCo starts again without a word
+        if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # with larger numbers, MuJoCo resets silently
             raise StateError(
-                f"a state of this scene is an array of {length} finite float64, none of them beyond {MAX_NUMBER:g}; "
-                "see get_state()"
+                f"a state of this scene must be an array of {length} finite float64, from -{MAX_NUMBER:g} to "
+                f"{MAX_NUMBER:g}; see get_state()"
             )
         asleep = saved[size:]
         sleeping = asleep >= 0
@@ -319,14 +337,14 @@ class Simulation:
         size = mujoco.mj_stateSize(model, _INTEGRATION)
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
-        mujoco.mj_fwdPosition(model, data)  # with everything awake, since MuJoCo does not update sleeping bodies
+        mujoco.mj_fwdPosition(model, data)  # before any body sleeps: MuJoCo does not update sleeping bodies
         data.tree_asleep[:] = saved[size:]
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
 
 
 def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
-    """Gives a model the numbers of another one with the same structure, which takes less time than a copy of it."""
+    """Copies all numbers from `other`, a model with the same structure. This is faster than copying the model."""
     arrays, options = _fields()
     for name in arrays:
         values = getattr(other, name)
@@ -337,7 +355,7 @@ def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
 
 
 def different_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
-    """The names of arrays and options in which two models differ, such as "geom_rgba", apart from names."""
+    """The arrays and options that differ between two models, such as "geom_rgba". Names of objects are ignored."""
     arrays, options = _fields()
     pairs = {name: (getattr(model, name), getattr(other, name)) for name in arrays if not name.startswith("name")}
     pairs |= {name: (getattr(model.opt, name), getattr(other.opt, name)) for name in options}
@@ -346,20 +364,20 @@ def different_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]
 
 @cache
 def _fields() -> tuple[list[str], list[str]]:
-    """The names of a model's arrays, and of its options."""
+    """The names of a model's arrays, and the names of its options."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     arrays = [name for name in dir(model) if name[0] != "_" and isinstance(getattr(model, name), np.ndarray)]
     return arrays, [name for name in dir(model.opt) if name[0] != "_" and not callable(getattr(model.opt, name))]
 
 
 def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Updates what MuJoCo derives from `tree_asleep`; it has no public function for this."""
+    """Updates the fields that MuJoCo derives from `tree_asleep`. MuJoCo has no public function for this."""
     data.tree_awake[:] = data.tree_asleep < 0
     in_tree = model.body_treeid >= 0
     data.body_awake[:] = np.where(in_tree, data.tree_awake[model.body_treeid], mujoco.mjtSleepState.mjS_STATIC.value)
     moves = data.body_awake != mujoco.mjtSleepState.mjS_ASLEEP.value
     parent_moves = moves[model.body_parentid]
-    parent_moves[0] = False  # the world has no parent
+    parent_moves[0] = False  # the world body has no parent
     for name, which in (("body", moves), ("parent", parent_moves), ("dof", data.tree_awake[model.dof_treeid])):
         indices = np.flatnonzero(which)
         getattr(data, f"{name}_awake_ind")[: len(indices)] = indices

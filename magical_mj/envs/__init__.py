@@ -1,1 +1,1 @@
-"""The environments in the APIs of Gymnasium and dm_env."""
+"""The environments for Gymnasium and dm_env."""

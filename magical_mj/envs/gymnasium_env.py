@@ -1,4 +1,4 @@
-"""The Gymnasium environment: presets of stacked frames over the engine."""
+"""The Gymnasium environment: an engine with observations, rewards and infos."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 CUTS: Final = 3
-"""After how many episodes that were reset at the same late step a warning says that they have reported no score."""
+"""The number of episodes that are reset at the same late step before a warning says that they reported no score."""
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STARTS: Final = ("scene", "state", "variation")
-"""The options of `reset` that say how an episode starts."""
+"""The options of `reset` that determine how an episode starts."""
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -53,14 +53,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.envs.wrappers.ContinuousActions`.
 
     ## Observations
-    What the preset says (`magical_mj.envs.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
-    first, the state vector, or pictures and the fingers' angles. After a reset the first frame fills the stack.
+    They depend on the preset (`magical_mj.envs.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
+    first; the state vector; or pictures and the fingers' angles. After a reset the first frame fills the stack.
 
     ## Episodes
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
-    `reset(options={"scene": scene})` in that `Scene` or its JSON; `reset(options={"state": state})` continues from
-    a result of `get_state()`. An episode is truncated at the task's horizon and never terminates. The reward is 0:
-    `info["eval_score"]` is the score in [0, 1] at the last step (0.0 before), `info["is_success"]` whether it is 1.
+    `reset(options={"scene": scene})` in this `Scene`, which may be given as JSON. `reset(options={"state": state})`
+    continues from a result of `get_state()`. An episode is truncated at the task's horizon and never terminates. The
+    reward is 0. At the last step, `info["eval_score"]` is the score in [0, 1], and `info["is_success"]` is whether it
+    is 1. Before, `eval_score` is 0.0.
 
     Args:
         task: one of `magical_mj.TASKS`.
@@ -68,19 +69,20 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         preset: one of `magical_mj.envs.presets.PRESETS`.
         image_size: side of the pictures in pixels, instead of the preset's.
         reward: "none", or "score" for the score as reward at the last step.
-        rules: "paper" or "released".
+        rules: "paper", or "released" for the scores and horizons of the original's released code.
         action: "discrete" or "continuous".
-        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
+        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or the first that works
+            (docs/pictures.md).
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
-        body: the robot's body, one that the task offers; see docs/bodies.md.
-        instruction: adds the sentence that says what is to be done, which `instruction` is, too: `info["instruction"]`,
-            and "instruction" in observations that are dicts. Shifts that change it add it to infos.
+        body: the robot's body, one that the task supports; see docs/bodies.md.
+        instruction: adds the sentence that describes the task to infos, as `info["instruction"]`, and to observations
+            that are dicts. If a shift changes the sentence, infos contain it in any case.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
         score_every_step: adds `info["score"]` at every step and reset: the score if the episode ended now. This takes
             up to a tenth of a step's time.
-        limit: the number of steps after which episodes end before the task's horizon.
+        limit: the number of steps of an episode, if fewer than the task's horizon.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
@@ -127,8 +129,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
-        self._cut = 0, 0  # the step at which the last episodes were reset before their end, and how many of them
-        self._fresh_seed: int | None = None  # of the last reset, while no step has followed
+        self._cut = 0, 0  # the step of the last episodes' early resets, and the number of these episodes
+        self._fresh_seed: int | None = None  # the seed of the last reset, until the first step
 
     @property
     def engine(self) -> Engine:
@@ -137,22 +139,22 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def scene(self) -> Scene:
-        """Where everything is now, fingers included."""
+        """The current scene, with the poses of robot, blocks and fingers."""
         return self._engine.scene
 
     @property
     def initial_scene(self) -> Scene:
-        """The scene in which this episode started."""
+        """The initial scene of this episode."""
         return self._engine.initial_scene
 
     @property
     def instruction(self) -> str:
-        """The sentence that says what is to be done in this episode, as its shifts make it."""
+        """The sentence that describes the task in this episode. Shifts can change it."""
         return self._engine.instruction
 
     @property
     def limit(self) -> int:
-        """The number of steps of an episode since its start, also where it goes on from a state."""
+        """The number of steps of an episode. If it continues from a state, the steps before the state count."""
         return self._limit
 
     @limit.setter
@@ -161,12 +163,12 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     @cached_property
     def variation_space(self) -> VariationSpace:
-        """Every factor of scenes and shifts, with the default; see `magical_mj.envs.variation` and docs/shifts.md."""
+        """The space of all factors of scenes and shifts; see `magical_mj.envs.variation` and docs/shifts.md."""
         return VariationSpace(self._engine)
 
     @property
     def variation(self) -> Variation:
-        """The values in `variation_space` of the present episode, which `reset` repeats with its option "variation"."""
+        """The current episode's values in `variation_space`. `reset` with the option "variation" repeats them."""
         engine = self._engine
         seeds = {int(values["seed"]) for values in engine.draws.values()} or {engine.seed or 0}
         return self.variation_space.values_of(engine.initial_scene, engine.draws, min(seeds))
@@ -181,25 +183,24 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """Starts an episode; see the class.
 
         Args:
-            seed: of this episode's scene, and of `np_random`, which draws the seeds of later ones. If no step follows,
-                the next reset without a seed starts in the same scene: the `set_seed` of some libraries resets once.
-            options: "scene" or "state"; or "variation": a dict of values in `variation_space`, whole or in part (what
-                it lacks is as in the episode of the seed), or a list of names of factors to draw. Others are ignored,
-                with a warning.
+            seed: draws this episode's scene, and seeds `np_random`, which draws the seeds of later episodes. If no step
+                follows, the next reset without a seed starts in the same scene: some libraries reset an extra time in
+                their `set_seed`.
+            options: one of "scene", "state" and "variation". A variation is a dict of values in `variation_space`
+                (missing values are those of the seed's episode), or a list of names of factors to draw. Other options
+                are ignored with a warning.
 
         Raises:
-            InvalidSeedError: if the seed is not an integer, or negative.
-            InvalidSceneError: if the scene is not one of the task.
-            StateError: if the state is none of an episode of the task that goes on, within the limit.
-            SettingsError: if the options are no dict, or more than one of them says how to start; if the variation is
-                not in its space.
+            InvalidSeedError: if the seed is negative or not an integer.
+            InvalidSceneError: if the scene is illegal or does not belong to the task.
+            StateError: if the state does not fit the task, or its episode has ended.
+            SettingsError: if the options are not a dict, if they give more than one start, or if the variation is not
+                in its space.
         """
         seed = None if seed is None else check_seed(seed)
         start = check_options(options, *STARTS)
         if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
-            raise SettingsError(
-                f"an episode starts from one of the options {', '.join(STARTS)}, not {' and '.join(given)}"
-            )
+            raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
         scene, state, variation = (
             _scene_option(start, self._engine.setup.body),
             start.get("state"),
@@ -218,10 +219,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             self._engine.reset(scene=scene, state=state)
         else:
             number = self._next_seed(seed)
-            if self._engine.task not in TASKS and self._preset.layout == "state":  # the benchmark's own scenes fit
+            if self._engine.task not in TASKS and self._preset.layout == "state":  # scenes of the benchmark's tasks fit
                 self._check_observable(self._engine.setup.sample(number))
             self._engine.reset(seed=number)
-        super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
+        super().reset(seed=seed)  # last, so that a refused reset does not change the generator
         self._notice_cut(0 if state is not None else steps)
         self._begun = True
         self._fresh_seed = seed if scene is None and state is None else None
@@ -229,24 +230,24 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self.observe(), self._info(last=False)
 
     def get_state(self) -> State:
-        """The present state of the episode, to the bit, the pictures in the stacks included.
+        """The exact current state of the episode, including the frames in the stacks.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
         if not self._begun:
-            raise ResetNeeded("no episode has begun; call reset() before get_state()")
+            raise ResetNeeded("no episode has started: call reset() before get_state()")
         return dataclasses.replace(self._engine.get_state(), frames=self._stacks.save())
 
     def set_state(self, state: State) -> None:
-        """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
+        """Restores a state of this environment or of another one with the same task. The episode continues exactly.
 
-        Where the state's pictures are not those of this environment's preset, the present ones fill the stacks. To see
-        the observation at once, use `reset(options={"state": state})`.
+        If the state has no frames of this environment's preset, the current picture fills the stacks. To get the
+        observation as well, use `reset(options={"state": state})`.
 
         Raises:
-            StateError: if it is no state of a scene of this task.
-            InvalidSceneError: if its scene is not one of this task.
+            StateError: if the state does not belong to this task.
+            InvalidSceneError: if the state's scene does not belong to this task.
         """
         self._engine.set_state(state)
         self._cut = 0, 0
@@ -254,37 +255,37 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._stacks.start(self._draw, state.frames)
 
     def __copy__(self) -> MagicalEnv:
-        """As a deep copy: two environments that step the same engine would disturb each other."""
+        """A deep copy: two environments with the same engine would disturb each other."""
         return self.clone()
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copying and pickling: with the generator of later scenes, which Gymnasium makes when it is first used."""
+        """For copying and pickling. Gymnasium creates the generator at its first use; the copy needs it."""
         _ = self.np_random
         return self.__dict__
 
     def clone(self) -> MagicalEnv:
-        """Another environment like this one, in the same state; both go on alike, later episodes included."""
+        """A copy in the same state, with the same future, including later episodes."""
         return copy.deepcopy(self)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One action. Truncated at the horizon.
+        """Executes one action. The episode is truncated at the horizon.
 
         Raises:
-            InvalidActionError: if the action is not one of the 18.
-            gymnasium.error.ResetNeeded: before the first reset and after the last step.
+            InvalidActionError: if the action is not in the action space.
+            gymnasium.error.ResetNeeded: before the first reset, and after the last step of an episode.
         """
         last = self.advance(self.to_action(action))
         observation = self.observe()
         return observation, *self.outcome(last=last)
 
     def to_action(self, action: Any) -> Any:
-        """An action as the engine takes it; an `InvalidActionError` if it is a vector, and not one of these."""
+        """Converts an action for the engine. Raises `InvalidActionError` if continuous actions are invalid."""
         return to_discrete(action) if self._continuous else action
 
     def advance(self, action: Any) -> bool:
-        """The simulation of a step, with its pictures: see `step`. Returns whether it was the episode's last."""
+        """Simulates a step and updates the frames; see `step`. Returns whether the episode has ended."""
         if not self._begun or self.over:
-            raise ResetNeeded("the episode has ended; call reset() before the next step")
+            raise ResetNeeded("the episode has ended: call reset() before the next step")
         over = self._engine.step(action)
         self._fresh_seed = None
         self._stacks.push(self._draw)
@@ -296,50 +297,54 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self._engine.over or self._engine.steps >= self._limit
 
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The reward of a step, whether it was the last (never by termination), and the info."""
+        """Reward, terminated (always False), truncated and info of a step."""
         info = self._info(last=last)
         return float(info["eval_score"]) if self.reward == "score" else 0.0, False, last, info
 
     def render(self) -> Images | None:
-        """The view of `render_view` if `render_mode` is "rgb_array". Shape (size, size, 3); "both": twice as wide."""
+        """The picture of `render_view`, shape (size, size, 3), "both": twice as wide; None without a `render_mode`."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
             return None
         return np.concatenate([self._engine.render(view, self._render_size) for view in self._views], axis=1)
 
     def close(self) -> None:
-        """Frees the simulation; closing twice is fine."""
+        """Frees the simulation. Can be called more than once."""
         self._engine.close()
         super().close()
 
     def _info(self, *, last: bool) -> dict[str, Any]:
-        """The same keys always. TorchRL reads the `dtype` of each value; vectors would lose that of a `numpy.bool`."""
+        """The info, always with the same keys.
+
+        TorchRL reads the `dtype` of each value. `is_success` is an array, since vector environments would lose the
+        dtype of a `numpy.bool`.
+        """
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         shifts = self._engine.simulation.shifts
         if self._instruction or (shifts is not None and shifts.changes_instruction):
-            info["instruction"] = np.str_(self.instruction)  # `check_env` cannot compare arrays of text
+            info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
     def _notice_cut(self, steps: int) -> None:
-        """Warns if one episode after the other is reset at this step, as in a `TimeLimit`, which cannot be seen."""
+        """Warns if consecutive episodes are reset at this step, probably by a wrapper such as `TimeLimit`."""
         self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
         if self._cut == (steps, CUTS) and steps > self._limit / 2:
             warnings.warn(
                 f"the last {CUTS} episodes were reset after {steps} of {self._limit} steps. If a wrapper such as "
-                "TimeLimit ends them, eval_score is 0.0 there: put magical_mj.wrappers.ScoreAtTheEnd around it, or "
-                "give max_episode_steps to gymnasium.make",
+                "TimeLimit ends them, their eval_score is 0.0: apply magical_mj.wrappers.ScoreAtTheEnd outside that "
+                "wrapper, or give max_episode_steps to gymnasium.make",
                 stacklevel=3,
             )
 
     def _next_seed(self, seed: int | None) -> int:
-        """The seed of an episode: the given one, that of the last reset if no step has followed it, or a drawn one."""
+        """The seed of an episode: the given seed, the seed of the last reset if no step followed, or a drawn seed."""
         seed = self._fresh_seed if seed is None else seed
         return int(self.np_random.integers(2**63)) if seed is None else seed
 
     def _varied(self, variation: Any, seed: int) -> tuple[Scene, Draws]:
-        """The scene and the draws of an episode with this variation; see `reset`."""
+        """The scene and the shifts' values of an episode with this variation; see `reset`."""
         engine, space = self._engine, self.variation_space
         if not isinstance(variation, Mapping):
             return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
@@ -347,15 +352,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         scene, shifts = engine.setup.begin(engine.shifts, seed)
         values = space.values_of(scene, {} if shifts is None else shifts.draws, seed % MAX_SEED)
         for name, part in variation.items():
-            check_name("part of a variation", name, space.spaces)
+            check_name("key of a variation", name, space.spaces)
             values[name] = {**values[name], **part} if isinstance(part, Mapping) else part
         return space.episode(values, scene)
 
-    def _draw(self, view: str, place: Images) -> None:
-        self._engine.render(view, len(place), out=place if place.shape[2] == 3 else place[..., 0])
+    def _draw(self, view: str, out: Images) -> None:
+        self._engine.render(view, len(out), out=out if out.shape[2] == 3 else out[..., 0])
 
     def _check_observable(self, scene: Scene | None) -> None:
-        """Raises an `InvalidSceneError`, while the present episode can go on, if the state vector is too short."""
+        """Raises an `InvalidSceneError` if the state vector is too short for a scene, before anything is changed."""
         if scene is not None and self._preset.layout == "state":
             StateEncoder(scene)
 
@@ -364,23 +369,25 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self._engine.state_vector()
 
     def observe(self, out: Observation | None = None) -> Observation:
-        """The present observation, in fresh arrays or in those of `out`."""
+        """The current observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
             return _put(self.state(), out)
         parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
             return _put(next(iter(parts.values())), out)
         if self._preset.fingers:
-            with np.errstate(all="ignore"):  # angles may be too small for float32
+            with np.errstate(all="ignore"):  # angles may underflow in float32
                 parts["fingers"] = self._engine.fingers().astype(np.float32)
-        seen: dict[str, Any] = {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
+        observed: dict[str, Any] = {
+            name: _put(part, None if out is None else out[name]) for name, part in parts.items()
+        }
         if self._instruction:
-            seen["instruction"] = self.instruction
-        return seen
+            observed["instruction"] = self.instruction
+        return observed
 
 
 def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:
-    """A copy of an array, fresh or in `out`."""
+    """Copies an array into `out`, or into a fresh array."""
     if out is None:
         return values.copy()
     np.copyto(out, values)
@@ -388,7 +395,7 @@ def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:
 
 
 def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
-    """The scene of the options, which as JSON may name the environment's own body."""
+    """The option "scene". Its JSON may name the environment's own body."""
     scene = options.get("scene")
     if scene is None or isinstance(scene, Scene):
         return scene
@@ -398,7 +405,7 @@ def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
 
 
 def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:
-    """The options given to an environment's `reset`. Of names that are not known it warns: libraries have their own.
+    """Checks the options of an environment's `reset`. Unknown ones cause a warning, since libraries pass their own.
 
     Raises:
         SettingsError: if they are neither a mapping nor None.
@@ -407,9 +414,9 @@ def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str
     if options is None:
         return {}
     if not isinstance(options, Mapping):
-        raise SettingsError(f"options are a dict with {names} for keys, not {short_repr(options)}")
+        raise SettingsError(f"options must be a dict with keys among {names}, not {short_repr(options)}")
     if ignored := options.keys() - set(known):
         warnings.warn(
-            f"reset ignores the options {', '.join(sorted(map(repr, ignored)))}; it knows {names}", stacklevel=3
+            f"reset ignores the options {', '.join(sorted(map(repr, ignored)))}; known options: {names}", stacklevel=3
         )
     return options

@@ -1,6 +1,6 @@
-"""The observation presets of the Gymnasium environments: which frames they contain and how these are stacked.
+"""The observation presets of the Gymnasium environments: their frames, and how these are stacked.
 
-A stack is the last few pictures as one array, oldest first along the channels.
+A stack is one array with the last few frames, oldest first along the channels.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from magical_mj.utils.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
 
-LONGEST_SENTENCE: Final = 400
-STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
+LONGEST_SENTENCE: Final = 400  # characters
+STATE_BOUND: Final = 1000.0  # of all entries of the state vector; in the longest episode, angles reach 100 rad
 
 
 @dataclass(frozen=True)
 class Preset:
-    """How observations are made from pictures.
+    """The content and layout of observations.
 
     Attributes:
-        frames: the views and how many of the latest frames of each, in the order in which they are stacked: pictures,
-            or segmentations (docs/pictures.md says what their ids are).
-        layout: "hwc" and "chw" stack all frames along the channels of one array, oldest first; "dict" gives
-            one such array (height x width x channels) per view; "state" is the state vector instead.
-        image_size: default side of the pictures in pixels.
-        summary: one line of description.
-        fingers: whether the dict also has "fingers", the angles of the left and the right finger (rad), which the
-            paper's learners do not see.
+        frames: each view with its number of frames, in stacking order. Views are pictures, or segmentations
+            (docs/pictures.md lists their ids).
+        layout: "hwc" and "chw" stack all frames along the channels of one array, oldest first. "dict" is a dict with
+            such an array (height x width x channels) for each view. "state" is the state vector instead.
+        image_size: default side of the frames in pixels.
+        summary: a description in one line.
+        fingers: whether the dict also contains "fingers", the angles of the left and the right finger (rad). The
+            paper's learners do not observe them.
     """
 
     frames: tuple[tuple[str, int], ...]
@@ -47,7 +47,7 @@ class Preset:
 
     @property
     def depth(self) -> int:
-        """The number of channels of a frame: of a picture 3, of a segmentation 1."""
+        """The number of channels of a frame: 3 for pictures, 1 for segmentations."""
         return 1 if any(view in SEGMENTATIONS for view, _ in self.frames) else 3
 
 
@@ -67,13 +67,13 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
     }
 )
-"""The presets by name; the empty name is used when an environment is made without a preset."""
+"""The presets by name. The empty name is the preset of environments that are made without one."""
 DEFAULT_PRESET: Final = "LoRes4E"
-"""What a policy gets that does not say what it observes."""
+"""The preset of policies that do not declare one."""
 
 
 def preset_named(name: str) -> Preset:
-    """The preset with this name; raises `UnknownNameError` if there is none."""
+    """The preset with this name. Raises `UnknownNameError` if there is no such preset."""
     if not isinstance(name, str) or name:
         check_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]
@@ -82,22 +82,25 @@ def preset_named(name: str) -> Preset:
 def observation_space(
     preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
 ) -> spaces.Space[Any]:
-    """The space of a preset's observations, whose stacks have these shapes by name (ignored for the state).
+    """The space of a preset's observations.
 
-    With `instruction`, dicts hold the sentence that says what is to be done.
+    Args:
+        preset: the preset.
+        shapes: the shapes of its stacks by name; not used for the state vector.
+        instruction: whether dicts contain the sentence that describes the task.
     """
     if preset.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
     if preset.fingers:
-        boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # rad, the left one first
+        boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # left, right; rad
     if instruction:
         boxes["instruction"] = spaces.Text(LONGEST_SENTENCE, charset=frozenset(map(chr, range(32, 127))))
     return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
 
 
 def observed(preset: str) -> str:
-    """The preset's name and the shape of its observations, or the shapes of their parts, in words."""
+    """A phrase with the preset's name and the shapes of its observations."""
     how = PRESETS[preset]
     space = observation_space(how, Stacks(how, how.image_size).shapes)
     if not isinstance(space, spaces.Dict):
@@ -113,27 +116,27 @@ Draw = Callable[[str, Images], object]
 
 
 class FrameStack:
-    """The last frames of one or more views in one array, the frames of each view oldest first.
+    """The last frames of one or more views in one array. The frames of each view are ordered from the oldest.
 
-    The latest stack is a window into a longer buffer. For the next one the window moves by one frame. So every frame
-    is one place earlier in the new window, and only the newest frames are drawn, in place.
+    The stack is a window into a longer buffer. For each new stack, the window moves by one frame, so all older frames
+    keep their memory. Only the newest frames are drawn, directly into the buffer.
 
     Args:
-        frames: the views and how many frames of each, in the order in which they are stacked.
+        frames: each view with its number of frames, in stacking order.
         size: side of the frames in pixels.
         depth: the number of channels of a frame.
         channels_first: stacks of shape (channels, size, size) instead of (size, size, channels).
     """
 
     MOVES: Final = 16
-    """The number of times that the window moves before it returns to the beginning of the buffer."""
+    """The number of moves of the window before it returns to the start of the buffer."""
 
     def __init__(
         self, frames: tuple[tuple[str, int], ...], size: int, depth: int = 3, *, channels_first: bool = False
     ) -> None:
         count = depth * sum(number for _, number in frames)
         self.has_history = any(number > 1 for _, number in frames)
-        """Whether a stack depends on the one before."""
+        """Whether a stack depends on the previous stack."""
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
         ends = np.cumsum([depth * number for _, number in frames]).tolist()
@@ -144,11 +147,11 @@ class FrameStack:
 
     @property
     def latest(self) -> Images:
-        """The latest stack: a view into the buffer, which changes with the next `push`."""
+        """The current stack: a view into the buffer, which the next `push` changes."""
         return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
     def start(self, draw: Draw) -> None:
-        """Makes the first picture of an episode all frames of the stack."""
+        """Fills the stack with the first frame of an episode."""
         self._draw_newest(draw)
         pixels, depth = self.latest.transpose(self._channels_last), self._depth
         for _, first, end in self._channels:
@@ -156,7 +159,7 @@ class FrameStack:
                 pixels[..., channel] = pixels[..., end - depth + (channel - first) % depth]
 
     def push(self, draw: Draw) -> None:
-        """Adds the newest picture of each view; the oldest is gone."""
+        """Adds the newest frame of each view and drops the oldest."""
         if self._first == self.MOVES * self._shift:
             latest, self._first = self.latest.copy(), 0
             self.latest[:] = latest
@@ -164,17 +167,21 @@ class FrameStack:
         self._draw_newest(draw)
 
     def _draw_newest(self, draw: Draw) -> None:
-        """Draws the newest frame of each view into the latest stack."""
+        """Draws the newest frame of each view into the current stack."""
         pixels = self.latest.transpose(self._channels_last)
         for view, _, end in self._channels:
             draw(view, pixels[..., end - self._depth : end])
 
 
 class Stacks:
-    """All stacks of a preset by name: one for each view in the layout "dict", none for the state vector, else one.
+    """The stacks of a preset by name.
 
-    The name of that one says what it holds, such as "allo1+ego3", since stacks of other presets may have its shape.
-    Frames have `size` pixels a side.
+    The layout "dict" has a stack for each view, named after it. The layout "state" has none. Other layouts have one
+    stack. Its name describes its frames, such as "allo1+ego3", since the stacks of two presets can have equal shapes.
+
+    Args:
+        preset: the preset.
+        size: side of the frames in pixels.
     """
 
     def __init__(self, preset: Preset, size: int) -> None:
@@ -194,7 +201,7 @@ class Stacks:
         return {name: stack.shape for name, stack in self._stacks.items()}
 
     def start(self, draw: Draw, frames: Mapping[str, Images] | None = None) -> None:
-        """Begins the stacks of an episode; those given in `frames` (from `save`) are restored if they fit."""
+        """Starts the stacks of an episode. Stacks in `frames` (from `save`) are restored if name and shape fit."""
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
             fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
@@ -204,26 +211,26 @@ class Stacks:
                 stack.start(draw)
 
     def push(self, draw: Draw) -> None:
-        """Adds the newest pictures to the stacks."""
+        """Adds the newest frames to the stacks."""
         for stack in self._stacks.values():
             stack.push(draw)
 
     @property
     def latest(self) -> dict[str, Images]:
-        """The stacks, which change with the next `push`."""
+        """The current stacks, which the next `push` changes."""
         return {name: stack.latest for name, stack in self._stacks.items()}
 
     def save(self) -> dict[str, Images]:
-        """Copies of the stacks, except those that hold only present pictures."""
+        """Copies of the stacks, except those that contain only current frames."""
         return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.has_history}
 
 
 def copying(pictures: Mapping[str, Images]) -> Draw:
-    """A `Draw` that copies pictures which exist already."""
+    """A `Draw` that copies existing pictures."""
 
-    def write(view: str, place: Images) -> None:
-        frame = pictures[view].reshape(place.shape)  # of a segmentation: with its channel
-        for channel in range(place.shape[-1]):  # three strided copies are faster than one of triples
-            place[..., channel] = frame[..., channel]
+    def write(view: str, out: Images) -> None:
+        frame = pictures[view].reshape(out.shape)  # adds the channel of a segmentation
+        for channel in range(out.shape[-1]):  # three strided copies are faster than one copy of triples
+            out[..., channel] = frame[..., channel]
 
     return write

@@ -1,8 +1,8 @@
 """The Gymnasium ids: ``magical_mj/<Task>-<Demo|TestX>[-<Preset>]-v0`` for all environments and presets.
 
-Tasks that other packages announce have ids of the same form. Their modules are not imported at registration, since
-they import this package. Therefore all eight variants get ids, and making one that the task lacks raises an error.
-The ids of a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
+Tasks of installed plug-ins have ids of the same form. Their modules import this package, so registration cannot import
+them. Therefore all eight variants get ids, and making a variant that the task does not have raises an error. The ids of
+a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
 
     Args:
         task: a task's name, or ``"package.module:SPEC"``.
-        variant: a variant that the task has.
+        variant: a variant of the task.
         preset: one of `magical_mj.envs.presets.PRESETS`.
 
     Raises:
-        UnknownNameError: if there is no such task, variant or preset, or the task does not have this variant.
-        TaskError: if it is an invalid task of another package, or another task has its name.
+        UnknownNameError: if the task, variant or preset does not exist, or the task does not have this variant.
+        TaskError: if a task of another package is invalid, or another task has its name.
     """
     environment_axes(task, variant)
     preset_named(preset)
@@ -47,10 +47,10 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
 
 
 class SingleWrappers(tuple[WrapperSpec, ...]):
-    """Wrappers of single environments, whose work the vector environment does by itself.
+    """Wrappers that `gymnasium.make` applies to single environments. The vector environment does not need them.
 
-    `gymnasium.make_vec` refuses vector entry points of ids for which the length of this tuple is not 0. Nothing else
-    looks at the length: `gymnasium.make` takes a slice.
+    `gymnasium.make_vec` refuses a vector entry point if the length of this tuple is not 0. `gymnasium.make` does not
+    read the length: it takes a slice.
     """
 
     __slots__ = ()
@@ -63,7 +63,7 @@ AT_THE_END: Final = SingleWrappers((WrapperSpec("ScoreAtTheEnd", "magical_mj.env
 
 
 def register_all() -> None:
-    """Registers every environment that is not registered yet. `import magical_mj` calls it."""
+    """Registers all environments that are not registered yet. `import magical_mj` calls this function."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
         _register(task, task, variant, preset, task_spec(task).horizon())
     for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
@@ -72,7 +72,7 @@ def register_all() -> None:
 
 
 def suite_id(body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo") -> str:
-    """The id of SweepToTop in the suite xmagical, with these arguments of `magical_mj.envs.xmagical.XMagicalEnv`."""
+    """The id of SweepToTop in the suite xmagical. The arguments are those of `magical_mj.envs.xmagical.XMagicalEnv`."""
     test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
     return f"magical_mj/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
 
@@ -100,11 +100,11 @@ def _register_xmagical() -> None:
 
 
 def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:
-    """Registers one environment if it is not registered yet, and returns its id. `steps` is None if not known yet."""
+    """Registers an environment if it is not registered yet, and returns its id. `steps` is None if it is unknown."""
     test = variant if variant == "Demo" else f"Test{variant}"
     id_ = "-".join(filter(None, (f"magical_mj/{name}", test, preset, "v0")))
     registry = gymnasium.registry
-    if id_ not in registry:  # `gymnasium.register` compares each with all others, which takes a tenth of the import
+    if id_ not in registry:  # `gymnasium.register` compares each id with all others: a tenth of the import time
         registry[id_] = EnvSpec(
             id_,
             entry_point="magical_mj:MagicalEnv",
@@ -114,7 +114,7 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
             additional_wrappers=AT_THE_END,
         )
     elif (other := registry[id_].kwargs["task"]) != task:
-        raise TaskError(f"{id_} is the id of {other}; give the task {task} another name than {name!r}")
+        raise TaskError(f"{id_} is already the id of {other}: rename the task {task}, whose name is {name!r}")
     elif steps is not None:
-        registry[id_].max_episode_steps = steps  # of a task that was edited and reloaded
+        registry[id_].max_episode_steps = steps  # the task may have been edited and reloaded
     return id_

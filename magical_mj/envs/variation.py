@@ -1,4 +1,4 @@
-"""Variations: every factor of a task's scenes and of shifts as a Gymnasium space, given, drawn, and read back."""
+"""Variations: all factors of a task's scenes and shifts as a Gymnasium space. They can be set, drawn and read."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ MAX_PEBBLES: Final = 8
 MAX_SEED: Final = 2**63 - 1
 DYNAMICS: Final = tuple(Dynamics.__dataclass_fields__)
 Variation = dict[str, Any]
-"""The values of a `VariationSpace`: "seed", "scene" with its factors, and each shift with its factors."""
+"""A value of a `VariationSpace`: "seed", "scene" with its factors, and each shift with its factors."""
 
 
 class VariationSpace(spaces.Dict):
-    """What can vary in a task's episodes. All numbers of a scene have places: those of absent things are 0.
+    """The factors that can vary in a task's episodes.
 
-    "seed" is what shifts draw from besides their factors. All factors of a shift are 0 without it.
+    Arrays have fixed sizes: entries of absent blocks, regions and pebbles are 0. All factors of an absent shift are 0.
+    "seed" determines the random numbers that shifts draw in addition to their factors.
 
     Args:
         engine: an engine of the task.
 
     Attributes:
-        default: the task's demo scene, without shifts.
+        default: the variation of the task's demo scene without shifts.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -70,7 +71,11 @@ class VariationSpace(spaces.Dict):
         )
 
     def values_of(self, scene: Scene, draws: Draws, seed: int) -> Variation:
-        """The values of an episode; an `InvalidSceneError` if its scene holds more things than there are places."""
+        """The variation of an episode.
+
+        Raises:
+            InvalidSceneError: if the scene has more blocks, regions or pebbles than the space has entries for.
+        """
         values: Variation = {"seed": seed, "scene": _scene_values(scene)}
         for name in self.spaces.keys() - values.keys():
             drawn = draws.get(name, {})
@@ -78,33 +83,39 @@ class VariationSpace(spaces.Dict):
         return {name: _cast(space, values[name]) for name, space in self.spaces.items()}
 
     def sample(self, mask: Any = None, probability: Any = None) -> Variation:
-        """A scene of the variant All with every shift at its greatest strength, which `reset` can start in.
+        """A random variation that `reset` accepts: a scene of the variant All, with all shifts at their full strength.
 
         Raises:
-            SettingsError: if a mask is given: to draw some factors, name them to `reset`.
+            SettingsError: if a mask is given. To draw some factors only, pass their names to `reset`.
         """
         if mask is not None or probability is not None:
-            raise SettingsError('variations have no masks: reset(options={"variation": ["camera"]}) draws some factors')
+            raise SettingsError(
+                "a VariationSpace does not support masks: to draw some factors only, use "
+                'reset(options={"variation": ["camera"]})'
+            )
         return self.draw(["all"], int(self.np_random.integers(MAX_SEED)))
 
     def draw(self, names: Sequence[Any], seed: int) -> Variation:
-        """The default, with these factors drawn over their whole ranges: shifts at their greatest strength.
+        """The default variation with these factors drawn: shifts at their full strength, scenes as in the variant All.
 
         Args:
-            names: of shifts, of factors of theirs as in "camera.zoom", "scene" (as in the variant All), or "all".
-            seed: draws them.
+            names: names of shifts; names of single factors, such as "camera.zoom"; "scene"; or "all".
+            seed: draws the values.
 
         Raises:
             UnknownNameError: for any other name.
+            SettingsError: if the names are not a list.
         """
         if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
-            raise SettingsError(f'a variation is a dict, or a list of names like ["camera"], not {short_repr(names)}')
-        able = [name for name in self.spaces if name not in ("seed", "scene")]
-        parts = [f"{name}.{factor.name}" for name in able for factor in shift_class(name).factors]
+            raise SettingsError(
+                f'a variation must be a dict, or a list of names like ["camera"], not {short_repr(names)}'
+            )
+        shifts = [name for name in self.spaces if name not in ("seed", "scene")]
+        factors = [f"{name}.{factor.name}" for name in shifts for factor in shift_class(name).factors]
         for name in names:
-            check_name("factor", name, ("all", "scene", *able, *parts))
+            check_name("factor", name, ("all", "scene", *shifts, *factors))
         everything = "all" in names
-        wanted = [name for name in able if everything or any(part.partition(".")[0] == name for part in names)]
+        wanted = [name for name in shifts if everything or any(given.partition(".")[0] == name for given in names)]
         draws: dict[str, dict[str, float]] = draw_shifts(dict.fromkeys(wanted, STRENGTHS), seed)
         for name, values in draws.items():
             if not everything and name not in names:
@@ -113,12 +124,20 @@ class VariationSpace(spaces.Dict):
         return self.values_of(EpisodeShifts(draws).scene(setup.sample(seed), str(setup.task)), draws, seed)
 
     def episode(self, values: Mapping[str, Any], scene: Scene) -> tuple[Scene, Draws]:
-        """The scene and the draws of these values, which must be in this space; the rest is that of `scene`."""
+        """The scene and the shifts' values of a variation.
+
+        Args:
+            values: the variation.
+            scene: gives the properties that a variation lacks, such as fingers and masses.
+
+        Raises:
+            SettingsError: if the variation is not in this space.
+        """
         values = {name: _cast(self.spaces.get(name), value) for name, value in values.items()}
         if not self.contains(values):
             wrong = [name for name, value in values.items() if name not in self.spaces or value not in self[name]]
             raise SettingsError(
-                f"these parts of the variation are not in env.unwrapped.variation_space: {', '.join(wrong)}"
+                f"these values of the variation are not in env.unwrapped.variation_space: {', '.join(wrong)}"
             )
         draws: dict[str, dict[str, float]] = {}
         for name in self.spaces.keys() - {"seed", "scene"}:
@@ -138,21 +157,22 @@ def _space(factor: Any) -> spaces.Space[Any]:
 
 
 def _cast(space: Any, value: Any) -> Any:
-    """The value in the type that Gymnasium wants for the space, if it can be."""
+    """Converts a value to the type that Gymnasium requires for the space, if possible."""
     if isinstance(space, spaces.Dict) and isinstance(value, Mapping):
         return {name: _cast(space.spaces.get(name), part) for name, part in value.items()}
     if isinstance(space, spaces.Box | spaces.MultiDiscrete) and isinstance(value, float | int | list | np.ndarray):
         try:
             return np.asarray(value, space.dtype)
         except (TypeError, ValueError, OverflowError):
-            return np.empty(0)  # which no space contains, so that the value is refused like others
+            return np.empty(0)  # in none of the spaces, so the value is refused
     return value
 
 
 def _scene_values(scene: Scene) -> Variation:
-    for things, most in ((scene.blocks, MAX_BLOCKS), (scene.regions, MAX_REGIONS), (scene.pebbles, MAX_PEBBLES)):
-        if len(things) > most:
-            raise InvalidSceneError(f"variations have places for {most} of these, and the scene has {len(things)}")
+    for kind, most in (("blocks", MAX_BLOCKS), ("regions", MAX_REGIONS), ("pebbles", MAX_PEBBLES)):
+        count = len(getattr(scene, kind))
+        if count > most:
+            raise InvalidSceneError(f"a variation has entries for {most} {kind}, and the scene has {count}")
 
     def padded(rows: Sequence[Any], shape: tuple[int, ...], kind: Any = np.float64) -> NDArray[Any]:
         table = np.zeros(shape, kind)
@@ -177,7 +197,7 @@ def _scene_values(scene: Scene) -> Variation:
 
 
 def _scene_of(values: Mapping[str, Any], scene: Scene) -> Scene:
-    """The scene with these values; fingers, masses and borders are those of `scene`."""
+    """The scene with these values. Fingers, masses and borders are those of `scene`."""
     count = int(values["block_count"])
     kinds = zip(values["shapes"][:count], values["colours"][:count], values["blocks"][:count].tolist(), strict=True)
     blocks = [Block(SHAPES[shape], COLOURS[colour], *pose) for shape, colour, pose in kinds]
@@ -195,5 +215,5 @@ def _scene_of(values: Mapping[str, Any], scene: Scene) -> Scene:
         blocks=tuple(blocks),
         regions=tuple(regions),
         dynamics=Dynamics(*values["dynamics"].tolist()),
-        pebbles=tuple(Pebble(*place) for place in values["pebbles"][: int(values["pebble_count"])].tolist()),
+        pebbles=tuple(Pebble(*position) for position in values["pebbles"][: int(values["pebble_count"])].tolist()),
     )

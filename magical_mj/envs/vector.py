@@ -1,8 +1,8 @@
-"""Worlds on all cores: a Gymnasium vector environment whose worlds are stepped and drawn by threads of one process.
+"""A Gymnasium vector environment on all cores: threads of one process step and draw its environments.
 
-MuJoCo and the software renderer let go of Python's interpreter while they work, so threads are enough. Each world is a
-`MagicalEnv`: what it does is the same to the bit as alone. MuJoCo's own batches (`mujoco.batch`) need one layout for
-all models of a batch, and variants change it from episode to episode.
+MuJoCo and the software renderer release Python's global interpreter lock, so threads are enough. Each environment is a
+`MagicalEnv`, with the same results to the bit as on its own. MuJoCo's own batches (`mujoco.batch`) need the same layout
+for all models of a batch, and variants change the layout from episode to episode.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from magical_mj.variants import check_seed
 def make_vec(
     environment: str, num_envs: int = 1, *, variant: str = "Demo", preset: str = "LoRes4E", **settings: Any
 ) -> VectorEnv:
-    """Worlds of one environment, on all cores: `VectorEnv`.
+    """A vector environment of copies of one environment, stepped on all cores.
 
     Args:
         environment: an id, such as "magical_mj/FindDupe-Demo-LoRes4E-v0", or a task.
-        num_envs: the number of worlds.
-        variant: of the task.
-        preset: of the observations, if it is a task.
-        settings: those of `make_worlds` and of `MagicalEnv`.
+        num_envs: the number of environments.
+        variant: the task's variant; ids contain theirs.
+        preset: the observation preset; ids contain theirs.
+        settings: the arguments of `make_worlds` and of `MagicalEnv`.
 
     Example:
         >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
@@ -59,42 +59,43 @@ def make_worlds(
     max_episode_steps: int | None = None,
     **settings: Any,
 ) -> VectorEnv:
-    """What `gymnasium.make_vec` calls.
+    """The vector entry point of the ids, which `gymnasium.make_vec` calls.
 
     Args:
-        kind: the class of the worlds.
-        num_envs: the number of worlds.
-        threads: how many step and draw them; None: one for each core.
-        autoreset_mode: as Gymnasium defines it: a `gymnasium.vector.AutoresetMode` or its value.
-        max_episode_steps: where episodes end before the task's horizon.
+        kind: the class of the environments.
+        num_envs: the number of environments.
+        threads: the number of threads; None: one for each core.
+        autoreset_mode: a `gymnasium.vector.AutoresetMode` or its value.
+        max_episode_steps: the number of steps of an episode, if fewer than the task's horizon.
         settings: the arguments of the class, such as `task`, `renderer` and `image_size`.
 
     Raises:
-        SettingsError: if a number is not possible.
+        SettingsError: if `num_envs` or `threads` is not an integer of at least 1, or the mode or limit is invalid.
     """
     for name, value in (("num_envs", num_envs), ("threads", threads)):
         if value is not None and as_integer(value, 1) is None:
             raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
-    worlds = [kind(limit=max_episode_steps, **settings) for _ in range(num_envs)]
-    return VectorEnv(worlds, threads, autoreset_mode)
+    envs = [kind(limit=max_episode_steps, **settings) for _ in range(num_envs)]
+    return VectorEnv(envs, threads, autoreset_mode)
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Worlds that are stepped and drawn together, each the same to the bit as the single environment.
+    """Environments that are stepped and drawn together. Each has the same results to the bit as on its own.
 
-    `reset(seed=7)` gives the worlds the seeds 7, 8, 9..., and a list gives each its own. Observations, rewards, infos
-    and the three modes of `gymnasium.vector.AutoresetMode` are those of `gymnasium.vector.SyncVectorEnv`; observations
-    are fresh arrays. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds. A world that ended
-    and was then set to a state with `call("set_state", state)` goes on from it. Copies and pickles have worlds of their
-    own, in the same states.
+    `reset(seed=7)` resets the environments with the seeds 7, 8, 9..., and a list gives each its own seed. Observations,
+    rewards, infos and the three modes of `gymnasium.vector.AutoresetMode` are those of
+    `gymnasium.vector.SyncVectorEnv`. Observations are fresh arrays. With DISABLED,
+    `reset(options={"reset_mask": mask})` resets the masked environments. If an episode has ended, and
+    `call("set_state", state)` then restores a state, the episode continues from this state. Copies and pickles have
+    their own environments, in the same states.
 
     Args:
-        envs: the worlds, with equal spaces.
-        threads: how many step and draw them; None: one for each core.
-        autoreset_mode: what happens where an episode ends.
+        envs: the environments, with equal spaces.
+        threads: the number of threads; None: one for each core.
+        autoreset_mode: when an environment starts a new episode after the end of one.
 
     Attributes:
-        envs: the worlds.
+        envs: the environments.
         autoreset_mode: a `gymnasium.vector.AutoresetMode`.
     """
 
@@ -108,14 +109,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             names = ", ".join(f"gymnasium.vector.{mode}" for mode in AutoresetMode)
-            raise SettingsError(f"autoreset_mode is one of {names}, not {short_repr(autoreset_mode)}") from None
+            raise SettingsError(f"autoreset_mode must be one of {names}, not {short_repr(autoreset_mode)}") from None
         self.envs, self.num_envs = list(envs), len(envs)
         first = envs[0]
         self.metadata = {**first.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         for env in self.envs:
-            env.observation_space = first.observation_space  # whose bounds take four times the memory of an observation
+            env.observation_space = first.observation_space  # its bounds need four times an observation's memory
         self.action_space = batch_space(first.action_space, self.num_envs)
         self._threads = threads
         self._start_threads()
@@ -126,7 +127,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._helpers = count - 1
 
     def __getstate__(self) -> dict[str, Any]:
-        """For copying and pickling: everything but the threads, and what is made when it is asked for."""
+        """For copying and pickling. Threads cannot be copied, and `observation_space` is made again on demand."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_pool", "observation_space")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -134,115 +135,122 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._start_threads()
 
     def __copy__(self) -> VectorEnv:
-        """As a deep copy: two vectors that step the same worlds would disturb each other."""
+        """A deep copy: two vector environments that share environments would disturb each other."""
         return copy.deepcopy(self)
 
     @cached_property
     def observation_space(self) -> spaces.Space[Any]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The space of all observations, which is made when it is asked for: its bounds take memory."""
+        """The space of the batched observations. It is made on demand, since its bounds take much memory."""
         return batch_space(self.single_observation_space, self.num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Starts episodes in all worlds, or in those of ``options["reset_mask"]``.
+        """Starts episodes in all environments, or in those selected by ``options["reset_mask"]``.
 
         Args:
-            seed: of the first world, the others have the next ones; or one for each world.
-            options: "reset_mask", an array of bools, shape (num_envs,); the others are those of `MagicalEnv.reset`, for
-                all of these worlds: "scene", "state" or "variation".
+            seed: the seed of the first environment, and the next integers for the others; or a sequence with a seed
+                for each environment.
+            options: "reset_mask", an array of bools, shape (num_envs,); and the options of `MagicalEnv.reset` for all
+                of these environments: "scene", "state" or "variation".
 
         Raises:
-            InvalidSeedError, InvalidSceneError, StateError: accordingly.
-            SettingsError: if there is not one seed, or entry of the mask, for each world; if the options are no dict.
+            InvalidSeedError: if a seed is negative or not an integer.
+            InvalidSceneError: if the scene is illegal or does not belong to the task.
+            StateError: if the state does not fit the task, or its episode has ended.
+            SettingsError: if the number of seeds or of mask entries is not `num_envs`, or the options are invalid.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         known = check_options(options, "reset_mask", *STARTS)
-        mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), world_seeds(seed, self.num_envs)
+        mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), environment_seeds(seed, self.num_envs)
         start = {name: known[name] for name in STARTS if name in known}
         rows = self._rows()
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
 
-        def reset_world(world: int) -> None:
-            env = self.envs[world]
-            if mask[world]:
-                infos[world] = env.reset(seed=seeds[world], options=start)[1]
-            env.observe(rows[world])
+        def reset(index: int) -> None:
+            env = self.envs[index]
+            if mask[index]:
+                infos[index] = env.reset(seed=seeds[index], options=start)[1]
+            env.observe(rows[index])
 
-        self.each_world(reset_world)
+        self.each_environment(reset)
         return self._with_instructions(), self._batched(infos)
 
     def step(
         self, actions: Any
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One action in every world, or with NEXT_STEP a reset where the episode has ended.
+        """Executes an action in each environment. With NEXT_STEP, environments whose episode has ended are reset.
 
         Args:
-            actions: numbers in 0..17, shape (num_envs,); or vectors, shape (num_envs, 3), where actions are continuous.
+            actions: numbers in 0..17, shape (num_envs,); or with continuous actions vectors, shape (num_envs, 3).
 
         Returns:
-            Observations, rewards, whether episodes terminated (never) and were truncated, and infos.
+            Observations, rewards, terminated (always False), truncated, and infos.
 
         Raises:
-            InvalidActionError: if an action is invalid; no world is stepped.
-            PhysicsError: if a simulation becomes unstable, which ends its episode.
-            ResetNeeded: before the first reset, and with DISABLED where an episode has ended.
+            InvalidActionError: if an action is invalid. Then no environment is stepped.
+            PhysicsError: if a simulation becomes unstable. This ends its episode.
+            ResetNeeded: before the first reset, and with DISABLED if an episode has ended.
             ClosedError: if the environment is closed.
         """
         self._check_open()
         numbers = self._checked(actions)
         over = [env.over for env in self.envs]
         if self.autoreset_mode != AutoresetMode.NEXT_STEP and any(over):
-            raise ResetNeeded("episodes have ended: reset these worlds with options={'reset_mask': ...}")
+            raise ResetNeeded("episodes have ended: reset these environments with options={'reset_mask': ...}")
         rows = self._rows()
         rewards, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
         final: dict[int, dict[str, Any]] = {}
         same_step = self.autoreset_mode == AutoresetMode.SAME_STEP
 
-        def step_world(world: int) -> None:
-            env = self.envs[world]
-            if over[world]:  # only in the mode NEXT_STEP
-                infos[world] = env.reset()[1]
+        def step(index: int) -> None:
+            env = self.envs[index]
+            if over[index]:  # only in the mode NEXT_STEP
+                infos[index] = env.reset()[1]
             else:
-                last = env.advance(numbers[world])
-                rewards[world], _, ended[world], infos[world] = env.outcome(last=last)
+                last = env.advance(numbers[index])
+                rewards[index], _, ended[index], infos[index] = env.outcome(last=last)
                 if last and same_step:
-                    final[world] = {"final_obs": env.observe(), "final_info": infos[world]}
-                    infos[world] = env.reset()[1]
-            env.observe(rows[world])
+                    final[index] = {"final_obs": env.observe(), "final_info": infos[index]}
+                    infos[index] = env.reset()[1]
+            env.observe(rows[index])
 
-        self.each_world(step_world)
+        self.each_environment(step)
         batched: dict[str, Any] = {}
-        for world in sorted(final):
-            batched = self._add_info(batched, final[world], world)
+        for index in sorted(final):
+            batched = self._add_info(batched, final[index], index)
         return self._with_instructions(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """What a method of each world returns, or the attributes of this name."""
+        """For each environment, the attribute of this name; for methods, their results with these arguments."""
         values = (env.get_wrapper_attr(name) for env in self.envs)
         return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of each world."""
+        """The attribute of this name of each environment."""
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Sets an attribute of each world: to its own of a list or tuple of values, or to the same value.
+        """Sets an attribute of each environment.
+
+        Args:
+            name: the attribute.
+            values: a list or tuple with a value for each environment, or one value for all.
 
         Raises:
-            SettingsError: if there is not one value for each world.
+            SettingsError: if the number of values is not `num_envs`.
         """
         each = list(values) if isinstance(values, list | tuple) else [values] * self.num_envs
         if len(each) != self.num_envs:
-            raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} values of {name} were given")
+            raise SettingsError(f"there are {self.num_envs} environments, and {len(each)} values of {name} were given")
         for env, value in zip(self.envs, each, strict=True):
             env.set_wrapper_attr(name, value)
 
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The generators of the worlds, which draw the seeds of their later episodes."""
+        """The environments' generators, which draw the seeds of later episodes."""
         return self.get_attr("np_random")
 
     @property
@@ -251,11 +259,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self.get_attr("np_random_seed")
 
     def render(self) -> tuple[Any, ...]:
-        """The pictures of all worlds; see `MagicalEnv.render`."""
+        """The pictures of all environments; see `MagicalEnv.render`."""
         return self.call("render")
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees the simulations and ends the threads."""
+        """Closes the environments and ends the threads."""
         del kwargs
         for env in self.envs:
             env.close()
@@ -267,20 +275,20 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise ClosedError("the environment is closed; make another one")
 
     def _checked(self, actions: Any) -> list[Any]:
-        """The actions as the worlds take them, before any does."""
+        """Converts the actions for the environments. All are checked before any environment is stepped."""
         rows = as_array(actions)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
             return [self.envs[0].to_action(row) for row in rows]
         fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
         if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
             raise InvalidActionError(
-                f"actions are {self.num_envs} values of {self.single_action_space}, one for each world, "
+                f"actions must be {self.num_envs} values of {self.single_action_space}, one for each environment, "
                 f"not {short_repr(actions)}{tensor_hint(actions)}"
             )
         return rows.tolist()
 
     def _rows(self) -> list[Any]:
-        """Fresh arrays for the observations of all worlds, and each world's places in them."""
+        """Makes fresh arrays for the observations, and returns each environment's views into them."""
         self._observations: Any = create_empty_array(self.single_observation_space, self.num_envs, np.empty)
         if not isinstance(self._observations, dict):
             return list(self._observations)
@@ -288,22 +296,23 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return [dict(zip(arrays, column, strict=True)) for column in zip(*arrays.values(), strict=True)]
 
     def _with_instructions(self) -> Any:
-        """The observations of all worlds; instructions are no arrays, and are put in here."""
+        """The batched observations. Instructions are text instead of arrays, and are added here."""
         if isinstance(self._observations, dict) and "instruction" in self._observations:
             self._observations["instruction"] = tuple(env.instruction for env in self.envs)
         return self._observations
 
-    def each_world(self, do: Callable[[int], None]) -> None:
-        """Does something in every world, by its number, with all threads. Raises the first error when all are done.
+    def each_environment(self, do: Callable[[int], None]) -> None:
+        """Calls a function with the index of each environment, on all threads.
 
-        Each takes the next world when it is done with one, and none waits for a thread that has not begun: beside other
-        work the system may let a thread wait for as long as many steps take.
+        After each call, a thread takes the next index. The last call does not wait for threads that have not started:
+        on a busy machine, starting a thread can take longer than many steps. If calls fail, the first error is raised
+        after all have finished.
         """
-        worlds = iter(range(self.num_envs))  # which all threads share
+        indices = iter(range(self.num_envs))  # shared by all threads
 
         def work() -> None:
-            for world in worlds:
-                do(world)
+            for index in indices:
+                do(index)
 
         futures = [self._pool.submit(work) for _ in range(self._helpers)] if self._pool else []
         try:
@@ -314,35 +323,35 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise error
 
     def _batched(self, infos: Sequence[dict[str, Any] | None]) -> dict[str, Any]:
-        """The infos as Gymnasium batches them: an array for each key, and one that says which worlds have it."""
+        """The infos in Gymnasium's format: an array for each key, and a mask of the environments that have the key."""
         known = [info for info in infos if info is not None]
         if len(known) < self.num_envs:
             batched: dict[str, Any] = {}
-            for world, info in enumerate(infos):
-                batched = self._add_info(batched, info or {}, world)
+            for index, info in enumerate(infos):
+                batched = self._add_info(batched, info or {}, index)
             return batched
         types = {key: object if isinstance(value, str) else None for key, value in known[0].items()}
         arrays = {key: np.array([info[key] for info in known], dtype) for key, dtype in types.items()}
         return arrays | {f"_{key}": np.ones(self.num_envs, np.bool_) for key in arrays}
 
 
-def world_seeds(seed: Any, worlds: int) -> list[int | None]:
-    """A seed for each world: from `seed` up, or those of a sequence."""
+def environment_seeds(seed: Any, count: int) -> list[int | None]:
+    """A seed for each of `count` environments: `seed` and the next integers, or the entries of a sequence."""
     if seed is None:
-        return [None] * worlds
+        return [None] * count
     if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
-        if len(seed) != worlds:
-            raise SettingsError(f"there are {worlds} worlds, and {len(seed)} seeds were given")
+        if len(seed) != count:
+            raise SettingsError(f"there are {count} environments, and {len(seed)} seeds were given")
         return [None if value is None else check_seed(value) for value in seed]
     first = check_seed(seed)
-    return [first + world for world in range(worlds)]
+    return [first + index for index in range(count)]
 
 
-def check_mask(mask: Any, worlds: int) -> NDArray[np.bool_]:
-    """For which worlds the mask of bools is true; without a mask all of them."""
+def check_mask(mask: Any, count: int) -> NDArray[np.bool_]:
+    """A mask of `count` environments as an array; without a mask, all entries are true."""
     if mask is None:
-        return np.ones(worlds, np.bool_)
+        return np.ones(count, np.bool_)
     entries = as_array(mask)
-    if entries.dtype != np.bool_ or entries.shape != (worlds,):
-        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
+    if entries.dtype != np.bool_ or entries.shape != (count,):
+        raise SettingsError(f"reset_mask must hold {count} bools, one for each environment, not {short_repr(mask)}")
     return entries

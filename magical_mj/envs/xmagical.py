@@ -1,4 +1,4 @@
-"""The suite xmagical: SweepToTop as x-magical's users know it, in Gymnasium's API."""
+"""The suite xmagical: SweepToTop with x-magical's observations, actions and rewards, in Gymnasium's API."""
 
 from __future__ import annotations
 
@@ -24,41 +24,43 @@ View = Literal["Allo", "Ego"]
 OBSERVATIONS: Final[tuple[ObservationKind, ...]] = get_args(ObservationKind)
 SEEDS: Final = ("protocol", "original")
 STATE_BOUND: Final = 1.25
-"""No entry of the state vector is beyond: positions reach 1.1, and debris is pressed into walls a little."""
+"""The bound of all entries of the state vector: positions reach 1.1, and debris can be pressed into walls a little."""
 IMAGE_SIZE: Final = 384
 MAX_SEEDS: Final = 2**32
-"""Of numpy's `RandomState`, from which the original draws."""
+"""The number of seeds of numpy's `RandomState`, the original's random generator."""
 
 
 class XMagicalEnv(MagicalEnv):
     """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/SweepToTop-...")`.
 
     ## Actions
-    `Box(-1, 1, (2,))`, with a gripper `(3,)`: speed (units/s, full from 0.8), turn (rad ahead of the heading, full from
-    0.0625), grip (rad by which the fingers close; 0 and below is open, closed from 0.3927). One action lasts 1/8 s.
+    `Box(-1, 1, (2,))`, with a gripper `(3,)`. The entries are speed (units/s, full from 0.8), turn (rad ahead of the
+    heading, full from 0.0625) and grip (rad by which the fingers close: open up to 0, closed from 0.3927). One action
+    lasts 1/8 s.
 
     ## Observations
     "State": see `magical_mj.tasks.sweep_to_top.state_vector`, shape (16,), with a gripper (17,). "Pixels": a picture.
 
     ## Episodes
-    They are truncated after 100 steps, with the long stick after 50, and never terminate. `info["eval_score"]` is the
-    score in [0, 1] at the last step (0.0 before), `info["is_success"]` whether it is 1, and `info["in_zone"]` which
-    debris is in the zone now. Resets, states and scenes are as in `magical_mj.MagicalEnv`.
+    An episode is truncated after 100 steps, with the long stick after 50, and never terminates. At the last step,
+    `info["eval_score"]` is the score in [0, 1], and `info["is_success"]` is whether it is 1. Before, `eval_score` is
+    0.0. `info["in_zone"]` says for each debris whether it is in the zone. Resets, states and scenes are those of
+    `magical_mj.MagicalEnv`.
 
     Args:
         body: one of `magical_mj.scene.bodies.BODIES`.
-        variant: one of its six variants.
+        variant: one of the six variants of SweepToTop.
         observation: "State" or "Pixels".
-        view: "Allo" or "Ego": of pictures, and of what `render` draws.
+        view: "Allo" or "Ego", the view of observations and of `render`.
         image_size: side of the pictures in pixels.
         reward: "sparse", the score at every step, or "dense", minus the mean distance of the debris to the top.
         seeds: "protocol", or "original" for the scenes that x-magical draws from its seeds.
-        rules: "paper", or "released" for the original's observation space, whose bounds positions exceed.
-        renderer: as `magical_mj.MagicalEnv`.
+        rules: "paper", or "released" for the original's observation space. Positions can exceed its bounds.
+        renderer: "opengl", "software" or None, as in `magical_mj.MagicalEnv`.
         render_mode: "rgb_array".
-        render_view: the view of `render` instead: "ego", "allo", "both" or "scene".
+        render_view: another view of `render`: "ego", "allo", "both" or "scene".
         render_size: side of each view in pixels.
-        limit: the number of steps after which episodes end before the horizon.
+        limit: the number of steps of an episode, if fewer than the horizon.
     """
 
     def __init__(
@@ -97,8 +99,8 @@ class XMagicalEnv(MagicalEnv):
             limit=limit,
         )
         self.rewards: RewardKind = reward
-        self._original = np.random.RandomState(0) if seeds == "original" else None  # seeded by the first reset
-        self._size = 3 if self.engine.simulation.world.has_fingers else 2
+        self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
+        self._size = 3 if self.engine.simulation.scene_model.has_fingers else 2
         self.action_space = spaces.Box(-1.0, 1.0, (self._size,), np.float32)
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND
@@ -107,23 +109,31 @@ class XMagicalEnv(MagicalEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """As `magical_mj.MagicalEnv.reset`. Original seeds are below 2**32, and resets without one go on drawing."""
+        """Starts an episode; see `magical_mj.MagicalEnv.reset`.
+
+        With original seeds, a reset without a seed continues with the generator of the last seed.
+
+        Raises:
+            InvalidSeedError: if an original seed is not below 2**32.
+        """
         if self._original is None or not isinstance(options or {}, dict) or (options or {}).keys() & {*STARTS}:
             return super().reset(seed=seed, options=options)
         if seed is not None or not self._begun:
             number = int(self.np_random.integers(MAX_SEEDS)) if seed is None else check_seed(seed)
             if number >= MAX_SEEDS:
-                raise InvalidSeedError(f"x-magical's seeds are below 2**32, not {seed}; others need seeds='protocol'")
+                raise InvalidSeedError(
+                    f"x-magical's seeds must be below 2**32, not {seed}; larger seeds need seeds='protocol'"
+                )
             self._original = np.random.RandomState(number)
         scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)
         return super().reset(seed=seed, options={**(options or {}), "scene": scene})
 
     def to_action(self, action: Any) -> NDArray[np.float64]:
-        """The action as numbers; an `InvalidActionError` if it is not one of this body."""
+        """The action as an array. Raises `InvalidActionError` if it does not fit this body."""
         return as_speeds(action, self._size)
 
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The reward of a step, whether it was the last (never by termination), and the info."""
+        """Reward, terminated (always False), truncated and info of a step."""
         info = self._info(last=last)
         reward = float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
         return reward, False, last, info
@@ -139,4 +149,4 @@ class XMagicalEnv(MagicalEnv):
 
 
 make_suite_worlds: Final = partial(make_worlds, XMagicalEnv)
-"""What `gymnasium.make_vec` calls."""
+"""The vector entry point of the ids, which `gymnasium.make_vec` calls."""

@@ -170,7 +170,7 @@ class LocalEnvs(TrainingEnvs):
                 if history:
                     history.add(rows[world])
 
-        self._envs.each_world(replay)
+        self._envs.each_environment(replay)
         observations = np.stack(rows)
         if self._states:
             self._history = History(observations)

@@ -18,7 +18,7 @@ from magical_mj import demos
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.policies.interface import letters_of
 from magical_mj.rendering.canvas import drawn
 from magical_mj.scene import Block, Pebble, Robot, Scene
@@ -145,7 +145,7 @@ def drawing_style() -> dict[str, Any]:
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
     """The layers of a scene in drawing order, except goal regions."""
-    model = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(scene))
     is_drawn = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
     return [_layer(model, geom) for geom in is_drawn.nonzero()[0].tolist()]
 

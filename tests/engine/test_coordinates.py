@@ -1,4 +1,4 @@
-"""Where a scene's coordinates are in MuJoCo's vectors."""
+"""The indices of a scene's coordinates in MuJoCo's vectors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from magical_mj.assets.coordinates import FINGERS, own_coordinates
 from magical_mj.assets.mjcf import AXES
 from magical_mj.assets.robot import actuators, controls
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES, body_named
 
@@ -18,7 +18,7 @@ from magical_mj.scene.bodies import BODIES, body_named
 def test_the_order_of_a_models_coordinates_is_that_of_its_names(body: str) -> None:
     blocks = (Block("star", "red", 0.5, 0.5, 1), Block("circle", "blue", -0.5, 0.5, 0))
     scene = Scene(Robot(0, 0, 0, body=body), blocks, pebbles=(Pebble(0.5, -0.5), Pebble(-0.5, -0.5)))
-    model = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(scene))
     found = own_coordinates(len(blocks), body, 2)
 
     def rows(addresses: str, bodies: list[str]) -> list[list[int]]:

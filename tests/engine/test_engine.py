@@ -1,4 +1,4 @@
-"""The engine: scenes, horizons, scores, determinism, clear errors; and any scene that is legal."""
+"""The engine: scenes, horizons, scores, determinism, clear errors, and arbitrary legal scenes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_processes_agree_bit_for_bit() -> None:
         for _ in range(2)
     ]
     assert outputs[0].stdout == outputs[1].stdout != ""
-    assert outputs[0].stderr == ""  # nor is anything said when the interpreter exits
+    assert outputs[0].stderr == ""  # no output when the interpreter exits
 
 
 def test_a_model_that_is_used_again_draws_and_moves_as_a_fresh_one() -> None:
@@ -173,7 +173,7 @@ def test_plain_scenes_have_no_end_no_score_and_no_seeds() -> None:
 
 
 def test_dynamics_reach_the_simulation() -> None:
-    """Weaker motors are slower off the mark."""
+    """Weaker motors accelerate more slowly."""
 
     def reached(dynamics: Dynamics) -> float:
         engine = Engine.of_scene(Scene(Robot(0, -0.5, 0), dynamics=dynamics))
@@ -197,7 +197,7 @@ def used_after(resets: int) -> int:
         engine.render("ego", 96)
     return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
 
-before = used_after(600)  # until the allocator has what it needs
+before = used_after(600)  # warms up the allocator
 print(used_after(600) - before)
 """
 
@@ -205,7 +205,7 @@ print(used_after(600) - before)
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says here how much memory is used")
 def test_memory_is_flat_over_hundreds_of_resets() -> None:
-    """In a process of its own, whose memory other tests have not cut into pieces; in kB."""
+    """Memory in kB, in a new process: that of this one is fragmented by other tests."""
     done = subprocess.run([sys.executable, "-c", RESETS], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 5_000
 
@@ -237,7 +237,7 @@ def test_bad_arguments_name_the_remedy() -> None:
     for seed in (-1, 1.5, "7", -(10**5000)):
         with pytest.raises(InvalidSeedError):
             Engine("FindDupe", seed=seed)
-    with pytest.raises(SettingsError, match="not from seed and scene"):
+    with pytest.raises(SettingsError, match="not seed and scene"):
         Engine("FindDupe").reset(seed=1, scene=magical_mj.sample_scene("FindDupe", "Demo", 0))
 
 
@@ -279,14 +279,14 @@ def test_pictures_are_written_to_arrays_that_fit() -> None:
 
 
 def test_heaps_in_which_some_bodies_sleep_are_restored_or_refused() -> None:
-    """MuJoCo stops at some of them; then the world is as it was before."""
+    """MuJoCo refuses some of these states. Then the simulation is unchanged."""
     engine = Engine("ClusterShape", seed=0)
     engine.step(0)
     state, rng, refused = engine.get_state(), np.random.default_rng(0), []
     positions, trees = engine.model.nq, engine.model.ntree
     for _ in range(300):
         heap = state.simulation.copy()
-        heap[1 : 1 + positions] = rng.uniform(-0.3, 0.3, positions)  # after the time
+        heap[1 : 1 + positions] = rng.uniform(-0.3, 0.3, positions)  # the first number is the time
         heap[-trees:] = np.where(rng.random(trees) < 0.5, np.arange(trees), -1)
         before = engine.get_state()
         try:
@@ -319,7 +319,7 @@ ODD_NUMBERS = Scene(Robot(1e-320, -1e-310, 1e-315), (Block("star", "red", 1e-320
 
 
 def test_results_do_not_depend_on_numpys_settings() -> None:
-    """Numbers below the smallest that float32 can hold become 0 without a word."""
+    """Numbers that underflow in float32 become 0 without a warning."""
     settings = np.seterr(all="raise")
     try:
         engine = Engine.of_scene(ODD_NUMBERS)
@@ -337,7 +337,7 @@ def test_results_do_not_depend_on_numpys_settings() -> None:
     assert np.isfinite(vectors).all()
 
 
-# Any scene
+# Arbitrary scenes
 
 PLACES = [
     (x, y)
@@ -349,7 +349,7 @@ COUNTS = [(0, 0), (0, 30), (30, 0), (30, 30), (3, 4), (10, 3), (11, 3), (1, 4)]
 
 
 def random_scene(rng: np.random.Generator, blocks: int, regions: int) -> Scene:
-    """A legal scene: blocks on a grid beside the robot, and regions of all sizes anywhere."""
+    """A legal scene: blocks on a grid around the robot, and regions of all sizes at any position."""
     places = rng.permutation(PLACES)[:blocks].tolist()
     robot = Robot(-0.7, -0.7, float(rng.uniform(-0.2, 0.2)), (float(rng.uniform(0, 0.1)), 0.0))
     return Scene(
@@ -370,7 +370,7 @@ def random_region(rng: np.random.Generator) -> GoalRegion:
 
 @pytest.mark.parametrize("number", range(16))
 def test_a_legal_scene_can_be_drawn_observed_exported_and_written(number: int, tmp_path: Path) -> None:
-    """However odd it is; or it is said why not."""
+    """Or an error says why not."""
     rng = np.random.default_rng(number)
     counts = COUNTS[number] if number < len(COUNTS) else tuple(rng.integers(31, size=2).tolist())
     scene = random_scene(rng, *counts)
@@ -399,7 +399,7 @@ def test_a_legal_scene_can_be_drawn_observed_exported_and_written(number: int, t
 
 
 def test_scenes_of_any_size_take_turns_in_one_environment() -> None:
-    """Each is drawn as it is drawn alone, whatever was drawn before."""
+    """A picture does not depend on the scenes that were drawn before."""
     rng = np.random.default_rng(0)
     scenes = [random_scene(rng, *counts) for counts in [*COUNTS, (2, 9), (2, 1)]]
     alone = []

@@ -1,4 +1,4 @@
-"""Exported MJCF: plain MuJoCo loads it and moves exactly as the environment does, and people can read it."""
+"""Exported MJCF files: plain MuJoCo simulates them exactly as the environment does, and they are readable."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
 from magical_mj.assets.readable import DECIMALS, LINE
 from magical_mj.assets.robot import control_signal, controls
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES
@@ -55,7 +55,7 @@ def started(task: str, variant: str = "Demo", seed: int = 3) -> Engine:
 
 
 def exported(source: Scene | Engine, folder: Path) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The model of the file, at the keyframe."""
+    """Model and data of the file, at its keyframe."""
     model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(source, folder / "model.xml", overwrite=True)))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -68,7 +68,7 @@ def numeric(model: mujoco.MjModel, name: str) -> np.ndarray:
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:
-    """All texts by name."""
+    """The texts in `<custom>`, by name."""
     names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index): index for index in range(model.ntext)}
     return {
         name: model.text_data[model.text_adr[index] :][: model.text_size[index] - 1].decode()
@@ -77,7 +77,7 @@ def texts(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def test_the_file_alone_plays_every_environment_to_the_bit(tmp_path: Path) -> None:
-    """By the program on the page, which has nothing but MuJoCo and NumPy."""
+    """With the program in the docs, which imports only MuJoCo and NumPy."""
     tracks = {}
     for task, variant in magical_mj.ENVIRONMENTS:
         env = started(task, variant)
@@ -100,13 +100,13 @@ def test_the_file_alone_plays_every_environment_to_the_bit(tmp_path: Path) -> No
 
 
 def run_page(*blocks: str, **names: Any) -> dict[str, Any]:
-    """Runs code of the page, with these names; returns all names after it."""
+    """Runs code of the docs page in a namespace, and returns the namespace."""
     exec(compile("\n".join(blocks), str(PAGE), "exec"), names)
     return names
 
 
 def sensed_scene(initial: Scene, data: mujoco.MjData) -> Scene:
-    """The scene by the sensors, which after a step of MuJoCo are those before it."""
+    """The scene that the sensors measure. After a step of MuJoCo, they show the state before it."""
     robot, *blocks = (
         [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
         for name in ("robot", *(f"block{index}" for index in range(len(initial.blocks))))
@@ -115,7 +115,7 @@ def sensed_scene(initial: Scene, data: mujoco.MjData) -> Scene:
 
 
 def test_the_pages_episode_ends_in_its_last_physics_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The score by the page is the engine's; that by the sensors would be another one."""
+    """The score by the page's code is the engine's. A score from sensors would differ."""
     monkeypatch.chdir(tmp_path)
     printed: list[float] = []
     page = run_page(LOAD, SCENES, EPISODE, print=printed.append)
@@ -130,7 +130,7 @@ def test_the_pages_episode_ends_in_its_last_physics_step(tmp_path: Path, monkeyp
 def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -> None:
     """Over 120 seeds, 15 of each task."""
     page, late = run_page(LOAD, SCENES), 0
-    for task, variant in dict(magical_mj.ENVIRONMENTS).items():  # the last one of each task: All
+    for task, variant in dict(magical_mj.ENVIRONMENTS).items():  # keeps the last variant of each task: All
         engine = magical_mj.Engine(task, variant)
         for seed in range(15):
             engine.reset(seed=seed)
@@ -140,7 +140,7 @@ def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -
             for action in np.random.default_rng(seed).choice([1, 4, 7, 10], 4).repeat(4).tolist():
                 engine.step(action)
                 act(action)
-                if seed % 2:  # which changes nothing
+                if seed % 2:  # must not change the rollout
                     mujoco.mj_forward(model, data)
             initial, final = page["scenes"](model, data)
             assert initial == engine.initial_scene
@@ -150,7 +150,7 @@ def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -
             late += sensed_scene(initial, data) != final
             mujoco.mj_forward(model, data)
             assert sensed_scene(initial, data) == final
-    assert late > 50, "without mj_forward, sensors are those of another state"
+    assert late > 50, "without mj_forward, sensors show an earlier state"
 
 
 def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,7 +163,7 @@ def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pyte
     mujoco.mj_resetDataKeyframe(both, data, both.key("right/now").id)
     alone = {prefix: run_page(LOAD)["load"](f"{task}.xml") for prefix, task in tasks.items()}
     for model in (both, *(model for model, *_ in alone.values())):
-        model.opt.tolerance, model.opt.iterations = 1e-15, 100  # the only difference, since it is that of all scenes
+        model.opt.tolerance, model.opt.iterations = 1e-15, 100  # the tolerance applies to both scenes together
     for number in range(40):
         for step, (prefix, (model, _, act, _)) in enumerate(alone.items()):
             action = [1, 4, 10, 7][(number // 3 + step) % 4]
@@ -180,7 +180,7 @@ def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pyte
 
 
 def plain(path: Path) -> mujoco.MjData:
-    """The state to which the page's code for other simulators comes, by MuJoCo."""
+    """The final state of the page's code for other simulators, computed by MuJoCo."""
     _, data, act, _ = run_page(LOAD)["load"](str(path))
     for action in (1, 4):
         act(action)
@@ -208,7 +208,7 @@ def test_the_pages_code_runs_in_mjx(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("camera", ["allo", "ego"])
 def test_depths_are_distances(camera: str, tmp_path: Path) -> None:
-    """As `mujoco.Renderer` has them, and as the page makes them of dm_control's."""
+    """Those of `mujoco.Renderer`, and dm_control's after the page's correction."""
     path = str(magical_mj.export_mjcf(started("MoveToRegion"), tmp_path / "model.xml"))
     physics = pytest.importorskip("dm_control.mujoco").Physics.from_xml_path(path)
     depth = run_page(DEPTH)["distance"](physics, physics.render(96, 96, camera_id=camera, depth=True))
@@ -274,12 +274,12 @@ def test_scenes_that_were_given_have_no_seed(tmp_path: Path) -> None:
 
 
 def test_files_can_be_read(tmp_path: Path) -> None:
-    """One element a line, in short lines, with comments; and every XML parser takes them."""
+    """One element per line, in short lines, with comments, and legal for every XML parser."""
     env = started("MatchRegions", "All")
     path = magical_mj.export_mjcf(env, tmp_path / "model.xml")
     root = parse(path, XMLParser(target=TreeBuilder(insert_comments=True))).getroot()
     lines = path.read_text().splitlines()
-    assert max(len(line) for line in lines if '":' not in line) <= LINE  # but for JSON, a line for each thing
+    assert max(len(line) for line in lines if '":' not in line) <= LINE  # except JSON, a line for each object
     assert all(line.count("<") <= 1 for line in lines)
     sections = [section.tag for section in root if section.tag is not Comment]
     expected = (
@@ -309,13 +309,13 @@ def test_files_can_be_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("body", BODIES)
 def test_what_is_rounded_does_not_move_anything(body: str, tmp_path: Path) -> None:
-    """All that the physics reads is the environment's to the bit: names, looks and drawn geoms differ."""
+    """All physics parameters equal the environment's to the bit. Names, colours and visual geoms differ."""
     blocks = tuple(Block(shape, "red", 0.4 * index - 0.6, 0.5, 0.3) for index, shape in enumerate(SHAPES))
     scene = Scene(
         Robot(0, -0.5, 0.3, body=body), (*blocks, Block("star", "blue", 0, 0.1, 1, 0.01)), pebbles=(Pebble(0.5, -0.5),)
     )
     model, _ = exported(scene, tmp_path)
-    right = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    right = mujoco.MjModel.from_xml_string(scene_mjcf(scene))
     looks = ("name", "mesh_", "mat_", "bvh_", "skin_", "text_", "numeric_", "sensor_", "key_", "path", "body_bvh")
     drawn = np.isin(right.geom_group, (style.SOLID_GROUP, style.DRAWN_GROUP, style.TASK_GROUP))
     drawn[right.geom("floor").id] = False
@@ -365,7 +365,7 @@ def test_keyframe_is_the_present_state(tmp_path: Path) -> None:
     model, data = exported(env, tmp_path)
     np.testing.assert_array_equal(data.qpos, env.data.qpos)
     np.testing.assert_array_equal(data.qvel, env.data.qvel)
-    for action in (10, 10, 1, 4, 4, 4):  # and what follows is the same but for last digits
+    for action in (10, 10, 1, 4, 4, 4):  # from then on, both agree up to rounding
         env.step(action)
         data.ctrl[:] = control_signal(action)
         mujoco.mj_step(model, data, SUBSTEPS)
@@ -392,7 +392,7 @@ def test_sensors_are_world_coordinates_and_only_in_files(tmp_path: Path) -> None
 
 
 def test_reference_pose_is_the_scene(tmp_path: Path) -> None:
-    """A viewer that knows nothing of keyframes shows the scene, by a free camera that sees all of it."""
+    """A viewer that ignores keyframes shows the scene, with a free camera that sees all of it."""
     scene = magical_mj.sample_scene("ClusterShape", "All", 4)
     model, data = exported(scene, tmp_path)
     mujoco.mj_resetData(model, data)
@@ -405,7 +405,7 @@ def test_reference_pose_is_the_scene(tmp_path: Path) -> None:
 
 
 def test_solid_things_are_where_they_collide(tmp_path: Path) -> None:
-    """Seen from above, what viewers show covers what collides, within the overlap that the physics allows."""
+    """Seen from above, visual and collision geoms agree within the overlap that the physics allows."""
     regions = (GoalRegion("green", -0.9, 0.3, -0.2, 0.95),)
     blocks = (Block("square", "red", 0.5, 0.5, 0.3), Block("circle", "blue", -0.5, -0.5, 0))
     model, data = exported(Scene(Robot(0, 0, 0.5), blocks, regions), tmp_path)
@@ -428,7 +428,7 @@ def test_files_are_not_overwritten_without_a_word(tmp_path: Path) -> None:
 
 
 def test_only_scenes_and_environments_are_exported(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSceneError, match="or an environment that runs one, not of 3"):
+    with pytest.raises(InvalidSceneError, match="or an environment that runs one can be exported, not 3"):
         magical_mj.export_mjcf(3, tmp_path / "scene.xml")
 
 
@@ -440,7 +440,7 @@ def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:
 
 
 def test_numbers_below_the_smallest_are_written_as_zero(tmp_path: Path) -> None:
-    """Which MuJoCo's reader refuses: of scenes, and of what an episode leaves in its actuators."""
+    """MuJoCo's reader refuses them. They occur in scenes, and in actuators during an episode."""
     odd = Scene(Robot(1e-320, -1e-310, 1e-315), (Block("star", "red", 1e-320, 0.5, 1e-320),))
     engine = Engine.of_scene(odd)
     engine.step(10)

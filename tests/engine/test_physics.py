@@ -1,6 +1,6 @@
-"""The physics moves as the original moved, and holds whatever is done to it.
+"""The physics moves as the original's did, and withstands random actions.
 
-`data/probes.npz` holds roll-outs of the original simulation; `docs/physics.md` has the figures.
+`data/probes.npz` holds rollouts of the original simulation; `docs/physics.md` has the figures.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from tests.helpers.hostile import WORST, worst
 PROBES = recordings(Path(__file__).parents[1] / "data" / "probes.npz")
 HUMANS = Path(__file__).parents[3] / "shared" / "reference" / "human_replays.npz"
 REACHED = REPLAY_AIMS | {"MatchRegions": 0.5, "MakeLine": 0.1}
-"""What replayed human actions must score. The last two fall short of the aim, and of each other from fit to fit."""
+"""The minimum scores of replayed human actions. The last two miss the aim and vary from fit to fit."""
 FORWARD = Action(Gripper.OPEN, Turn.NONE, Drive.FORWARD).number
 LEFT = Action(Gripper.OPEN, Turn.LEFT, Drive.NONE).number
 CLOSE = Action(Gripper.CLOSE, Turn.NONE, Drive.NONE).number
@@ -59,7 +59,7 @@ def test_human_actions_still_solve_the_tasks(task: str) -> None:
 
 
 def slide(scene: Scene, joint: str, speed: tuple[float, float]) -> float:
-    """How far something slides that is pushed off."""
+    """The distance that a pushed object slides, in each direction."""
     world = Rollouts(scene)
     first = world.model.joint(f"{joint}_x").dofadr[0]
     start = world.data.qpos[first : first + 2].copy()
@@ -74,10 +74,10 @@ def slide(scene: Scene, joint: str, speed: tuple[float, float]) -> float:
 def test_friction_is_the_same_in_all_directions(joint: str, shape: c.Shape) -> None:
     scene = Scene(Robot(-0.2, -0.3, 0.3), (Block(shape, "red", 0.4, 0.4, 0.2),))
     angles = np.arange(16) * np.pi / 8
-    ways = [slide(scene, joint, (0.8 * np.cos(angle), 0.8 * np.sin(angle))) for angle in angles]
-    assert np.ptp(ways) < 1e-3 * np.mean(ways)  # the aim is 5 %
+    distances = [slide(scene, joint, (0.8 * np.cos(angle), 0.8 * np.sin(angle))) for angle in angles]
+    assert np.ptp(distances) < 1e-3 * np.mean(distances)  # the aim is 5 %
     expected = 0.112 if joint == "block0" else 0.139  # in the original, which moves a substep before it brakes
-    assert np.mean(ways) == pytest.approx(expected - 0.8 * TIMESTEP, rel=0.03)
+    assert np.mean(distances) == pytest.approx(expected - 0.8 * TIMESTEP, rel=0.03)
 
 
 @pytest.mark.parametrize("shape", c.SHAPES)
@@ -90,7 +90,7 @@ def test_a_spinning_block_stops_as_in_the_original(shape: c.Shape) -> None:
 
 
 def pushed(count: int, gap: float) -> Array:
-    """The robot's speed at each step, while it drives into squares in a line."""
+    """The robot's speed at each step while it drives into a row of squares."""
     blocks = tuple(Block("square", "red", 0, -0.35 + gap * i, 0) for i in range(count))
     track, _ = Rollouts(Scene(Robot(0, -0.8, 0), blocks)).roll([FORWARD] * 14)
     return np.diff(track[:, 0, 1]) * c.CONTROL_RATE
@@ -98,7 +98,7 @@ def pushed(count: int, gap: float) -> Array:
 
 @pytest.mark.parametrize("gap", [0.22, 0.3])
 def test_blocks_in_line_slow_the_robot(gap: float) -> None:
-    """One does not; two use up the whole force of the drive, so the speed stays what it was after the impact."""
+    """One square does not. Two use the whole force of the drive: the speed stays at its value after the impact."""
     assert pushed(1, gap)[-1] == pytest.approx(c.SPEED_FORWARD, abs=0.01)
     assert pushed(2, gap)[6:] == pytest.approx(0.5, abs=0.06)
     assert pushed(3, gap)[-1] == pytest.approx(0, abs=0.01)
@@ -106,7 +106,7 @@ def test_blocks_in_line_slow_the_robot(gap: float) -> None:
 
 @pytest.mark.parametrize("name", [name for name in PROBES if name.startswith("grip/")])
 def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
-    """Forward, backward and turning, as long as the gripper is closed."""
+    """Forwards, backwards and turning, while the gripper is closed."""
     case = PROBES[name]
     actions = case["actions"].tolist()
     closed = 1 + max(i for i, action in enumerate(actions) if action >= CLOSE)
@@ -115,11 +115,11 @@ def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
         ahead = np.linalg.norm(poses[:, 1, :2] - poses[:, 0, :2], axis=-1)
         bearing = np.arctan2(*(poses[:, 0, :2] - poses[:, 1, :2]).T * [[1], [-1]]) - poses[:, 0, 2]
         assert np.abs((bearing + np.pi) % (2 * np.pi) - np.pi).max() < 0.2
-        assert np.abs(ahead - ahead[0]).max() < 0.06  # stars slip a little, here and there
+        assert np.abs(ahead - ahead[0]).max() < 0.06  # stars slip a little
 
 
 def test_rough_hands_break_nothing() -> None:
-    """In 100 episodes; `python tools/fuzz --kinds hands` plays as many as you like."""
+    """In 100 episodes of random actions; `python tools/fuzz --kinds hands` plays more."""
     for number in range(100):
         measured = worst(number)
         assert all(measured[name] <= most for name, most in WORST.items()), (number, measured)
@@ -150,12 +150,12 @@ def test_drive_force_is_what_accelerates() -> None:
 
 def test_turn_torque_is_what_turns() -> None:
     torques = (0.02, 0.04)  # too weak to reach full speed within one action
-    ways = [Rollouts(with_caps(turn_torque=torque)).roll([LEFT])[0][-1, 0, 2] for torque in torques]
-    assert ways[1] == pytest.approx(2 * ways[0], rel=0.05)
+    distances = [Rollouts(with_caps(turn_torque=torque)).roll([LEFT])[0][-1, 0, 2] for torque in torques]
+    assert distances[1] == pytest.approx(2 * distances[0], rel=0.05)
 
 
 def test_a_turn_that_ends_swings_a_held_block_as_far_as_in_the_original() -> None:
-    """The fingers swing on with it: by 0.087 rad, on average over the sequences in which a human held a circle."""
+    """The fingers swing with it by 0.087 rad, the mean over the sequences in which a human held a circle."""
     turn = Action(Gripper.CLOSE, Turn.LEFT, Drive.NONE).number
     world = Rollouts(Scene(Robot(0, 0, 0), (Block("circle", "red", 0, 0.32, 0),)))
     _, fingers = world.roll([CLOSE] * 6 + [turn] * 8 + [CLOSE] * 4)
@@ -173,22 +173,22 @@ def test_a_finger_closes_against_less_than_its_torque() -> None:
 
 
 def test_block_friction_is_what_stops_blocks() -> None:
-    ways = [slide(with_caps(block_friction_force=force), "block0", (0.5, 0.0)) for force in (1.0, 1.8)]
-    assert ways[0] == pytest.approx(1.8 * ways[1], rel=0.08)
+    distances = [slide(with_caps(block_friction_force=force), "block0", (0.5, 0.0)) for force in (1.0, 1.8)]
+    assert distances[0] == pytest.approx(1.8 * distances[1], rel=0.08)
 
 
 def test_block_friction_torque_is_what_stops_their_spin() -> None:
-    ways = []
+    distances = []
     for torque in (0.07, 0.14):
         world = Rollouts(with_caps(block_friction_torque=torque))
         world.data.qvel[2] = 5
         mujoco.mj_step(world.model, world.data, 100)
-        ways.append(world.data.qpos[2])
-    assert ways[0] == pytest.approx(2 * ways[1], rel=0.1)
+        distances.append(world.data.qpos[2])
+    assert distances[0] == pytest.approx(2 * distances[1], rel=0.1)
 
 
 def test_the_model_alone_holds_the_dynamics(tmp_path: Path) -> None:
-    """Plain MuJoCo moves the exported file as the environment moves, whatever the dynamics: nothing is hooked in."""
+    """Plain MuJoCo simulates the exported file as the environment does, for any dynamics, without Python hooks."""
     base = magical_mj.sample_scene("MatchRegions", "Demo", 0)
     ends = []
     for dynamics in (base.dynamics, Dynamics(2.2, 0.7, 2.5, 1.8, 0.15)):
@@ -207,7 +207,7 @@ def test_the_model_alone_holds_the_dynamics(tmp_path: Path) -> None:
 
 
 def test_the_search_can_start_from_the_settings() -> None:
-    """They lie within its bounds, and what is not searched stays."""
+    """They are within its bounds, and settings that are not searched stay the same."""
     again = decoded(coded(SETTINGS))
     for entry in dataclasses.fields(SETTINGS):
         searched = entry.name in {*SPACE, *SPACE_SOFT}

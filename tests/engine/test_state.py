@@ -1,4 +1,4 @@
-"""States, clones, copies and pickles: what follows is the same to the bit."""
+"""States, clones, copies and pickles: episodes continue the same, to the bit."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ STEPS = 24
 
 
 def actions(seed: int, count: int = STEPS) -> list[int]:
-    """Each action is taken a few times, so that the robot gets somewhere and blocks are pushed."""
+    """Random actions, each repeated a few times, so that the robot moves far and pushes blocks."""
     return np.repeat(np.random.default_rng(seed).integers(18, size=count), 4)[:count].tolist()
 
 
 def trajectory(env: Any, plan: Sequence[int]) -> list[bytes]:
-    """Where these actions lead: positions, velocities and all that is derived from them for pictures and contacts."""
+    """The states after these actions: positions, velocities, and the fields that MuJoCo derives from them."""
     data = env.data
     arrays = (data.qpos, data.qvel, data.act, data.xpos, data.xmat, data.tree_asleep)
     return [b"".join(array.tobytes() for array in arrays) for action in plan if env.step(action) is not None]
 
 
 def test_what_follows_a_state_is_the_same_to_the_bit() -> None:
-    """In the same engine, after another scene, in one that was made with another seed, and in copies."""
+    """In the same engine, after another scene, in an engine with another seed, and in copies."""
     for task, variant in magical_mj.ENVIRONMENTS:
         engine, fresh = Engine(task, variant, seed=2), Engine(task, variant, seed=9)
         states, went = [], []
@@ -54,7 +54,7 @@ def test_what_follows_a_state_is_the_same_to_the_bit() -> None:
 
 
 def test_something_sleeps_and_something_wakes() -> None:
-    """Otherwise the tests above would say little."""
+    """Otherwise the tests above would prove little."""
     env = magical_mj.Engine("ClusterColour", "All", seed=2)
     env.reset()
     asleep = []
@@ -90,7 +90,7 @@ def test_the_horizon_counts_from_the_start_of_the_episode() -> None:
     env.reset(state=state)
     assert [env.step(1) for _ in range(10)] == [False] * 9 + [True]
     over = env.get_state()
-    with pytest.raises(StateError, match="over, after 40 steps"):
+    with pytest.raises(StateError, match="ended, after 40 steps"):
         env.reset(state=over)
     env.set_state(over)
     assert env.score() == magical_mj.score("MoveToRegion", env.initial_scene, env.scene)
@@ -128,13 +128,13 @@ def test_gymnasium_states_hold_the_frames(preset: str) -> None:
             assert_same(now, observation)
             assert others == rest
         world.set_state(state)
-    env.reset(options={"state": magical_mj.Engine("FixColour", "All", seed=3).get_state()})  # fills the stacks anew
+    env.reset(options={"state": magical_mj.Engine("FixColour", "All", seed=3).get_state()})  # refills the stacks
     assert_same(env.get_state().frames, gymnasium_frames(env, seed=3))
 
 
 @pytest.mark.parametrize(("one", "other"), list(itertools.permutations(("LoRes4E", "LoRes4A", "LoRes3EA"), 2)))
 def test_frames_of_another_preset_are_not_taken_for_its_own(one: str, other: str) -> None:
-    """They have the same shape; the present pictures fill the stacks instead."""
+    """They have the same shape. The current pictures fill the stacks instead."""
     first, second = (gymnasium.make(magical_mj.env_id("FindDupe", "Demo", preset)).unwrapped for preset in (one, other))
     first.reset(seed=0)
     for action in actions(1, 6):
@@ -213,24 +213,27 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
 
 
 def test_numbers_that_mujoco_would_not_take_are_refused() -> None:
-    """It would start again without a word; whatever it takes is what `get_state` gives."""
+    """MuJoCo would reset silently. An accepted state is returned unchanged by `get_state`."""
     env = magical_mj.Engine("FixColour", seed=0)
     env.reset()
     env.step(4)
     state = env.get_state()
-    numbers, size = state.simulation, len(state.simulation) - env.model.ntree  # the rest is what sleeps
+    numbers, size = (
+        state.simulation,
+        len(state.simulation) - env.model.ntree,
+    )  # then the entries about sleep
 
-    def with_number(place: int, number: float) -> State:
-        return State(state.scene, 1, np.where(np.arange(len(numbers)) == place, number, numbers))
+    def with_number(index: int, number: float) -> State:
+        return State(state.scene, 1, np.where(np.arange(len(numbers)) == index, number, numbers))
 
-    for place, number in itertools.product(range(len(numbers)), (1e308, -1e11)):
-        with pytest.raises(StateError, match="none of them beyond 1e"):
-            env.set_state(with_number(place, number))
-    for place, number in itertools.product(range(size), (1e9, -0.5)):
-        taken = with_number(place, number)
+    for index, number in itertools.product(range(len(numbers)), (1e308, -1e11)):
+        with pytest.raises(StateError, match="from -1e"):
+            env.set_state(with_number(index, number))
+    for index, number in itertools.product(range(size), (1e9, -0.5)):
+        taken = with_number(index, number)
         env.set_state(taken)
         assert env.get_state().simulation[:size].tobytes() == taken.simulation[:size].tobytes()
     with pytest.raises(StateError, match="damaged"):
         env.set_state(with_number(size, -1.5))
-    env.set_state(State(state.scene, np.int64(1), numbers))  # the type that numpy's files give
+    env.set_state(State(state.scene, np.int64(1), numbers))  # the type of numbers in numpy's files
     assert env.get_state() == state

@@ -1,4 +1,4 @@
-"""The dm_env door: composer's public interface over the same physics, to the bit: hooks, delays, an MJCF tree."""
+"""The dm_env environment: composer's interface (hooks, delays, an MJCF tree) with an engine's physics, to the bit."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_trajectories_states_and_scores_equal_an_engines_in_every_task() -> None
 
 
 def test_later_episodes_and_pictures_equal_an_engines_too() -> None:
-    """Whether the model is rewritten, for the same blocks, or compiled, for others."""
+    """Both if the model is rewritten, for equal blocks, and if it is compiled, for other blocks."""
     env, engine = magical_mj.load("FindDupe", seed=0, observations=("ego", "allo", "state")), Engine("FindDupe")
     demo = magical_mj.sample_scene("FindDupe", "Demo", 0)
     for scene in (
@@ -77,7 +77,7 @@ def test_later_episodes_and_pictures_equal_an_engines_too() -> None:
 
 @pytest.mark.parametrize("shifts", [None, "camera:3,latency:2,clutter:2"])
 def test_dm_env_protocol(shifts: str | None) -> None:
-    """dm_env's own test cases, with an action sequence that goes past the horizon; with shifts, a prop and a stack."""
+    """dm_env's own tests, with an action sequence longer than the horizon, and with shifts, a prop and a stack."""
 
     class Case(test_utils.EnvironmentTestMixin, absltest.TestCase):
         def make_object_under_test(self) -> dm_env.Environment:
@@ -172,7 +172,7 @@ def test_hooks_run_and_change_nothing_by_themselves() -> None:
     calls: list[str] = []
     for name in ("initialize_episode", "before_step", "before_substep", "after_substep", "after_step"):
         env.add_extra_hook(name, lambda *_, name=name: calls.append(name))
-    for seed in (0, 3):  # of other structures
+    for seed in (0, 3):  # with other structures
         env.reset(seed=seed)
         twin.reset(seed=seed)
         for action in (1, 10):
@@ -197,7 +197,7 @@ def test_observables_have_buffers_and_delays() -> None:
 
 
 def test_a_variation_of_the_users_own() -> None:
-    """Composer's usual way: a hook that draws with the environment's generator, written into the compiled model."""
+    """As usual in composer: a hook draws with the environment's generator and writes into the compiled model."""
     env = magical_mj.load("FindDupe", seed=0, observations=())
     drawn: list[float] = []
 
@@ -240,7 +240,7 @@ def test_states_go_from_here_to_engines_and_back() -> None:
     while not env.step(1).last():
         pass
     over = env.get_state()
-    with pytest.raises(StateError, match="over"):
+    with pytest.raises(StateError, match="ended"):
         env.reset(state=over)
     env.set_state(state)
     assert env.step(1).mid()
@@ -267,7 +267,7 @@ def test_errors_say_what_is_wrong() -> None:
     env.reset()
     with pytest.raises(InvalidActionError):
         env.step(18)
-    with pytest.raises(SettingsError, match="not from seed and scene"):
+    with pytest.raises(SettingsError, match="not seed and scene"):
         env.reset(seed=1, scene=env.initial_scene)
     env.physics.data.qvel[:] = 1e30
     with pytest.raises(PhysicsError):
@@ -295,7 +295,7 @@ def test_an_episode_that_is_over_stays_over_if_the_next_cannot_start() -> None:
 
 
 def test_arenas_show_one_scene_after_another() -> None:
-    """The tree of an arena that showed others equals that of a fresh one."""
+    """After other scenes, an arena has the same tree as a new arena."""
     scenes = [magical_mj.sample_scene("MatchRegions", "All", seed) for seed in range(3)]
     scenes += [Scene(Robot(0, 0, 0)), Scene(Robot(0, 0.5, 1), (Block("star", "red", 0, 0, 0),)), scenes[0]]
     scenes.append(Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.5, -0.5, 0.5, 0.5),)))

@@ -1,4 +1,4 @@
-"""What users add to a composer environment or change in it: it takes effect, or an error says what the scene owns."""
+"""Users' additions and changes in a composer environment take effect, or raise an error that names the attribute."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError
 
 
 class Prop(composer.Entity):
-    """A ball on a joint, with an actuator, a tendon, a sensor and a camera."""
+    """A prop: a ball on a joint, with an actuator, a tendon, a sensor and a camera."""
 
     def _build(self, name: str = "prop", joint: str = "slide") -> None:
         self._model = mjcf.RootElement(model=name)
@@ -46,7 +46,7 @@ class Prop(composer.Entity):
 
 
 def far(env: magical_mj.Environment, prop: Prop, *, free: bool = False) -> None:
-    """Attaches it where the scene does not touch it."""
+    """Attaches the prop far from the scene's objects."""
     frame = env.task.root_entity.attach(prop)
     frame.pos = (9, 9, 0)
     if free:
@@ -54,7 +54,7 @@ def far(env: magical_mj.Environment, prop: Prop, *, free: bool = False) -> None:
 
 
 def check_episodes(env: magical_mj.Environment, task: str, variant: str, seeds: int = 8, steps: int = 8) -> None:
-    """Compares episodes with an engine's, to the bit, and saved states with what followed them."""
+    """Episodes equal an engine's to the bit, and episodes from saved states equal the original continuation."""
     counts = set()
     for seed in range(seeds):
         env.reset(seed=seed)
@@ -78,7 +78,7 @@ def check_episodes(env: magical_mj.Environment, task: str, variant: str, seeds: 
 
 @pytest.mark.parametrize(("joint", "first"), [("slide", False), ("hinge", True), ("free", False)])
 def test_a_prop_far_away_changes_no_bit_of_any_episode(joint: str, *, first: bool) -> None:
-    """Whether it is attached before the first reset or after it."""
+    """If it is attached before the first reset, and if it is attached later."""
     env = magical_mj.load("MatchRegions", "CountPlus", seed=0, observations=("state",))
     if not first:
         env.reset(seed=3)
@@ -119,7 +119,7 @@ def test_twenty_environments_are_the_same_in_every_interface_with_shifts_and_a_p
 
 
 def test_a_second_robot_and_a_raw_model_change_no_bit_either() -> None:
-    """Names are looked up in their scopes, whatever else is called alike."""
+    """Names are looked up in their scopes, even if users' elements have the same names."""
     env = magical_mj.load("FindDupe", "All", seed=0, observations=("state",))
     far(env, Prop("robot"))
     env.task.root_entity.mjcf_model.attach(Prop("block").mjcf_model).pos = (-9, 9, 0)
@@ -133,7 +133,7 @@ def test_a_second_robot_and_a_raw_model_change_no_bit_either() -> None:
 
 
 def test_parts_of_robot_and_blocks_stay_with_them() -> None:
-    """A block's stay with this block in this shape, through episodes that do without it."""
+    """Those of a block belong to its shape, and survive episodes without it."""
     env = magical_mj.load("MatchRegions", "CountPlus", seed=0, observations=("state",))
     arena = env.task.root_entity
     for tree in (arena.robot.mjcf_model, arena.blocks[1].mjcf_model):
@@ -164,7 +164,7 @@ def test_parts_of_robot_and_blocks_stay_with_them() -> None:
 
 
 def test_saved_states_do_not_depend_on_earlier_episodes() -> None:
-    """The order of MuJoCo's vectors follows from the scene and the users' parts alone."""
+    """The order of MuJoCo's vectors depends on the scene and the users' additions, not on earlier episodes."""
     used, fresh = (magical_mj.load("FindDupe", "All", seed=2, observations=()) for _ in range(2))
     for env in (used, fresh):
         far(env, Prop())
@@ -182,12 +182,12 @@ def test_a_name_that_the_scene_needs_is_refused_when_it_needs_it() -> None:
     most = max(counts, key=counts.__getitem__)
     env.reset(seed=min(counts, key=counts.__getitem__))
     far(env, Prop(f"block{counts[most] - 1}"))
-    with pytest.raises(SettingsError, match="another one"):
+    with pytest.raises(SettingsError, match="reserved"):
         env.reset(seed=most)
 
 
 def assign(element: Any, **attributes: Any) -> None:
-    """A change of an element."""
+    """A function that changes an element."""
     element.set_attributes(**attributes)
 
 
@@ -211,7 +211,7 @@ OWNED = {
 def test_changes_of_what_the_scene_owns_are_refused(what: str) -> None:
     change, owner = OWNED[what]
     env = magical_mj.load("FixColour" if what in ("colour", "detached") else "MoveToRegion", seed=0, observations=())
-    if what != "pair friction":  # else before the first reset
+    if what != "pair friction":  # a pair is changed before the first reset
         env.reset(seed=0)
     scene = env.initial_scene
     before = env.task.root_entity.mjcf_model.to_xml_string()
@@ -246,7 +246,7 @@ PINK = [1, 0.5, 0.5, 1]
 
 
 def fill_of(env: magical_mj.Environment) -> Any:
-    """The geom of a block's colour."""
+    """The geom with the block's fill colour."""
     return env.task.root_entity.blocks[0].mjcf_model.find("geom", "block0_fill")
 
 
@@ -256,7 +256,7 @@ def test_other_changes_of_the_tree_count_from_the_next_reset_and_stay() -> None:
     arena = env.task.root_entity
     face, wall = arena.robot.mjcf_model.find("geom", "robot_fill"), arena.mjcf_model.find("geom", "top_wall")
     face.rgba = [1, 0, 0, 1]
-    wall.size[1] = 0.7  # in place, which dm_control does not notice
+    wall.size[1] = 0.7  # in place: dm_control does not notice it
     arena.mjcf_model.option.gravity = [0, 0, -1]
     for seed in (0, 0, 1, 2):
         env.reset(seed=seed)
@@ -285,7 +285,7 @@ def test_the_tree_is_that_of_the_present_episode() -> None:
 def test_the_arena_and_the_robots_body_are_those_that_were_loaded() -> None:
     env = magical_mj.load_scene(Scene(Robot(0, 0, 0)), observations=())
     for scene in (Scene(Robot(0, 0, 0, body="longstick")), Scene(Robot(0, 0, 0), half_width=2)):
-        with pytest.raises(InvalidSceneError, match="load another one"):
+        with pytest.raises(InvalidSceneError, match="load another environment"):
             env.reset(scene=scene)
     assert env.reset().first()
 
@@ -311,7 +311,7 @@ def test_timesteps_are_fixed() -> None:
 
 
 class Watcher(Prop):
-    """It counts substeps."""
+    """An entity that counts substeps."""
 
     def _build(self, name: str = "watcher", joint: str = "slide") -> None:
         super()._build(name, joint)
@@ -397,7 +397,7 @@ CHANGES = {
     "a hook before_step": lambda env: env.add_extra_hook("before_step", lambda physics, action, random_state: None),
     "buffer or delay of the observable 'state'": lambda env: setattr(env.task.observables["state"], "delay", 1),
     "the observable 'mine'": lambda env: env.task.task_observables.update(mine=observable.Generic(lambda physics: 1)),
-    "no observable 'state'": lambda env: env.task.task_observables.pop("state"),
+    "the removed observable 'state'": lambda env: env.task.task_observables.pop("state"),
     "the MJCF tree": lambda env: far(env, Prop()),
     "physics.model.geom_rgba": lambda env: env.physics.named.model.geom_rgba.__setitem__("top_wall", PINK),
     "the attribute 'bonus'": lambda env: setattr(env.task, "bonus", 3),
@@ -434,18 +434,18 @@ def test_exports_are_the_same_from_every_interface(tmp_path: Path) -> None:
     for source in sources:
         assert text(source) == mjcf_text(engine)
     for mode in ("sync", "vector_entry_point"):
-        worlds = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, renderer="software")
-        worlds.reset(seed=[9, 3])  # pyright: ignore[reportArgumentType]
-        worlds.step(np.array([5, 5]))
-        assert text(worlds, 1) == mjcf_text(engine) != text(worlds, 0)
+        envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode, renderer="software")
+        envs.reset(seed=[9, 3])  # pyright: ignore[reportArgumentType]
+        envs.step(np.array([5, 5]))
+        assert text(envs, 1) == mjcf_text(engine) != text(envs, 0)
         with pytest.raises(SettingsError, match="0 to 1"):
-            text(worlds, 2)
-        worlds.close()
+            text(envs, 2)
+        envs.close()
     for other in (3, gymnasium.make("CartPole-v1"), gymnasium.make_vec("CartPole-v1", num_envs=2)):
         with pytest.raises(InvalidSceneError, match="environment"):
             text(other)
     far(env, Prop())
-    for _ in range(2):  # before the prop is in the model, and after
+    for _ in range(2):  # before the prop is compiled, and after
         with pytest.raises(SettingsError, match="export_with_assets"):
             text(env)
         env.reset()

@@ -1,4 +1,4 @@
-"""What composer's environments let agents observe, compared with the values of engines and of Gymnasium."""
+"""The observations of composer environments, compared with those of engines and Gymnasium environments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OBSERVED = ("block0/pose", "block0/velocity", "robot/pose", "robot/velocity", "r
 
 
 def twins(task: str, variant: str, name: str = "ego_stack", **options: Any) -> tuple[magical_mj.Environment, Any]:
-    """An environment that observes a stack of frames, and Gymnasium's."""
+    """A composer environment that observes a stack of frames, and the equivalent Gymnasium environment."""
     preset = {"ego_stack": "LoRes4E", "allo_stack": "LoRes4A"}[name]
     env = magical_mj.load(task, variant, seed=0, observations=(name,), **options)
     return env, gymnasium.make(magical_mj.env_id(task, variant, preset), **options).unwrapped
@@ -41,7 +41,7 @@ def twins(task: str, variant: str, name: str = "ego_stack", **options: Any) -> t
     ],
 )
 def test_the_stack_is_the_papers_observation(task: str, variant: str, name: str, options: dict[str, Any]) -> None:
-    """To the byte, in two whole episodes with different blocks."""
+    """Equal bytes in two whole episodes with different blocks."""
     env, twin = twins(task, variant, name, **options)
     rng = np.random.default_rng(0)
     for seed in (0, 3):
@@ -71,7 +71,7 @@ def test_stacks_are_part_of_states_and_copies() -> None:
     for other in copies:
         np.testing.assert_array_equal(other.step(7).observation["ego_stack"], after)
     np.testing.assert_array_equal(after, expected)
-    for saved in (state, gym_state):  # of either interface, in another episode
+    for saved in (state, gym_state):  # from both interfaces, restored in another episode
         env.reset(seed=2)
         env.step(5)
         np.testing.assert_array_equal(env.reset(state=saved).observation["ego_stack"], saved.frames["ego4"])
@@ -79,13 +79,13 @@ def test_stacks_are_part_of_states_and_copies() -> None:
         np.testing.assert_array_equal(env.step(7).observation["ego_stack"], expected)
     engine = Engine("FixColour", "All", seed=1)
     engine.step(1)
-    env.reset(state=engine.get_state())  # without frames: the present one fills the stack
+    env.reset(state=engine.get_state())  # has no frames: the current frame fills the stack
     twin.reset(options={"state": engine.get_state()})
     np.testing.assert_array_equal(env.step(7).observation["ego_stack"], twin.step(7)[0])
 
 
 def test_stacks_are_complete_however_composer_evaluates_them() -> None:
-    """With a delay and a buffer of its own, seldom, or only from outside."""
+    """With a delay, a buffer, a long update interval, or when only the test evaluates it."""
     env, twin = twins("MoveToRegion", "Demo", image_size=16)
     per_action = env.task.physics_steps_per_control_step
     for options in (
@@ -112,7 +112,7 @@ def test_stacks_are_complete_however_composer_evaluates_them() -> None:
 
 
 def test_entities_observe_the_present_scene_in_every_episode() -> None:
-    """However the numbers and shapes of blocks change; with a joint of the user's."""
+    """For changing numbers and shapes of blocks, and with a user's joint."""
     env = magical_mj.load("FixColour", "All", seed=0, observations=("state",))
     arena = env.task.root_entity
     assert isinstance(arena, composer.Arena)
@@ -120,7 +120,7 @@ def test_entities_observe_the_present_scene_in_every_episode() -> None:
     prop.worldbody.add("geom", size=(0.1,), pos=(3, 3, 0))
     arena.add_free_entity(composer.ModelWrapperEntity(prop))
     names = {f"{entity.mjcf_model.model}/{name}" for entity in arena.iter_entities() for name in names_of(entity)}
-    assert not set(env.reset().observation) & names  # off
+    assert not set(env.reset().observation) & names  # disabled by default
     counts, indices = set(), {name: index for index, name in enumerate(STATE_NAMES)}
     for seed in (0, 1, 5):
         env.reset(seed=seed)
@@ -146,7 +146,7 @@ def test_entities_observe_the_present_scene_in_every_episode() -> None:
             )
             right, ahead, turned = seen[f"block{k}/egocentric_pose"]
             np.testing.assert_array_equal(rows[k], (1, right, ahead, turned))
-            x, y, angle = scene.robot.pose  # back to the world
+            x, y, angle = scene.robot.pose  # to the world frame
             place = complex(x, y) + complex(right, ahead) * complex(math.cos(angle), math.sin(angle))
             assert place == pytest.approx(complex(block.x, block.y))
             assert math.remainder(turned + angle - block.angle, 2 * math.pi) == pytest.approx(0, abs=1e-9)
@@ -160,7 +160,7 @@ def names_of(entity: composer.Entity) -> list[str]:
 
 
 def test_what_was_enabled_stays_enabled_where_its_entity_is() -> None:
-    """With its options, whatever shape the block has, and after episodes without it; also what a user has added."""
+    """With its options, for each shape of the block, and after episodes without it; users' observables as well."""
     scenes = [magical_mj.sample_scene("FixColour", "All", seed) for seed in (1, 5, 2)]
     assert [[block.shape for block in scene.blocks] for scene in scenes] == [
         ["circle", "circle", "pentagon"],
@@ -182,7 +182,7 @@ def test_what_was_enabled_stays_enabled_where_its_entity_is() -> None:
 
 
 def test_copies_observe_the_same() -> None:
-    """Or say which observable they cannot have."""
+    """Otherwise an error names the observable that cannot be copied."""
     scenes = [magical_mj.sample_scene("FixColour", "All", seed) for seed in (1, 5)]
     env = magical_mj.load("FixColour", "All", scene=scenes[0], observations=("state",))
     arena = env.task.root_entity
@@ -201,12 +201,12 @@ def test_copies_observe_the_same() -> None:
             np.testing.assert_array_equal(seen[name], values, err_msg=name)
     arena.blocks[2].observables.contact.enabled = True
     env.reset(scene=scenes[1])
-    with pytest.raises(StateError, match="'block2/contact' of a block that this episode lacks"):
+    with pytest.raises(StateError, match="'block2/contact' of a block that is not in this episode"):
         env.clone()
 
 
 def test_contacts_are_the_robots() -> None:
-    """Not those of a block with another block. With a body without fingers, too."""
+    """Contacts between blocks are not reported. Also with a body without fingers."""
     for body in ("gripper", "longstick"):
         line = [Block("square", "red", 0, y, 0) for y in (0.0, 0.3)]
         env = magical_mj.load_scene(Scene(Robot(0, -0.6, 0, body=body), (*line, Block("star", "blue", 0.8, 0.8, 0))))
@@ -226,7 +226,7 @@ def test_contacts_are_the_robots() -> None:
 
 
 def test_composers_options_apply() -> None:
-    """Noise, delay, buffer and aggregator, with the values that composer's own definition gives."""
+    """Noise, delay, buffer and aggregator give the values that composer defines."""
     env, plain = (magical_mj.load("MoveToCorner", seed=0, observations=()) for _ in range(2))
     pose = env.task.root_entity.robot.observables.pose
     delay = 2 * env.task.physics_steps_per_control_step
@@ -250,7 +250,7 @@ def test_too_many_blocks_are_refused_where_observables_have_fixed_shapes() -> No
     crowd = tuple(Block("circle", "red", 0.3 * (k % 4) - 0.4, 0.3 * (k // 4), 0) for k in range(11))
     env = magical_mj.load_scene(Scene(Robot(0, -0.6, 0), crowd), observations=())
     env.task.root_entity.robot.observables.contacts.enabled = True
-    with pytest.raises(InvalidSceneError, match="hold 10, this scene has 11"):
+    with pytest.raises(InvalidSceneError, match="have 10 rows, and this scene has 11"):
         env.reset()
 
 
@@ -272,7 +272,7 @@ def test_poses_and_velocities_are_read_and_written_as_of_other_entities() -> Non
     assert env.scene.blocks[0].pose == pytest.approx((0.5, -0.5, 0.4))
     block.set_velocity(env.physics, (0.0, 2.0, 0), (0, 0, 1))
     env.step(0)
-    assert env.scene.blocks[0].y > -0.45  # it sleeps no longer
+    assert env.scene.blocks[0].y > -0.45  # the block is awake and has moved
     block.shift_pose(env.physics, position=(-0.1, 0, 0))
     assert env.scene.blocks[0].x == pytest.approx(0.4, abs=0.02)
     for wrong in ({"position": (0, 0, 1)}, {"quaternion": (0.7, 0.7, 0, 0)}):

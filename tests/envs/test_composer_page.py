@@ -1,4 +1,4 @@
-"""docs/composer.md: its code runs, and what its tables say holds."""
+"""docs/composer.md: its code runs, and the statements in its tables are true."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 def rows(heading: str) -> list[list[str]]:
-    """The cells of all tables below a heading, without those of the tables' own headings."""
+    """The cells of all tables below a heading, without header rows."""
     text = PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
     lines = [line for line in text.splitlines() if line.startswith("|") and "---" not in line]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if "`" in line]
@@ -106,7 +106,7 @@ def test_what_the_scene_owns_is_refused_and_written_anew() -> None:
 
 
 def test_an_arena_in_a_task_of_ones_own_has_the_benchmarks_physics() -> None:
-    """That of the page, in two episodes."""
+    """The page's task, in two episodes."""
     (code,) = (code for code in CODE if "class Approach" in code)
     names: dict[str, Any] = {"__name__": "composer_page"}
     exec(code.partition("\nenv = ")[0], names)
@@ -137,7 +137,7 @@ def test_noise_of_an_observable_stays_out_of_poses() -> None:
 
 
 def test_what_persists_in_the_compiled_model() -> None:
-    """Until it is compiled again; with a shift that changes the model, until the next reset."""
+    """Until the model is compiled again; with a shift that changes the model, until the next reset."""
     scenes = [magical_mj.sample_scene("MoveToCorner", "Shape", seed) for seed in range(6)]
     same = [scene for scene in scenes if scene.blocks[0].shape == scenes[0].blocks[0].shape]
     (other, *_) = (scene for scene in scenes if scene not in same)

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: checkers, ids, presets, seeding, errors; who ends episodes and what they score."""
+"""The Gymnasium environments: checkers, ids, presets, seeding, errors, and scores when a wrapper ends episodes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_ids_are_the_60_with_every_preset() -> None:
     assert ours == set(IDS)
     assert len(ours) == 60 * len(PRESETS)
     assert "magical_mj/FindDupe-TestShape-LoRes4E-v0" in ours
-    magical_mj.envs.registration.register_all()  # once more changes nothing
+    magical_mj.envs.registration.register_all()  # a second call changes nothing
     assert {name for name in gymnasium.registry if name.startswith("magical_mj/") and "SweepToTop" not in name} == ours
 
 
@@ -98,7 +98,7 @@ SHAPES = {
 
 
 def stacked(preset: str, frames_so_far: list[dict[str, np.ndarray]]) -> np.ndarray | dict[str, np.ndarray]:
-    """What a preset should give, said in another way than the package does."""
+    """The expected content of each preset, independent of the package's definition."""
     ego, allo = ([frame[view] for frame in frames_so_far] for view in ("ego", "allo"))
     if preset in ("", "LoResFingers"):
         return {"ego": ego[-1], "allo": allo[-1]}
@@ -114,7 +114,7 @@ def stacked(preset: str, frames_so_far: list[dict[str, np.ndarray]]) -> np.ndarr
 
 @pytest.mark.parametrize("preset", SHAPES)
 def test_frames_are_stacked_oldest_first(preset: str) -> None:
-    """Against the single frames that an engine draws."""
+    """Compares stacks with the frames that an engine draws."""
     env = gymnasium.make(magical_mj.env_id("MatchRegions", "Demo", preset))
     engine, size = magical_mj.Engine("MatchRegions", seed=0), 384 if preset == "" else 96
 
@@ -145,7 +145,7 @@ def test_fingers_are_those_of_the_scene() -> None:
         open_by = float(np.ptp(observation["fingers"]))
         observation = env.step(action)[0]
         assert env.observation_space.contains(observation)
-    assert open_by < np.ptp(observation["fingers"])  # closed, then opening
+    assert open_by < np.ptp(observation["fingers"])  # first closed, now opening
     env.close()
 
 
@@ -197,7 +197,7 @@ def test_seeds_and_options_pin_the_scene() -> None:
 
     scenes = scenes_after_seven()
     assert scenes[0] != scenes[1]
-    assert scenes_after_seven() == scenes  # the unseeded episodes follow from the seed
+    assert scenes_after_seven() == scenes  # the seed determines the episodes of later resets without a seed
     wanted = magical_mj.sample_scene("FindDupe", "Shape", 3)
     for scene in (wanted, wanted.to_json()):
         env.reset(options={"scene": scene})
@@ -221,11 +221,11 @@ def test_bad_input_is_explained() -> None:
         env.step(18)
 
 
-CLUSTER = "magical_mj/ClusterShape-Demo-State-v0"  # scores 0.25 before anyone moves
+CLUSTER = "magical_mj/ClusterShape-Demo-State-v0"  # the initial scene scores 0.25
 
 
 def played(env: gymnasium.Env[Any, Any], most: int = 400) -> list[tuple[float, bool, dict[str, Any]]]:
-    """Reward, truncation and info of each step of an episode of the action that does nothing."""
+    """Reward, truncation and info of each step of an episode without motion."""
     env.reset(seed=0)
     steps = []
     for _ in range(most):
@@ -282,7 +282,7 @@ def test_the_score_behind_wrappers_of_ones_own() -> None:
 
 
 class Impatient(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Ends episodes as it likes: after seven steps."""
+    """A user's wrapper that ends episodes after seven steps."""
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         *step, truncated, info = super().step(action)
@@ -290,7 +290,7 @@ class Impatient(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
-    """By hand: the tenfold score where the environment ends it; where another wrapper does, the score itself."""
+    """Ten times the score if the environment ends the episode, the score itself if another wrapper does."""
     for end, steps, paid in (
         (lambda env: env, 320, 2.5),
         (lambda env: wrappers.TimeLimit(env, 7), 7, 2.5),
@@ -303,24 +303,26 @@ def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
 
 
 def test_episodes_without_a_score_are_told_once() -> None:
-    """By a wrapper that the environment cannot see: from the reset after the third of them."""
+    """The environment cannot see the wrapper. The reset after the third such episode warns."""
     region = "magical_mj/MoveToRegion-Demo-State-v0"
     cut, scored = (
         wrappers.TimeLimit(gymnasium.make(region), 39),
         ScoreAtTheEnd(wrappers.TimeLimit(gymnasium.make(region), 39)),
     )
     own = gymnasium.make(region, max_episode_steps=39)
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         for env in (scored, own, gymnasium.make(region), cut):
             for _ in range(5):
                 info = played(env)[-1][2]
-                told_so_far = [str(warning.message) for warning in told]
+                messages = [str(warning.message) for warning in warned]
                 assert info["eval_score"] == (0.0 if env is cut else env.unwrapped.score())
-            assert bool(told_so_far) == (env is cut)
-    assert len(told) == 1
-    assert "reset after 39 of 40 steps. If a wrapper such as TimeLimit ends them, eval_score is 0.0" in told_so_far[0]
-    for step in (30, 30, 30, 30):  # of a search, from states
+            assert bool(messages) == (env is cut)
+    assert len(warned) == 1
+    assert (
+        "reset after 39 of 40 steps. If a wrapper such as TimeLimit ends them, their eval_score is 0.0" in messages[0]
+    )
+    for step in (30, 30, 30, 30):  # as a tree search does, from states
         own.reset(seed=0)
         state = own.unwrapped.get_state()
         for _ in range(step):
@@ -342,7 +344,7 @@ def test_evaluations_refuse_wrappers_that_end_episodes() -> None:
 
 
 def test_other_packages_environments_have_no_score() -> None:
-    with pytest.raises(SettingsError, match="wraps the environments of magical_mj"):
+    with pytest.raises(SettingsError, match="wraps only environments of magical_mj"):
         ScoreAtTheEnd(gymnasium.make("CartPole-v1"))
 
 
@@ -359,7 +361,7 @@ def test_the_score_at_every_step() -> None:
 
 
 def test_infos_have_types_that_other_libraries_read() -> None:
-    """TorchRL looks at `dtype`, LeRobot at arrays of booleans from vectors; floats are floats."""
+    """TorchRL reads `dtype`; LeRobot needs arrays of bools from vector environments; scores can be used as floats."""
     env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")
     for info in (env.reset(seed=0)[1], env.step(0)[-1]):
         assert [info[name].dtype for name in ("eval_score", "is_success")] == [np.float64, np.bool_]
@@ -372,18 +374,18 @@ def test_infos_have_types_that_other_libraries_read() -> None:
 def test_unknown_options_are_ignored_with_a_warning() -> None:
     env = gymnasium.make("magical_mj/FindDupe-TestAll-State-v0").unwrapped
     with pytest.warns(
-        UserWarning, match=re.escape("""the options 'other', 'task_id'; it knows "scene" and "state\"""")
+        UserWarning, match=re.escape("""the options 'other', 'task_id'; known options: "scene" and "state\"""")
     ):
         env.reset(seed=3, options={"other": 3, "task_id": 1})
     assert env.scene.digest() == magical_mj.sample_scene("FindDupe", "All", 3).digest()
     for wrong in ("scene", 3, ["scene"]):
-        with pytest.raises(SettingsError, match="options are a dict"):
+        with pytest.raises(SettingsError, match="options must be a dict"):
             env.reset(options=wrong)
     env.reset(options={})
 
 
 def test_a_reset_after_a_seeded_one_starts_in_the_same_scene() -> None:
-    """Only if nothing happened between: so `set_seed(7)` gives the scene of seed 7 where libraries reset once more."""
+    """Only without a step in between. So `set_seed(7)` starts in the scene of seed 7 if a library resets twice."""
     env = gymnasium.make("magical_mj/FindDupe-TestAll-State-v0").unwrapped
     wanted = magical_mj.sample_scene("FindDupe", "All", 7)
     env.reset(seed=7)
@@ -442,9 +444,9 @@ def test_a_reset_that_is_refused_changes_nothing() -> None:
     while not env.step(0)[3]:
         pass
     ended = env.get_state()
-    for world in (env, twin):
-        world.reset(seed=2)
-        world.step(1)
+    for each in (env, twin):
+        each.reset(seed=2)
+        each.step(1)
     before = env.get_state()
     refused: list[tuple[dict[str, Any], type[Exception]]] = [
         ({"options": {"state": ended}}, StateError),
@@ -457,10 +459,10 @@ def test_a_reset_that_is_refused_changes_nothing() -> None:
         with pytest.raises(error):
             env.reset(**arguments)
         assert env.get_state() == before
-    for world in (env, twin):
-        world.reset()
+    for each in (env, twin):
+        each.reset()
     assert env.scene == twin.scene
     with pytest.raises(StateError):
         env.set_state(dataclasses.replace(ended, steps=3, simulation=np.full_like(ended.simulation, np.nan)))
-    with pytest.raises(ResetNeeded):  # the simulation of its scene is at hand, but in no state of an episode
+    with pytest.raises(ResetNeeded):  # the damaged state has ended the episode
         env.step(0)

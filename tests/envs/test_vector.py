@@ -1,4 +1,4 @@
-"""Worlds on all cores: each is the single environment to the bit, and the vector is Gymnasium's."""
+"""The vector environment: each environment equals a single one to the bit, with Gymnasium's interface."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 @pytest.fixture(scope="module")
 def alone() -> list[tuple[Any, ...]]:
-    """Steps of all 60 environments, each played for itself: episodes of two actions, one after the other."""
+    """Steps of all 60 environments, each run on its own: episodes of two actions."""
     steps: list[tuple[Any, ...]] = []
     for number, pair in enumerate(magical_mj.ENVIRONMENTS):
         env = magical_mj.MagicalEnv(*pair, "LoRes4E", renderer="software", image_size=32, limit=2)
@@ -60,31 +60,31 @@ def actions() -> np.ndarray:
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_every_environment_is_the_single_one_to_the_bit(threads: int, alone: list[tuple[Any, ...]]) -> None:
     settings: dict[str, Any] = {"renderer": "software", "image_size": 32, "limit": 2}
-    worlds = [magical_mj.MagicalEnv(*pair, "LoRes4E", **settings) for pair in magical_mj.ENVIRONMENTS]
-    envs = VectorEnv(worlds, threads, AutoresetMode.SAME_STEP)
-    traces: list[list[Any]] = [[] for _ in worlds]
-    observations, infos = envs.reset(seed=list(range(len(worlds))))
-    for world, trace in enumerate(traces):
-        trace.append((observations[world], info_of(infos, world)))
+    singles = [magical_mj.MagicalEnv(*pair, "LoRes4E", **settings) for pair in magical_mj.ENVIRONMENTS]
+    envs = VectorEnv(singles, threads, AutoresetMode.SAME_STEP)
+    traces: list[list[Any]] = [[] for _ in singles]
+    observations, infos = envs.reset(seed=list(range(len(singles))))
+    for index, trace in enumerate(traces):
+        trace.append((observations[index], info_of(infos, index)))
     for row in actions():
         observations, rewards, terminated, truncated, infos = envs.step(row)
-        for world, trace in enumerate(traces):
-            outcome = float(rewards[world]), bool(terminated[world]), bool(truncated[world])
-            if truncated[world]:
-                trace.append((infos["final_obs"][world], *outcome, info_of(infos["final_info"], world)))
-                trace.append((observations[world], info_of(infos, world)))
+        for index, trace in enumerate(traces):
+            outcome = float(rewards[index]), bool(terminated[index]), bool(truncated[index])
+            if truncated[index]:
+                trace.append((infos["final_obs"][index], *outcome, info_of(infos["final_info"], index)))
+                trace.append((observations[index], info_of(infos, index)))
             else:
-                trace.append((observations[world], *outcome, info_of(infos, world)))
-    for (expected, state), trace, world in zip(alone, traces, worlds, strict=True):
+                trace.append((observations[index], *outcome, info_of(infos, index)))
+    for (expected, state), trace, env in zip(alone, traces, singles, strict=True):
         assert_same(expected, trace)
-        assert world.get_state() == state
+        assert env.get_state() == state
     envs.close()
 
 
-def info_of(infos: dict[str, Any], world: int) -> dict[str, Any]:
-    """A world's info, with the types that the single environment gives."""
-    assert infos["_eval_score"][world]
-    return {"eval_score": infos["eval_score"][world], "is_success": np.array(infos["is_success"][world])}
+def info_of(infos: dict[str, Any], index: int) -> dict[str, Any]:
+    """An environment's info, with the types of a single environment."""
+    assert infos["_eval_score"][index]
+    return {"eval_score": infos["eval_score"][index], "is_success": np.array(infos["is_success"][index])}
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -130,12 +130,12 @@ def test_opengl_draws_in_threads_what_it_draws_alone() -> None:
     np.testing.assert_array_equal(frames[0], frames[1])
 
 
-def test_mistakes_are_explained_and_step_no_world() -> None:
+def test_mistakes_are_explained_and_step_no_environment() -> None:
     with pytest.raises(SettingsError, match="num_envs must be an integer of at least 1, not 0"):
         magical_mj.make_vec(STATES, 0)
     with pytest.raises(UnknownNameError, match="FindDupe"):
         magical_mj.make_vec(["FindDupe"], 1)  # type: ignore[arg-type]
-    with pytest.raises(SettingsError, match="autoreset_mode is one of"):
+    with pytest.raises(SettingsError, match="autoreset_mode must be one of"):
         magical_mj.make_vec(STATES, 1, autoreset_mode="never")
     with pytest.raises(SettingsError, match="max_episode_steps=999 is more than"):
         magical_mj.make_vec(STATES, 1, max_episode_steps=999)
@@ -143,12 +143,12 @@ def test_mistakes_are_explained_and_step_no_world() -> None:
     with pytest.raises(ResetNeeded):
         envs.step([0, 0])
     for seed in ([1], [1, 2, 3]):
-        with pytest.raises(SettingsError, match="2 worlds"):
+        with pytest.raises(SettingsError, match="2 environments"):
             envs.reset(seed=seed)
     envs.reset(seed=[5, 6])
     before = envs.call("get_state")
     for wrong in ([0], [0, 18], [0, -1], [0.0, 1.0], [[0, 1], [0, 1]], [[0], [0, 1]], None):
-        with pytest.raises(InvalidActionError, match="one for each world"):
+        with pytest.raises(InvalidActionError, match="one for each environment"):
             envs.step(wrong)
     for mask in ([True], [[True], [True, False]]):
         with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
@@ -167,7 +167,7 @@ KINDS = ("single", "sync", "async", "vector_entry_point")
 
 
 def made(kind: str, name: str = REGION, **settings: Any) -> Any:
-    """The environment by itself, or two of them in a vector."""
+    """A single environment, or a vector environment of two."""
     if kind == "single":
         return gymnasium.make(name, **settings)
     own = {"vector_kwargs": {"context": "spawn"}} if kind == "async" else {}
@@ -176,7 +176,7 @@ def made(kind: str, name: str = REGION, **settings: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def states() -> list[magical_mj.State]:
-    """All states of an episode, whose end has a score between 0 and 1 only by chance."""
+    """All states of an episode of driving forward."""
     env = magical_mj.MagicalEnv("MoveToRegion", "All", "State")
     env.reset(seed=2)
     passed = [env.get_state()]
@@ -199,8 +199,8 @@ def test_a_limit_counts_the_steps_of_an_episode_wherever_it_goes_on(kind: str, s
     engine = magical_mj.Engine("MoveToRegion", "All")
     engine.set_state(states[30])
     assert scores == [0.0] * 19 + [engine.score()]
-    for late in (30, 35, 40) if kind != "async" else ():  # whose processes end with an error
-        with pytest.raises(StateError, match="give an earlier state, of less than 30"):
+    for late in (30, 35, 40) if kind != "async" else ():  # an error ends the processes of async environments
+        with pytest.raises(StateError, match="give a state with fewer than 30"):
             env.reset(options={"state": states[late]})
     env.close()
 
@@ -214,14 +214,14 @@ def test_who_goes_back_to_a_state_plays_the_rest_of_its_episode(
     env = made(kind, **settings)
     action = 1 if kind == "single" else np.ones(2, int)
     env.reset(seed=0)
-    for start in (5, 25, 25):  # the last time from an ended episode
+    for start in (5, 25, 25):  # the second 25 starts from an ended episode
         if kind == "single":
             env.unwrapped.set_state(states[start])
         else:
             env.call("set_state", states[start])
         ends = [bool(np.all(env.step(action)[3])) for _ in range((limit or 40) - start)]
         assert ends == [False] * (len(ends) - 1) + [True]
-        if kind == "sync":  # which resets a world that has ended, whatever was done to it since
+        if kind == "sync":  # SyncVectorEnv resets after an end, even if a state was set
             return
     env.close()
 
@@ -246,7 +246,7 @@ def test_variations_are_those_of_the_single_environments(variation: Any) -> None
     drawn = [env.variation for env in ours.envs]
     assert_same(drawn, list(theirs.get_attr("variation")))
     assert ours.call("get_state") == theirs.call("get_state")
-    with pytest.raises(SettingsError, match="from one of the options scene, state, variation, not scene and variation"):
+    with pytest.raises(SettingsError, match="one of the options scene, state, variation, not scene and variation"):
         ours.reset(options={"variation": variation, "scene": ours.envs[0].scene})
     for envs in (ours, theirs):
         envs.close()
@@ -302,8 +302,8 @@ def test_its_attributes_are_those_of_gymnasiums_vector() -> None:
         envs.close()
 
 
-def test_each_world_has_its_own_sentence() -> None:
-    """Of different lengths: none is cut off to another one's, with a mask neither."""
+def test_each_environment_has_its_own_sentence() -> None:
+    """Sentences of different lengths are not truncated, with a mask or without one."""
     settings: dict[str, Any] = {"shifts": "words:5", "max_episode_steps": 1, "autoreset_mode": "SameStep"}
     envs = gymnasium.make_vec(REGION, 8, "vector_entry_point", **settings)
     masks = np.arange(8) < 3, np.arange(8) >= 3
@@ -322,17 +322,17 @@ def test_each_world_has_its_own_sentence() -> None:
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda envs: pickle.loads(pickle.dumps(envs))])
-def test_copies_go_on_alike_in_worlds_of_their_own(copied: Callable[[Any], Any]) -> None:
+def test_copies_continue_alike_in_environments_of_their_own(copied: Callable[[Any], Any]) -> None:
     envs = made("vector_entry_point", STACKS, renderer="software", max_episode_steps=3, threads=2)
-    for world in (envs, magical_mj.MagicalEnv("FindDupe", "All", "State")):
-        world.reset(seed=4)
-        action = [1, 4] if world is envs else 1
-        world.step(action)
-        twin = copied(world)
-        assert_same([world.step(action) for _ in range(2)], [twin.step(action) for _ in range(2)])
-        assert_same(world.reset(), twin.reset())
-        world.close()
+    for env in (envs, magical_mj.MagicalEnv("FindDupe", "All", "State")):
+        env.reset(seed=4)
+        action = [1, 4] if env is envs else 1
+        env.step(action)
+        twin = copied(env)
+        assert_same([env.step(action) for _ in range(2)], [twin.step(action) for _ in range(2)])
+        assert_same(env.reset(), twin.reset())
+        env.close()
         twin.step(action)
         twin.close()
         with pytest.raises(ClosedError):
-            copied(world)
+            copied(env)

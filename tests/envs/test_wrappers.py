@@ -1,4 +1,4 @@
-"""Actions as vectors: the same episodes, in every way in which the environments can be made."""
+"""Continuous actions: the same episodes in single, vector and wrapped environments."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_wrong_vector_is_refused(make: Any, action: Any) -> None:
 
 
 def test_tensors_that_are_no_arrays_are_refused() -> None:
-    """And others are taken, in each interface."""
+    """Valid ones are accepted, by each interface."""
     torch = pytest.importorskip("torch")
     zeros = torch.zeros(3)
     unlike = [
@@ -94,7 +94,7 @@ def test_tensors_that_are_no_arrays_are_refused() -> None:
         env.step(zeros.reshape(*batch, 3))
         env.step(zeros.half().reshape(*batch, 3))
         for tensor in unlike:
-            with pytest.raises(InvalidActionError, match=r"finite numbers|one for each world"):
+            with pytest.raises(InvalidActionError, match=r"finite numbers|one for each environment"):
                 env.step(tensor.reshape(*batch, 3))
         env.close()
     with pytest.raises(InvalidActionError, match=r"give tensor\.detach\(\)\.float\(\)\.cpu\(\)"):
@@ -119,7 +119,7 @@ def test_only_discrete_environments_are_wrapped() -> None:
 
 
 def test_the_released_horizon_is_kept_where_the_id_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in the processes of asynchronous vectors for tasks that are given by reference."""
+    """As in the processes of asynchronous vector environments, for tasks given as "package.module:SPEC"."""
     name = magical_mj.env_id("ClusterShape", "Demo", "State")
     spec = gymnasium.spec(name)
     monkeypatch.delitem(gymnasium.registry, name)

@@ -1,4 +1,4 @@
-"""The suite xmagical: ids, spaces, rewards, original seeds, and its distance from measurements of the original."""
+"""The suite xmagical: ids, spaces, rewards, original seeds, and deviations from measurements of the original."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import xmagical as beside  # type: ignore[import-not-found] - tools/research/xmagical.py
+import xmagical as measured  # type: ignore[import-not-found] - tools/research/xmagical.py
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
@@ -35,7 +35,7 @@ from magical_mj.utils.errors import (
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/SweepToTop-"))
 LONG = "magical_mj/SweepToTop-Longstick-State-Allo-TestLayout-v0"
-PROBES: dict[str, Any] = json.loads(beside.PROBES.read_text())
+PROBES: dict[str, Any] = json.loads(measured.PROBES.read_text())
 BODY_NAMES = tuple(BODIES)
 
 
@@ -71,18 +71,18 @@ def test_an_episode_is_truncated_and_every_step_is_rewarded_by_the_score() -> No
 
 @pytest.mark.parametrize("body", BODY_NAMES)
 def test_motion_rest_and_pushes_are_those_of_the_original(body: str) -> None:
-    robot: list[Any] = [beside.turn_rates(PROBES, body), beside.resting(body), *beside.free_motion(PROBES, body)]
-    debris, _ = beside.pushes(PROBES, body)
-    for deviation in (*robot, debris, *beside.sequences(PROBES, body)):
+    robot: list[Any] = [measured.turn_rates(PROBES, body), measured.resting(body), *measured.free_motion(PROBES, body)]
+    debris, _ = measured.pushes(PROBES, body)
+    for deviation in (*robot, debris, *measured.sequences(PROBES, body)):
         assert deviation.position <= deviation.bounds[0], deviation
         assert deviation.angle <= deviation.bounds[1], deviation
 
 
 def test_scores_rewards_draws_and_states_are_those_of_the_original() -> None:
-    assert max(beside.scores(PROBES)) < 1e-6
-    assert beside.drawn(PROBES) == 0
+    assert max(measured.scores(PROBES)) < 1e-6
+    assert measured.drawn(PROBES) == 0
     for name, static in PROBES["static"].items():
-        np.testing.assert_allclose(state_vector(beside.start(name.lower()).scene), static["state"], atol=1e-6)
+        np.testing.assert_allclose(state_vector(measured.start(name.lower()).scene), static["state"], atol=1e-6)
 
 
 def test_original_seeds_draw_on_from_reset_to_reset() -> None:
@@ -165,7 +165,7 @@ def test_bodies_that_a_task_does_not_offer_are_refused() -> None:
     with pytest.raises(InvalidSceneError, match="gripper, shortstick"):
         magical_mj.Engine("SweepToTop", body="snake")
     engine = magical_mj.Engine("SweepToTop", body="shortstick", seed=0)
-    with pytest.raises(InvalidSceneError, match="make another one with body='gripper'"):
+    with pytest.raises(InvalidSceneError, match="make another environment with body='gripper'"):
         engine.reset(scene=DEMO)
 
 
@@ -241,7 +241,7 @@ def test_demonstrations_of_a_body_play_again_to_the_same_states() -> None:
 
 @pytest.mark.parametrize("seeds", ["protocol", "original"])
 def test_variations_of_its_scenes_are_given_and_read_back(seeds: str) -> None:
-    """Their zone reaches beyond the walls, and has a solid border."""
+    """Its zone extends beyond the walls, and has a solid border."""
     env = XMagicalEnv("longstick", "Layout", seeds=seeds)  # type: ignore[arg-type]
     space = env.variation_space
     env.reset(options={"variation": space.default})
@@ -255,6 +255,6 @@ def test_variations_of_its_scenes_are_given_and_read_back(seeds: str) -> None:
     assert env.initial_scene == scene
     assert {region.border for region in scene.regions} == {"solid"}
     for wrong in ("variation", 3):
-        with pytest.raises(SettingsError, match="options are a dict"):
+        with pytest.raises(SettingsError, match="options must be a dict"):
             env.reset(options=wrong)  # type: ignore[arg-type]
     env.close()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, PhysicsSettings
 from magical_mj.assets.robot import controls
-from magical_mj.assets.world import World, world_mjcf
+from magical_mj.assets.scene_model import SceneModel, scene_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline
@@ -71,8 +71,8 @@ def hands(kind: str, rng: np.random.Generator) -> Iterator[int]:
 def play(number: int, settings: PhysicsSettings = SETTINGS) -> tuple[Scene, NDArray[np.float64], int]:
     """The scene, the poses after each action, shape (steps, 1 + blocks, 3), and the number of MuJoCo's warnings."""
     scene, kind = episode(number)
-    world = World(scene)
-    model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
+    world = SceneModel(scene)
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(scene, settings=settings))
     data = mujoco.MjData(model)
     signal, actor = controls(settings=settings), hands(kind, np.random.default_rng(number))
     action, track = next(actor), []

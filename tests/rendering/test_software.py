@@ -17,7 +17,7 @@ from numba import njit
 
 import magical_mj
 from magical_mj.assets import style
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering import scanlines
 from magical_mj.rendering.backend import check_renderer, drawn_by
 from magical_mj.rendering.flat import FlatRenderer
@@ -36,7 +36,7 @@ CORNER = Scene(Robot(0.5, 0.25, 0.0), (Block("square", "red", -0.5, 0.5, 0.0),),
 
 def world(scene: Scene) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The compiled model of a scene, and its state at the start."""
-    model = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(scene))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -248,7 +248,7 @@ def test_the_variable_chooses_for_the_process(monkeypatch: pytest.MonkeyPatch) -
 
 def test_what_users_add_is_left_to_opengl() -> None:
     ball = '<geom name="ball" size="0.2" group="0" rgba="0 0 1 1" pos="0 0.5 0"/></worldbody>'
-    model = mujoco.MjModel.from_xml_string(world_mjcf(CORNER).replace("</worldbody>", ball, 1))
+    model = mujoco.MjModel.from_xml_string(scene_mjcf(CORNER).replace("</worldbody>", ball, 1))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with pytest.raises(RenderingError, match="ball"):

@@ -21,7 +21,7 @@ import numpy as np
 import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
-from magical_mj.assets.world import World, world_model
+from magical_mj.assets.scene_model import SceneModel, compiled_model
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import Preset, preset_named
 from magical_mj.rendering.renderer import Views
@@ -152,10 +152,10 @@ def _reset_times(task: str, variant: str, preset: str, renderer: str | None) -> 
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
     with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
         for seed in range(RESETS):
-            before, start = env.engine.simulation.world.structure, process_time()
+            before, start = env.engine.simulation.scene_model.structure, process_time()
             env.reset(seed=seed)
             taken = process_time() - start
-            times["rewritten" if env.engine.simulation.world.structure == before else "compiled"].append(taken)
+            times["rewritten" if env.engine.simulation.scene_model.structure == before else "compiled"].append(taken)
     return times
 
 
@@ -192,8 +192,8 @@ class BareLoop:
     """
 
     def __init__(self, scene: Scene, preset: Preset, renderer: str | None = None) -> None:
-        world = World(scene)
-        self.model = copy(world_model(world.structure))
+        world = SceneModel(scene)
+        self.model = copy(compiled_model(world.structure))
         self.data = mujoco.MjData(self.model)
         world.rewrite(self.model, self.data)
         mujoco.mj_resetData(self.model, self.data)  # puts the bodies at the scene's poses

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from magical_mj import TASKS, demos, sample_scene
 from magical_mj.assets.robot import JOINTS
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos import Demonstration
 from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
 from magical_mj.scene.constants import CONTROL_RATE
@@ -38,7 +38,7 @@ LEARNT_FROM: Final = 10  # demonstrations
 def people(path: Path, task: str) -> Demonstrations:
     """The recorded episodes of people in a task. Velocities are the differences of the recorded poses."""
     scene = sample_scene(task, "Demo", 0)
-    world, size = World(scene), 3 * len(scene.blocks) + len(JOINTS)
+    world, size = SceneModel(scene), 3 * len(scene.blocks) + len(JOINTS)
     columns = np.arange(float(size))
     planar, fingers = world.poses(columns).astype(int), world.fingers(columns).astype(int)
     found = []
@@ -62,7 +62,7 @@ def _mean(values: Iterable[float]) -> float:
 
 def _path(demo: Demonstration) -> Floats:
     """The positions of the robot. Shape (steps + 1, 2)."""
-    world = World(demo.scene)
+    world = SceneModel(demo.scene)
     return np.array([world.poses(qpos)[0, :2] for qpos in demo.qpos])
 
 

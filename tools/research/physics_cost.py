@@ -17,7 +17,7 @@ import numpy as np
 import rollouts
 from rollouts import Rollouts, family_errors, recordings
 
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES
 
@@ -70,13 +70,13 @@ def main() -> None:
     print("| solver | apart | at rest | pushed | " + " | ".join(rollouts.AIMS) + " |")
     print("| --- |" + " --- |" * (3 + len(rollouts.AIMS)))
     for name, (old, new) in EDITS.items():
-        if old not in world_mjcf(HEAP):
+        if old not in scene_mjcf(HEAP):
             raise ValueError(f"the model no longer contains {old!r}, which {name!r} must replace")
-        rollouts.world_mjcf = lambda *args, old=old, new=new, **more: world_mjcf(*args, **more).replace(old, new, 1)
+        rollouts.scene_mjcf = lambda *args, old=old, new=new, **more: scene_mjcf(*args, **more).replace(old, new, 1)
         costs = [f"{cost(*case)[0]:.2f}" for case in ((APART, REST), (HEAP, REST), (HEAP, PUSH))]
         errors = [f"{mean:.3f} / {end:.3f}" for mean, end, _ in family_errors(cases).values()]
         print(f"| {name} | {' | '.join(costs + errors)} |", flush=True)
-    rollouts.world_mjcf = world_mjcf
+    rollouts.scene_mjcf = scene_mjcf
     print("contacts:", [round(cost(*case)[1], 1) for case in ((APART, REST), (HEAP, REST), (HEAP, PUSH))])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magical_mj import sample_scene, score
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, SUBSTEPS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.robot import JOINTS, MOTORS, ROTORS, WHEELS, controls
-from magical_mj.assets.world import World, world_mjcf
+from magical_mj.assets.scene_model import SceneModel, scene_mjcf
 from magical_mj.scene import Block, Robot, Scene
 
 Array = NDArray[np.float64]
@@ -55,8 +55,8 @@ class Rollouts:
     """A compiled scene for rollouts of action sequences."""
 
     def __init__(self, scene: Scene, settings: PhysicsSettings = SETTINGS) -> None:
-        self.world = World(scene)
-        self.model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
+        self.world = SceneModel(scene)
+        self.model = mujoco.MjModel.from_xml_string(scene_mjcf(scene, settings=settings))
         self.data = mujoco.MjData(self.model)
         self._controls = controls(settings=settings)
 

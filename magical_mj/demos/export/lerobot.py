@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export.folders import CARD, about, card
 from magical_mj.demos.learning import observations
@@ -153,7 +153,7 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
     """Yields each action with the observation before it: pictures, or the state vector if `keys` is empty."""
-    sentence, world = task_spec(demo.task).summary, World(demo.scene)
+    sentence, world = task_spec(demo.task).summary, SceneModel(demo.scene)
     if keys:
         pictures = render_demo(demo, list(keys), IMAGE_SIZE)
         observed = ({key: frame[view] for view, key in keys.items()} for frame in pictures)

@@ -1,7 +1,7 @@
-"""The things of a scene as composer's entities: arena, robot and blocks, each with an MJCF tree of its own.
+"""A scene as composer entities: arena, robot and blocks, each with its own MJCF tree.
 
-The trees are parsed from the text of which an engine's model is compiled. So together they compile to that model, apart
-from names: those of the robot's and of a block's parts begin with "robot/" and "block0/", as composer has it.
+The trees are parsed from the MJCF text of an engine's model. So together they compile to the same model, except for
+names: as always in composer, the names of elements of the robot and the blocks begin with "robot/", "block0/" etc.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from magical_mj.assets.robot import (
     robot_pairs,
     tendons_mjcf,
 )
-from magical_mj.assets.world import APART, world_mjcf
+from magical_mj.assets.scene_model import APART, scene_mjcf
 from magical_mj.envs.composer.observables import (
     ArenaObservables,
     BlockObservables,
@@ -45,29 +45,29 @@ from magical_mj.scene.bodies import body_named
 from magical_mj.utils.errors import InvalidSceneError, SettingsError
 
 NAMESPACES: Final = {"body": "body", "joint": "joint", "geom": "geom", "fixed": "tendon"}
-"""The elements of a thing of which the scene determines attributes -> what composer calls them."""
+"""Elements with attributes that the scene determines -> composer's names for them."""
 OWNED: Final = {
     "body": ("quat",),
     "joint": ("axis", "ref", "frictionloss"),
     "geom": ("rgba",),
     "fixed": ("frictionloss",),
 }
-"""The attributes of each. Those of geoms are a block's; the robot's are always the same."""
-PLACE: Final = ("pos", "quat")
-"""Those of a thing's frame."""
+"""Element -> the attributes that the scene determines. Only a block's geoms vary; the robot's are constant."""
+FRAME_POSE: Final = ("pos", "quat")
+"""The attributes of an attachment frame that the scene determines."""
 
 Pairs = dict[str, dict[str, str]]
-"""The attributes of contacts, by their names."""
+"""Name of a contact pair -> its attributes."""
 
 
 @dataclass
 class Tree:
-    """The MJCF tree of a thing in one of its forms.
+    """The MJCF tree of an entity in one of its forms.
 
     Attributes:
-        root: its root.
-        kept: of its frame the attributes, the parts and the contacts, since it has left the arena.
-        pairs: the contacts of its feet.
+        root: the root of the tree.
+        kept: while the entity is detached, the attributes and children of its frame, and its contact pairs.
+        pairs: the contact pairs of its feet, by name.
     """
 
     root: mjcf.RootElement
@@ -75,17 +75,25 @@ class Tree:
     pairs: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
-class Thing(PlanarEntity):
-    """A planar body: the robot, or a block. Its joints are in the frame by which it is attached to the arena.
+class SceneEntity(PlanarEntity):
+    """A planar body of a scene: the robot, a block or a pebble. Its joints are in its attachment frame in the arena.
 
-    It has a tree for each form that it has had in a scene, such as each shape of a block, and the same hooks and
-    observables in all of them.
+    It has a tree for each form that it has had so far, such as each shape of a block. Its hooks and observables are the
+    same in all forms.
     """
 
     def _build(
         self, name: str, mjcf_of: Callable[[Scene], str], scene: Scene, form: Hashable = None, more: str = ""
     ) -> None:
-        """Parses the tree of this name, from the thing's MJCF in a scene (its body, and its tendons) and some more."""
+        """Parses the entity's tree.
+
+        Args:
+            name: the name of the entity and its tree.
+            mjcf_of: returns the MJCF of its body and tendons in a scene.
+            scene: the scene.
+            form: its form in the scene.
+            more: further elements of the tree, as MJCF.
+        """
         self.name, self._mjcf_of, self._more = name, mjcf_of, more
         self._trees: dict[Hashable, Tree] = {}
         self.take_form(form, scene)
@@ -94,15 +102,15 @@ class Thing(PlanarEntity):
         return PlanarObservables(self)
 
     def take_form(self, form: Hashable, scene: Scene) -> None:
-        """Makes its tree the one of a form, which it has in the scene. It must not be attached."""
+        """Selects the tree of a form, which is the entity's form in the scene. It must be detached."""
         if form not in self._trees:
             self._trees[form] = Tree(self._parsed(scene))
         self.form, self._tree = form, self._trees[form]
 
     def _parsed(self, scene: Scene) -> mjcf.RootElement:
         body, others = self._elements(scene)
-        content = "".join(tostring(part, "unicode") for part in body if part.tag in ("geom", "body", "camera"))
-        tendons = "".join(tostring(part, "unicode") for part in others)
+        content = "".join(tostring(child, "unicode") for child in body if child.tag in ("geom", "body", "camera"))
+        tendons = "".join(tostring(tendon, "unicode") for tendon in others)
         return mjcf.from_xml_string(
             f'<mujoco model="{self.name}"><compiler angle="radian" autolimits="true"/>'
             f"<default>{default_classes()}</default><worldbody>{content}</worldbody><tendon>{tendons}</tendon>"
@@ -111,37 +119,37 @@ class Thing(PlanarEntity):
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """The tree, as it is in the present episode's scene."""
+        """The tree, with the values of the current episode's scene."""
         if isinstance(self.parent, Arena):
             self.parent.refresh()
         return self._tree.root
 
     @property
     def frame(self) -> Any:
-        """The body by which it is attached, with its joints."""
+        """The attachment frame: the body in the arena's tree with the entity's joints."""
         return mjcf.get_attachment_frame(self._tree.root)
 
-    def join(self, arena: Arena, scene: Scene, pairs: Pairs, place: int | None = None) -> None:
-        """Puts the thing into the arena, with its joints and the contacts of its feet. Its meshes are the arena's.
+    def join(self, arena: Arena, scene: Scene, pairs: Pairs, index: int | None = None) -> None:
+        """Attaches the entity to the arena, with its joints and contact pairs. Its meshes are in the arena's tree.
 
         Args:
-            arena: where to.
+            arena: the arena.
             scene: the scene.
-            pairs: its contacts of feet.
-            place: its number among the children of the arena's `worldbody`; None: the last.
+            pairs: the contact pairs of all feet.
+            index: its position among the children of the arena's `worldbody`; None: the last.
         """
         if arena.mjcf_model.namescope.has_identifier("namescope", self.name):
             raise SettingsError(
-                f"an entity of yours is called {self.name!r}, and this scene has a part of that name: give it "
-                'another one, which is not "robot", nor "block" or "pebble" with a number'
+                f"an attached entity is named {self.name!r}, like an object of this scene: rename it. The names "
+                '"robot", and "block" or "pebble" with a number, are reserved'
             )
-        frame = _attach(arena, self, place)
+        frame = _attach(arena, self, index)
         if self._tree.kept is None:
             self._join_first(arena, scene, pairs, frame)
         else:
-            attributes, parts, contacts = self._tree.kept
+            attributes, children, contacts = self._tree.kept
             frame.set_attributes(**attributes)
-            for tag, values in parts:
+            for tag, values in children:
                 frame.add(tag, **values)
             self._tree.pairs = {
                 contact["name"]: arena.mjcf_model.contact.add("pair", **contact) for contact in contacts
@@ -149,10 +157,10 @@ class Thing(PlanarEntity):
 
     def _join_first(self, arena: Arena, scene: Scene, pairs: Pairs, frame: Any) -> None:
         body, others = self._elements(scene)
-        joints = {part.get("name"): frame.add("joint", **_attributes(part)) for part in body.findall("joint")}
-        for part in body.findall("inertial"):
-            frame.add("inertial", **part.attrib)
-        for tendon in others:  # those of the frame's joints would be searched in the tree
+        joints = {joint.get("name"): frame.add("joint", **_attributes(joint)) for joint in body.findall("joint")}
+        for inertial in body.findall("inertial"):
+            frame.add("inertial", **inertial.attrib)
+        for tendon in others:  # their joints in the frame are outside the entity's tree, so they are set explicitly
             for part, term in zip(tendon, self._tree.root.find("tendon", tendon.get("name")).joint, strict=True):
                 if part.get("joint") in joints:
                     term.joint = joints[part.get("joint")]
@@ -165,20 +173,20 @@ class Thing(PlanarEntity):
             self._tree.pairs[name] = arena.mjcf_model.contact.add("pair", **{**pairs[name], **geoms})
 
     def leave(self) -> None:
-        """Takes the thing out of the arena. It keeps what users have added or changed, for when it joins again."""
-        frame = self.frame
+        """Detaches the entity from the arena. Users' additions and changes are kept until it is attached again."""
+        frame, pairs = self.frame, self._tree.pairs.values()
         own = [child for child in frame.all_children() if child.namescope is frame.namescope]
-        parts = [(child.tag, child.get_attributes()) for child in own]
-        self._tree.kept = frame.get_attributes(), parts, [pair.get_attributes() for pair in self._tree.pairs.values()]
-        for pair in self._tree.pairs.values():
+        children = [(child.tag, child.get_attributes()) for child in own]
+        self._tree.kept = frame.get_attributes(), children, [pair.get_attributes() for pair in pairs]
+        for pair in pairs:
             pair.remove()
         self.detach()
 
     def show(self, scene: Scene, pairs: Pairs, owned: Owned) -> None:
-        """Writes what the scene determines into the tree."""
+        """Writes the attributes that the scene determines into the tree."""
         body, others = self._elements(scene)
         frame = self.frame
-        owned.write(frame, {name: body.attrib[name] for name in PLACE})
+        owned.write(frame, {name: body.attrib[name] for name in FRAME_POSE})
         joints = {joint.name: joint for joint in frame.find_all("joint", immediate_children_only=True)}
         for element in (*list(body.iter())[1:], *others):
             names = [name for name in OWNED.get(element.tag, ()) if name in element.attrib]
@@ -191,32 +199,32 @@ class Thing(PlanarEntity):
             owned.write(pair, {"friction": pairs[name]["friction"]})
 
     def _elements(self, scene: Scene) -> tuple[Element, list[Element]]:
-        """The body and the tendons."""
+        """The entity's body and tendons in the scene."""
         body, *others = _without_comments(self._mjcf_of(scene))
         return body, others
 
 
-class BlockEntity(Thing):
+class BlockEntity(SceneEntity):
     """A block."""
 
     def _build_observables(self) -> BlockObservables:
         return BlockObservables(self)
 
 
-class RobotEntity(Thing):
+class RobotEntity(SceneEntity):
     """The robot."""
 
     @property
     def fingers(self) -> list[Any]:
-        """The joints of the left and the right finger, if it has any."""
+        """The joints of the left and the right finger; empty without fingers."""
         joints = [self._tree.root.find("joint", name) for name in FINGERS]
         return [joint for joint in joints if joint is not None]
 
     def apply_action(self, physics: Any, action: Any, random_state: Any = None) -> None:
-        """Writes the controls of one of the 18 actions, for tasks of one's own.
+        """Writes the controls of one of the 18 actions, for use in your own tasks.
 
         Raises:
-            InvalidActionError: if it is not one of these.
+            InvalidActionError: if the action is not one of the 18.
         """
         del random_state
         robot, dynamics = self.parent.scene.robot, self.parent.scene.dynamics
@@ -227,32 +235,35 @@ class RobotEntity(Thing):
         return GripperObservables(self) if self.fingers else RobotObservables(self)
 
 
-def _attach(arena: Arena, thing: Thing, place: int | None) -> Any:
-    """Attaches a thing to the arena at a place. composer attaches at the end, or after a site and other frames."""
-    if place is None:
-        return arena.attach(thing)
-    world = arena.mjcf_model.worldbody
-    marks = [world.insert("site", place) for _ in range(2)]
-    frame = arena.attach(thing, marks[1])
-    for mark in marks:
-        mark.remove()
+def _attach(arena: Arena, entity: SceneEntity, index: int | None) -> Any:
+    """Attaches an entity at an index of `worldbody`, or at the end, and returns its frame.
+
+    composer attaches at the end, or at a site after other frames. So temporary sites mark the index.
+    """
+    if index is None:
+        return arena.attach(entity)
+    worldbody = arena.mjcf_model.worldbody
+    sites = [worldbody.insert("site", index) for _ in range(2)]
+    frame = arena.attach(entity, sites[1])
+    for site in sites:
+        site.remove()
     return frame
 
 
 class Arena(composer.Arena):
     """The root entity: ground, walls, lights, the camera "allo", and the goal regions. Robot and blocks are attached.
 
-    What users add to the trees stays there. A block has a tree of its own for each shape that it has had, and its hooks
-    and observables are the same for all. The attributes `robot`, `blocks` and `pebbles` are in the order of the scene.
+    Users' additions to the trees persist. A block has a separate tree for each shape that it has had, and the same
+    hooks and observables for all shapes. The attributes `robot`, `blocks` and `pebbles` are in the order of the scene.
 
-    Robot and blocks always come before what users attach, and the robot after the blocks: it is drawn over them. So the
-    order of MuJoCo's vectors follows from the scene and from the users' parts alone, not from earlier episodes.
+    The blocks come first, then the robot, which is drawn over them, then the entities that users attach. So the order
+    of MuJoCo's vectors depends on the scene and the users' additions, not on earlier episodes.
     """
 
     def _build(self, scene: Scene) -> None:
         body = scene.robot.body
-        self._model = mjcf.from_xml_string(world_mjcf(scene, empty=True))
-        self._model.size.memory = str(33 * 2**20)  # as dm_control writes it once trees are attached anew
+        self._model = mjcf.from_xml_string(scene_mjcf(scene, empty=True))
+        self._model.size.memory = str(33 * 2**20)  # as dm_control writes it after attaching again
         self.scene = self._shown = scene
         self.compiling = True
         self._watch: Watch | None = None
@@ -261,9 +272,9 @@ class Arena(composer.Arena):
         more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
         self.robot = RobotEntity("robot", _robot, scene, more=more)
         self.robot.join(self, scene, _pairs(scene))
-        self.blocks: list[Thing] = []
-        self.pebbles: list[Thing] = []
-        self._things: dict[str, Thing] = {}  # all blocks and pebbles so far
+        self.blocks: list[SceneEntity] = []
+        self.pebbles: list[SceneEntity] = []
+        self._entities: dict[str, SceneEntity] = {}  # all blocks and pebbles so far
         self._skins: list[Any] = []
         self.show(scene)
 
@@ -271,18 +282,18 @@ class Arena(composer.Arena):
         return ArenaObservables(self)
 
     @property
-    def absent(self) -> list[Thing]:
-        """The blocks and pebbles of earlier episodes that the present one lacks."""
-        return [thing for thing in self._things.values() if thing.parent is None]
+    def absent(self) -> list[SceneEntity]:
+        """The blocks and pebbles of earlier episodes that are not in the current scene."""
+        return [entity for entity in self._entities.values() if entity.parent is None]
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """The tree, as it is in the present episode's scene. Read it again after a reset."""
+        """The tree, with the values of the current episode's scene. Read it again after a reset."""
         self.refresh()
         return self._model
 
     def refresh(self) -> None:
-        """Writes the present scene into the trees if that is still to be done, and watches what users do to them."""
+        """Writes the current scene into the trees if they still show an earlier one, and watches for users' changes."""
         if self.compiling:
             return
         if self.scene is not self._shown:
@@ -303,13 +314,13 @@ class Arena(composer.Arena):
         return self._watch is not None and self._watch.changed()
 
     def compiled(self) -> None:
-        """Takes note that the trees are compiled as they are now."""
+        """Records that the current trees have been compiled."""
         if self.compiling:
             self.compiling = False
             self._watch = None if self._watch is None else Watch(self._model)
 
     def check_owned(self) -> None:
-        """Raises a `SettingsError` if users have changed what the scene determines, and writes it anew."""
+        """If users have changed attributes that the scene determines, restores them and raises a `SettingsError`."""
         if self._owned.changed():
             self.show(self.scene)
 
@@ -321,30 +332,30 @@ class Arena(composer.Arena):
         ):
             if new != present:
                 raise InvalidSceneError(
-                    f"the {what} {new!r} in this scene, and {present!r} in this environment: load another one for it"
+                    f"the {what} {new!r} in this scene, and {present!r} in this environment: load another environment"
                 )
 
     def refuse_variations(self) -> None:
-        """Raises a `SettingsError` if users' entities have hooks that would never be called."""
+        """Raises a `SettingsError` if users' entities have hooks that are only called with recompilation."""
         for entity in self.iter_entities():
             if type(entity).initialize_episode_mjcf is not composer.Entity.initialize_episode_mjcf:
                 raise SettingsError(
-                    f"{type(entity).__name__}.initialize_episode_mjcf is called only when the tree is compiled: load "
+                    f"{type(entity).__name__}.initialize_episode_mjcf is only called when the tree is compiled: load "
                     "the environment with recompile_mjcf_every_episode=True"
                 )
 
     def show(self, scene: Scene) -> None:
-        """Makes the trees those of this scene.
+        """Writes a scene into the trees.
 
         Raises:
-            SettingsError: if users have changed what the scene determines; the trees are those of the scene even so.
+            SettingsError: if users have changed attributes that the scene determines. The scene is written anyway.
         """
         edited, pairs = self._owned.changed(), _pairs(scene)
         self._owned = Owned()
         self.scene = self._shown = scene
         self._replace_blocks(scene, pairs)
-        for thing in (*self.blocks, self.robot, *self.pebbles):
-            thing.show(scene, pairs, self._owned)
+        for entity in (*self.blocks, self.robot, *self.pebbles):
+            entity.show(scene, pairs, self._owned)
         self._show_regions(scene)
         self._owned.write(self._model.option, {"timestep": TIMESTEP})
         refuse(edited)
@@ -363,45 +374,46 @@ class Arena(composer.Arena):
             skin.bone[0].set_attributes(**element[0].attrib)
 
     def _replace_blocks(self, scene: Scene, pairs: Pairs) -> None:
-        """Attaches other blocks and pebbles; the first ones stay if they are the same."""
+        """Attaches the scene's blocks and pebbles. Leading ones that are already attached stay."""
         if scene.pebbles and self._model.find("mesh", "pebble_outline") is None:
             for mesh in elements(pebble_library()):
                 self._model.asset.add("mesh", **mesh.attrib)
         wanted = [
-            self._thing(BlockEntity, f"block{index}", (block.shape, block.mass), partial(_block, index), scene)
+            self._entity(BlockEntity, f"block{index}", (block.shape, block.mass), partial(_block, index), scene)
             for index, block in enumerate(scene.blocks)
         ]
         wanted += [
-            self._thing(Thing, f"pebble{index}", None, partial(_pebble, index), scene)
+            self._entity(SceneEntity, f"pebble{index}", None, partial(_pebble, index), scene)
             for index in range(len(scene.pebbles))
         ]
         self._exchange(wanted, scene, pairs)
-        things = [thing for thing, _ in wanted]
-        self.blocks, self.pebbles = things[: len(scene.blocks)], things[len(scene.blocks) :]
+        entities = [entity for entity, _ in wanted]
+        self.blocks, self.pebbles = entities[: len(scene.blocks)], entities[len(scene.blocks) :]
 
-    def _thing(
-        self, kind: type[Thing], name: str, form: Hashable, mjcf_of: Callable[[Scene], str], scene: Scene
-    ) -> tuple[Thing, Hashable]:
-        """The thing of this name, and the form that it is to have."""
-        if name not in self._things:
-            self._things[name] = kind(name, mjcf_of, scene, form)
-        return self._things[name], form
+    def _entity(
+        self, kind: type[SceneEntity], name: str, form: Hashable, mjcf_of: Callable[[Scene], str], scene: Scene
+    ) -> tuple[SceneEntity, Hashable]:
+        """The entity of this name, which is created if necessary, and its form in the scene."""
+        if name not in self._entities:
+            self._entities[name] = kind(name, mjcf_of, scene, form)
+        return self._entities[name], form
 
-    def _exchange(self, wanted: list[tuple[Thing, Hashable]], scene: Scene, pairs: Pairs) -> None:
-        """Attaches the wanted things in their forms: the blocks before the robot, and then the pebbles after it.
+    def _exchange(self, wanted: list[tuple[SceneEntity, Hashable]], scene: Scene, pairs: Pairs) -> None:
+        """Attaches the wanted entities in their forms: blocks before the robot, pebbles after it.
 
-        From the first one that differs, all are attached anew: the tree does not depend on earlier episodes.
+        From the first difference on, all entities are attached again, so that the tree does not depend on earlier
+        episodes.
         """
-        present = [*self.blocks, *self.pebbles]
-        staying = takewhile(lambda pair: (pair[0], pair[0].form) == pair[1], zip(present, wanted, strict=False))
+        attached = [*self.blocks, *self.pebbles]
+        staying = takewhile(lambda pair: (pair[0], pair[0].form) == pair[1], zip(attached, wanted, strict=False))
         same = len(list(staying))
-        for thing in present[same:]:
-            thing.leave()
+        for entity in attached[same:]:
+            entity.leave()
         frame, blocks = self.robot.frame, len(scene.blocks)
-        for index, (thing, form) in enumerate(wanted[same:], same):
-            thing.take_form(form, scene)
-            place = next(k for k, child in enumerate(self._model.worldbody.all_children()) if child is frame)
-            thing.join(self, scene, pairs, place if index < blocks else place + 1 + index - blocks)
+        for number, (entity, form) in enumerate(wanted[same:], same):
+            entity.take_form(form, scene)
+            index = next(k for k, child in enumerate(self._model.worldbody.all_children()) if child is frame)
+            entity.join(self, scene, pairs, index if number < blocks else index + 1 + number - blocks)
 
 
 def _robot(scene: Scene) -> str:
@@ -418,15 +430,15 @@ def _pebble(index: int, scene: Scene) -> str:
 
 
 def _pairs(scene: Scene) -> Pairs:
-    """The contacts of feet with the floor."""
-    feet = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
-    feet += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
-    feet += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))
-    return {pair.attrib["name"]: _attributes(pair) for pair in _without_comments(feet)}
+    """The contact pairs of all feet and wheels with the floor."""
+    text = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
+    text += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
+    text += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))
+    return {pair.attrib["name"]: _attributes(pair) for pair in _without_comments(text)}
 
 
 def _attributes(element: Element) -> dict[str, str]:
-    """Those of an element, by dm_control's names."""
+    """An element's attributes by dm_control's names."""
     return {"dclass" if name == "class" else name: value for name, value in element.attrib.items()}
 
 

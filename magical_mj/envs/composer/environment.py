@@ -1,6 +1,6 @@
-"""The dm_env environment: dm_control's composer runs a scene, with a task's score and horizon if there is a task.
+"""The dm_env environment: dm_control's composer simulates a scene, with the score and horizon of a task if given.
 
-It uses composer's public interface only, and steps the same physics as an engine: to the bit.
+It uses only composer's public interface. Its physics equals an engine's, to the bit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
-from magical_mj.assets.world import Structure
+from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, Setup, restored
 from magical_mj.engine.simulation import Simulation, check_state, different_numbers
@@ -36,12 +36,12 @@ from magical_mj.variants import check_seed
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
 """Hooks that composer calls only when it compiles the tree."""
 TIMING_OPTIONS: Final = ("update_interval", "buffer_size", "delay")
-"""Options of observables that copies cannot have: they need earlier observations."""
+"""Options of observables that cannot be copied: they need earlier observations."""
 SUBSTEP_HOOKS: Final = ("before_substep", "after_substep")
 
 
 class Environment(composer.Environment):
-    """A composer environment that knows its scene. Make one with `magical_mj.load` or `load_scene`."""
+    """A composer environment that simulates scenes. Make one with `magical_mj.load` or `load_scene`."""
 
     task: SceneTask
 
@@ -49,9 +49,10 @@ class Environment(composer.Environment):
         """Compiles the first scene.
 
         Args:
-            task: runs the scenes.
-            seed: the seed of the first scene unless that is fixed, and of the generator of the seeds of later ones.
-                None: the generator draws the first one, too, so that adapters may seed it before the first reset.
+            task: the composer task.
+            seed: the seed of the first scene, unless the scene is fixed, and of the generator that draws the seeds of
+                later scenes. None: the generator draws the first seed as well, so that adapters can seed it before the
+                first reset.
             fixed: whether every episode starts in the same scene.
             recompile: composer's `recompile_mjcf_every_episode`.
         """
@@ -59,14 +60,14 @@ class Environment(composer.Environment):
         self._first_seed: int | None = None if fixed else seed
         self._over, self._closed, self._never_reset = True, False, True
         self.seed = self._first_seed
-        """The seed of the present scene; None if it came from elsewhere."""
+        """The seed of the current episode's scene; None if the scene was not drawn from a seed."""
         self._attributes = frozenset[str]()
         self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
         self._attributes = frozenset(vars(self))
 
     def _compile(self, task: SceneTask, random_state: np.random.RandomState) -> None:
-        """Makes composer's part anew: that is how it compiles another tree where it does not do so in every episode."""
-        self._structure = None  # until it has succeeded
+        """Compiles the trees by calling composer's constructor again. A reset compiles only with `recompile`."""
+        self._structure = None  # until the compilation has succeeded
         task.compile_next()
         super().__init__(
             task,
@@ -75,36 +76,36 @@ class Environment(composer.Environment):
             recompile_mjcf_every_episode=self._recompile,
         )
         task.root_entity.compiled()
-        self._structure: Structure | None = task.world.structure
+        self._structure: Structure | None = task.scene_model.structure
         for name, hook in self._hooks_added:
             super().add_extra_hook(name, hook)
 
     @property
     def scene(self) -> Scene:
-        """Where everything is now, fingers included."""
+        """The current scene, with the poses of robot, blocks and fingers."""
         return self.task.simulation(self._opened()).scene
 
     @property
     def initial_scene(self) -> Scene:
-        """The scene in which this episode started."""
-        return self.task.world.scene
+        """The initial scene of this episode."""
+        return self.task.scene_model.scene
 
     @property
     def horizon(self) -> int | None:
-        """Number of control steps of an episode; None if it never ends."""
+        """The number of control steps of an episode; None if it never ends."""
         return self.task.setup.horizon
 
     @property
     def instruction(self) -> str:
-        """The sentence that says what is to be done in this episode, as its shifts make it; "" for plain scenes."""
+        """The sentence that describes the task in this episode, which shifts can change; "" for plain scenes."""
         return self.task.setup.instruction(self.task.shifts)
 
     def score(self) -> float:
-        """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
+        """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
         return self.task.score(self._opened())
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the present state, as `magical_mj.Engine.render`."""
+        """A picture of the current state; see `magical_mj.Engine.render`. Segmentations are not available here."""
         check_name("view", view, CAMERAS)
         return self.task.simulation(self._opened()).draw(view, check_size(size, "size"), out)
 
@@ -112,13 +113,14 @@ class Environment(composer.Environment):
         """Adds a function to one of composer's hooks.
 
         Raises:
-            SettingsError: for a hook that is called at compilation only, which episodes mostly do without.
+            SettingsError: for hooks of substeps during an episode, and for hooks of compilation if the environment was
+                loaded without `recompile_mjcf_every_episode`.
         """
         if hook_name in SUBSTEP_HOOKS and not (self._over or self.task.stepwise):
             raise SettingsError(f"add {hook_name} before reset(), or after the last step of an episode")
         if hook_name in AT_COMPILATION and not self._recompile:
             raise SettingsError(
-                f"{hook_name} is called only when the tree is compiled: "
+                f"{hook_name} is only called when the tree is compiled: "
                 "load the environment with recompile_mjcf_every_episode=True"
             )
         super().add_extra_hook(hook_name, hook_callable)
@@ -128,25 +130,29 @@ class Environment(composer.Environment):
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
     ) -> dm_env.TimeStep:
-        """Starts an episode in `scene`, or in the scene of `seed`, or else in a scene drawn by the environment.
+        """Starts an episode. Without arguments, the environment's generator draws the scene, unless that is fixed.
 
         Args:
-            seed: the seed of this episode's scene; scenes of later episodes do not depend on it.
-            scene: the scene in which to start.
-            state: a state of an episode that goes on, to continue from.
+            seed: the seed of this episode's scene. Scenes of later episodes do not depend on it.
+            scene: the initial scene.
+            state: a state of an episode that has not ended; the episode continues from it.
 
         Raises:
-            InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
+            InvalidSceneError: if the scene is illegal or does not belong to the task.
+            InvalidSeedError: if the seed is negative or not an integer.
+            StateError: if the state does not fit the task, or its episode has ended.
+            SettingsError: if more than one of seed, scene and state is given, or if the tree was changed in a way that
+                the scene does not allow.
         """
         self._opened()
         self.task.setup.check_start(seed=seed, scene=scene, state=state)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
-            return self._start(*setup.begin({}, state.scene, state.draws), state=state)
-        if scene is not None or self._fixed:
-            return self._start(
-                *setup.begin(strengths, self.initial_scene if scene is None else check_scene_type(scene))
-            )
+            return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
+        if scene is None and self._fixed:
+            scene = self.initial_scene
+        if scene is not None:
+            return self._start(*setup.begin(strengths, scene=scene))
         if seed is None:
             seed = self._first_seed
         if seed is None:
@@ -158,29 +164,29 @@ class Environment(composer.Environment):
     ) -> dm_env.TimeStep:
         task = self.task
         task.start(scene, shifts, state)
-        self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
+        self.seed, self._first_seed, self._over = seed, None, True  # over until the reset has succeeded
         if self._recompile:
-            if task.root_entity.edited:  # with new entities, whose hooks composer looks for when it compiles
+            if task.root_entity.edited:  # composer looks for the hooks of new entities only in its constructor
                 self._compile(task, self.random_state)
-        elif self._never_reset or task.world.structure != self._structure or task.outdated:
+        elif self._never_reset or task.scene_model.structure != self._structure or task.outdated:
             task.root_entity.refuse_variations()
-            if not self._never_reset:  # else composer compiles by itself
+            if not self._never_reset:  # composer's own reset compiles the first time
                 task.compile_next()
-                task.root_entity.show(scene)  # what composer observes now
+                task.root_entity.show(scene)  # the scene that composer compiles
                 self._compile(task, self.random_state)
         timestep = super().reset()
         self._never_reset = False
         if state is not None:
-            task.resume(self.physics, state)  # to the bit: composer has solved for accelerations since
+            task.resume(self.physics, state)  # again: composer's reset has computed accelerations since
         self._over = task.should_terminate_episode(self.physics)
         return timestep
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """One action of 1/8 s. After the last step of an episode, the next call starts another one.
+        """Executes one action of 1/8 s. After the last step of an episode, the next call starts a new episode.
 
         Raises:
             InvalidActionError: if the action is not one of the 18.
-            dm_control.rl.control.PhysicsError: if the simulation becomes unstable, which ends the episode.
+            dm_control.rl.control.PhysicsError: if the simulation becomes unstable. This ends the episode.
         """
         self._opened()
         if self._over:
@@ -194,53 +200,55 @@ class Environment(composer.Environment):
         return timestep
 
     def get_state(self) -> State:
-        """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
+        """The exact current state of the episode. Engines and Gymnasium environments can restore it as well."""
         return self.task.state(self._opened())
 
     def set_state(self, state: State) -> None:
-        """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
+        """Restores a state of this environment or of another one with the same task. The episode continues exactly.
 
-        It takes as long as a reset, and calls its hooks.
+        Takes as long as a reset, and calls the hooks of a reset.
 
         Raises:
-            StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
+            StateError: if the state does not belong to this task, or is damaged. If a damaged state has another initial
+                scene, the current episode ends.
+            InvalidSceneError: if the state's scene does not belong to this task.
         """
         physics = self._opened()
         check_state(state)
         self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
-            self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
-        self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)
+            self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
+        self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
 
     def to_engine(self) -> Engine:
-        """An engine in the same state of the same episode: to export it, or to ask the scripted expert. It is a copy.
+        """A new engine in the same state of the same episode, for exports and for the scripted expert.
 
         Raises:
-            SettingsError: if users' parts or numbers make the model another one than that of the scene.
+            SettingsError: if users have changed the model, since an engine contains only the scene.
         """
         state, task = self.get_state(), self.task
         if changed := ["the MJCF tree"] if task.root_entity.edited else self._foreign_numbers():
             raise SettingsError(
-                f"users have changed this environment's model ({', '.join(changed[:5])}), and engines hold the scene "
-                "alone. dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder) writes everything"
+                f"this environment's model was changed ({', '.join(changed[:5])}), and an engine contains only the "
+                "scene. dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder) writes everything"
             )
         return restored(task.setup, task.settings.strengths, self.seed, state, False, task.settings.renderer)
 
     def _foreign_numbers(self) -> list[str]:
-        """In which numbers the compiled model differs from that of the present episode."""
+        """The names of numbers that differ between the compiled model and the model of the current episode's scene."""
         task = self.task
         shifts = None if task.shifts is None or self._never_reset else EpisodeShifts(task.shifts.draws)
         own = Simulation.of(self.initial_scene, shifts=shifts, speeds=task.setup.speeds)
         return different_numbers(self.physics.model.ptr, own.model)
 
     def clone(self) -> Environment:
-        """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
+        """A copy in the same state, with the same future, including later episodes. Takes as long as loading.
 
-        Which observables are enabled, with their corruptors, aggregators and sizes, is copied as well. What else users
-        have changed cannot be.
+        The copy has the same enabled observables, with their corruptors, aggregators and sizes. Other changes that
+        users have made cannot be copied.
 
         Raises:
-            StateError: if users have changed anything else of this environment; it says what.
+            StateError: if users have made other changes. The message names them.
         """
         return _copied(*self._parts())
 
@@ -248,7 +256,11 @@ class Environment(composer.Environment):
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For pickling: what `clone` copies, if it can be pickled."""
+        """For pickling: the values that `clone` copies.
+
+        Raises:
+            StateError: if the options of an observable cannot be pickled.
+        """
         parts = self._parts()
         for name, options in parts[-1].items():
             try:
@@ -260,10 +272,10 @@ class Environment(composer.Environment):
         return _copied, parts
 
     def _parts(self) -> tuple[Any, ...]:
-        """What it was loaded with, the generators, the state of the episode, and its observables' options.
+        """The arguments of `_copied`: those of loading, the generators, the state, and the observables' options.
 
         Raises:
-            StateError: if there is more to it.
+            StateError: if users have made changes that cannot be copied.
         """
         self._opened()
         task = self.task
@@ -271,40 +283,40 @@ class Environment(composer.Environment):
         loaded = task.settings, self.initial_scene, shifts
         if changes := self._changes(SceneTask(*loaded)):
             raise StateError(
-                f"users have changed this environment, so that it cannot be copied or pickled: {', '.join(changes)}. "
-                "Load another one, make the same changes, and call its set_state() with this one's get_state()"
+                f"this environment was changed, so it cannot be copied or pickled: {', '.join(changes)}. Load another "
+                "environment, make the same changes, and call its set_state() with the result of get_state()"
             )
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
         state = None if self._over else self.get_state()
-        options = {name: _options(it) for name, it in task.observables.items()}
+        options = {name: _options(entry) for name, entry in task.observables.items()}
         return loaded, seeds, self._fixed, self._recompile, state, options
 
     def _changes(self, fresh: SceneTask) -> list[str]:
-        """What users have changed that a copy would not have.
+        """Descriptions of users' changes that cannot be copied.
 
         Args:
-            fresh: a task as this environment's was before.
+            fresh: a new task with the same arguments.
         """
         task = self.task
         kinds = (self, Environment), (task, SceneTask)
-        changes = [f"the class {type(it).__name__}" for it, kind in kinds if type(it) is not kind]
+        changes = [f"the class {type(own).__name__}" for own, kind in kinds if type(own) is not kind]
         added = (vars(self).keys() - self._attributes) | (vars(task).keys() - vars(fresh).keys())
         changes += [f"the attribute {name!r}" for name in sorted(added)]
         changes += [f"a hook {name}" for name, _ in self._hooks_added]
         known = fresh.observables
-        for name, it in task.observables.items():
-            if type(it) is not type(known.get(name)):
+        for name, entry in task.observables.items():
+            if type(entry) is not type(known.get(name)):
                 changes.append(f"the observable {name!r}")
-            elif any(getattr(it, key) != getattr(known[name], key) for key in TIMING_OPTIONS):
+            elif any(getattr(entry, key) != getattr(known[name], key) for key in TIMING_OPTIONS):
                 changes.append(f"the buffer or delay of the observable {name!r}")
         changes += [
-            f"the observable '{block.name}/{name}' of a block that this episode lacks"
+            f"the observable '{block.name}/{name}' of a block that is not in this episode"
             for block in task.root_entity.absent
-            for name, it in block.observables.as_dict(fully_qualified=False).items()
-            if it.enabled
+            for name, entry in block.observables.as_dict(fully_qualified=False).items()
+            if entry.enabled
         ]
-        changes += [f"no observable {name!r}" for name in known.keys() - task.observables.keys()]
-        mine, other = (it.root_entity.mjcf_model.to_xml_string() for it in (task, fresh))
+        changes += [f"the removed observable {name!r}" for name in known.keys() - task.observables.keys()]
+        mine, other = (each.root_entity.mjcf_model.to_xml_string() for each in (task, fresh))
         if mine != other:
             changes.append("the MJCF tree")
         elif numbers := self._foreign_numbers():
@@ -312,23 +324,23 @@ class Environment(composer.Environment):
         return changes
 
     def close(self) -> None:
-        """Frees the simulation. Closing twice is fine."""
+        """Frees the simulation. Can be called more than once."""
         if not self._closed:
             self._closed = True
             self.task.free()
             super().close()
 
     def _opened(self) -> Any:
-        """The physics."""
+        """The physics, if the environment is open."""
         if self._closed:
-            raise ClosedError("the environment is closed; load another one")
+            raise ClosedError("the environment is closed: load another one")
         return self.physics
 
 
-def _options(it: observable.Observable) -> dict[str, Any]:
-    """All that can be set of an observable, such as the size of a camera's pictures, but for its timing."""
-    settable = (name for name in dir(type(it)) if getattr(getattr(type(it), name), "fset", None) is not None)
-    return {name: getattr(it, name) for name in settable if name not in TIMING_OPTIONS}
+def _options(entry: observable.Observable) -> dict[str, Any]:
+    """All options of an observable, such as the size of a camera's pictures, except those of its timing."""
+    settable = (name for name in dir(type(entry)) if getattr(getattr(type(entry), name), "fset", None) is not None)
+    return {name: getattr(entry, name) for name in settable if name not in TIMING_OPTIONS}
 
 
 def _copied(
@@ -339,7 +351,7 @@ def _copied(
     state: State | None,
     options: dict[str, dict[str, Any]],
 ) -> Environment:
-    """A copy of an environment, from what `Environment._parts` returns; without a state, at the end of an episode."""
+    """A copy of an environment, made from the result of `Environment._parts`. Without a state, it needs a reset."""
     env = Environment(SceneTask(*loaded), 0, fixed=fixed, recompile=recompile)
     for name, values in options.items():
         env.task.observables[name].configure(**values)
@@ -365,41 +377,43 @@ def load(
     body: str = GRIPPER,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
-    """A dm_env environment of the benchmark, by dm_control's composer: docs/composer.md.
+    """A dm_env environment of the benchmark, built with dm_control's composer; see docs/composer.md.
 
-    Its MJCF tree is `env.task.root_entity.mjcf_model`. What users change there, or in observables, counts from the next
-    reset; an error names what the scene owns (docs/composer.md). The tree is compiled again where it was changed, and
-    where an episode has other blocks than the one before. In between, a scene is written into the compiled model, which
-    takes a millisecond.
+    Its MJCF tree is `env.task.root_entity.mjcf_model`. Changes of the tree and of observables take effect at the next
+    reset. Some attributes are determined by the scene; changing them raises an error (docs/composer.md). The tree is
+    compiled again after a change, and if an episode has other blocks than the previous one. Otherwise the scene is
+    written into the compiled model, which takes a millisecond.
 
     Args:
-        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
-        variant: one of `magical_mj.VARIANTS` that the task has.
-        seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
-            drawn from a generator with this seed. None: seeded from the system's entropy.
-        scene: start every episode in this scene instead.
-        observations: any of "ego", "allo" and "state", and of "ego_stack" and "allo_stack", the last four frames of a
+        task: one of `magical_mj.TASKS`, a task of an installed plug-in, or ``"package.module:SPEC"``.
+        variant: a variant of the task, one of `magical_mj.VARIANTS`.
+        seed: the first episode starts in `sample_scene(task, variant, seed)`, later ones in scenes drawn by a
+            generator with this seed. None: seeded from the system's entropy.
+        scene: the initial scene of every episode instead.
+        observations: any of "ego", "allo", "state", "ego_stack" and "allo_stack". Stacks are the last four frames of a
             view along the channels, oldest first: the benchmark's LoRes4E and LoRes4A.
         image_size: side of the pictures in pixels.
-        reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
+        reward: "none" (always 0: the benchmark has no reward) or "score" (the score at the last step).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
-        renderer: what draws observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or what works.
-        body: the robot's body, one that the task offers; see docs/bodies.md.
-        recompile_mjcf_every_episode: compile the tree for every episode, as hooks need that change it.
+        renderer: the renderer of observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or the first that
+            works.
+        body: the robot's body, one that the task supports; see docs/bodies.md.
+        recompile_mjcf_every_episode: whether to compile the tree for every episode. Hooks that change the tree need it.
 
     Raises:
-        UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.
+        UnknownNameError: for an unknown task, variant, observation, reward or rules, or if the task does not have the
+            variant.
         TaskError: if the task of another package is invalid.
-        InvalidSceneError: if the scene is illegal or not one of the task.
-        InvalidSeedError, SettingsError: for a bad seed; for a bad image size, list of observations, or shifts.
+        InvalidSceneError: if the scene is illegal or does not belong to the task.
+        InvalidSeedError: if the seed is negative or not an integer.
+        SettingsError: if the image size, the list of observations, the shifts or the body are invalid.
         ShiftError: if a shift of another package is invalid.
     """
-    task_spec(task)  # None, too, is no task
+    task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
     strengths, body = split_body(shifts, task, body)
     setup, renderer = Setup(task, variant, rules, body), check_renderer(renderer)
     settings = Settings(setup, strengths, observations, check_size(image_size), reward, renderer)
-    scene = None if scene is None else check_scene_type(scene)
     return _loaded(settings, seed, scene, recompile=recompile_mjcf_every_episode)
 
 
@@ -412,10 +426,9 @@ def load_scene(
     renderer: str | None = None,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
-    """A dm_env environment that starts every episode in `scene`: no task, so no score and no horizon.
+    """A dm_env environment that starts every episode in `scene`. Without a task, it has no score and no horizon.
 
-    Raises:
-        UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
+    For the arguments and errors, see `load`.
     """
     settings = Settings(Setup(None), {}, observations, check_size(image_size), "none", check_renderer(renderer))
     return _loaded(settings, seed, check_scene_type(scene), recompile=recompile_mjcf_every_episode)
@@ -423,5 +436,5 @@ def load_scene(
 
 def _loaded(settings: Settings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
     seed = None if seed is None else check_seed(seed)
-    first = settings.setup.begin(settings.strengths, (seed or 0) if scene is None else scene)
+    first = settings.setup.begin(settings.strengths, seed or 0, scene)
     return Environment(SceneTask(settings, *first), seed, fixed=scene is not None, recompile=recompile)

@@ -1,4 +1,4 @@
-"""Entities that move in the plane, by joints x, y and angle that their frames have. Composer's own know free joints."""
+"""Entities that move in the plane. Their attachment frame has joints x, y and angle; composer supports free joints."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from magical_mj.utils.errors import SettingsError
 Rows = NDArray[np.float64]
 
 _FLAT: Final = 1e-9
-"""How far from the plane poses may be, by rounding."""
+"""Tolerance for poses that are outside the plane by rounding."""
 
 
 class PlanarEntity(composer.Entity):
     """A body with joints x, y and angle, whose values are world coordinates.
 
     Attributes:
-        name: of its tree; those of its joints begin with it.
+        name: the name of its tree, and the prefix of its joints' names.
     """
 
     name: str
@@ -31,7 +31,7 @@ class PlanarEntity(composer.Entity):
     @property
     @abc.abstractmethod
     def frame(self) -> Any:
-        """The body by which it is attached: `root_body`, as it is, without a look at the tree."""
+        """The attachment frame: `root_body`, without an update of the tree."""
 
     @property
     def joints(self) -> list[Any]:
@@ -40,19 +40,19 @@ class PlanarEntity(composer.Entity):
         return [joints[f"{self.name}_{coordinate}"] for coordinate in ("x", "y", "angle")]
 
     def get_pose(self, physics: Any) -> tuple[Rows, Rows]:
-        """The present position, shape (3,), and the orientation as a quaternion, shape (4,), in the world."""
+        """Current position, shape (3,), and orientation as a quaternion, shape (4,), in the world frame."""
         x, y, angle = physics.bind(self.joints).qpos
         return np.array((x, y, 0.0)), np.array((math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)))
 
     def set_pose(
         self, physics: Any, position: Sequence[float] | None = None, quaternion: Sequence[float] | None = None
     ) -> None:
-        """Puts it elsewhere. What follows from positions is as before until the next step, or `physics.forward()`.
+        """Sets position and orientation. The next step or `physics.forward()` updates all that depends on them.
 
         Args:
             physics: the physics.
-            position: x, y and 0 in the world.
-            quaternion: a rotation about z.
+            position: (x, y, 0) in the world frame.
+            quaternion: a rotation about z, (w, 0, 0, z).
 
         Raises:
             SettingsError: if the pose is not in the plane.
@@ -67,22 +67,22 @@ class PlanarEntity(composer.Entity):
             joints.qpos[2] = 2 * math.atan2(z, w)
 
     def get_velocity(self, physics: Any) -> tuple[Rows, Rows]:
-        """The linear and the angular velocity, in units/s and rad/s. Shapes (3,)."""
+        """Linear and angular velocity, in units/s and rad/s. Shapes (3,)."""
         x, y, angle = physics.bind(self.joints).qvel
         return np.array((x, y, 0.0)), np.array((0.0, 0.0, angle))
 
     def set_velocity(
         self, physics: Any, velocity: Sequence[float] | None = None, angular_velocity: Sequence[float] | None = None
     ) -> None:
-        """Gives it another velocity.
+        """Sets linear and angular velocity.
 
         Args:
             physics: the physics.
-            velocity: in x, y, and 0; units/s.
-            angular_velocity: 0, 0, and that about z; rad/s.
+            velocity: (x, y, 0), units/s.
+            angular_velocity: (0, 0, z), rad/s.
 
         Raises:
-            SettingsError: if the velocity is not one in the plane.
+            SettingsError: if the velocity is not in the plane.
         """
         joints = physics.bind(self.joints)
         if velocity is not None:
@@ -92,7 +92,7 @@ class PlanarEntity(composer.Entity):
             joints.qvel[2] = angular_velocity[2]
 
     def _in_plane(self, values: Sequence[float], count: int, form: str) -> Sequence[float]:
-        """The first of these values; the others must be 0."""
+        """The first `count` values. The others must be 0."""
         if any(abs(value) > _FLAT for value in values[count:]):
-            raise SettingsError(f"{self.name} moves in the plane, so {form}, and not {tuple(map(float, values))}")
+            raise SettingsError(f"{self.name} moves in the plane, so {form}, not {tuple(map(float, values))}")
         return values[:count]

@@ -1,4 +1,4 @@
-"""The composer task: it runs scenes in composer's loop, with the physics of an engine, and draws observations."""
+"""The composer task: simulates scenes in composer's loop with an engine's physics, and provides observations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dm_control.rl.control import PhysicsError
 from dm_env import specs
 
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
-from magical_mj.assets.world import World
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
@@ -32,26 +32,26 @@ from magical_mj.utils import errors
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
-"""The names of cameras in the compiled tree, where they are not those of the views."""
+"""View -> the name of its camera in the compiled tree, if the two differ."""
 
 FIXED_TIMESTEPS: Final = (
-    f"an action is {SUBSTEPS} physics steps of {TIMESTEP} s, for which motors, friction and contacts are fitted: the "
-    "timesteps cannot be changed. To act less often, repeat actions"
+    f"the timesteps cannot be changed: motors, friction and contacts are fitted for {SUBSTEPS} physics steps of "
+    f"{TIMESTEP} s per action. To act less often, repeat actions"
 )
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What an environment is loaded with.
+    """The arguments of `load` or `load_scene`, checked.
 
     Attributes:
-        setup: what is played.
+        setup: task, variant, rules and body.
         strengths: the strengths of the shifts by name.
-        observations, image_size, reward, renderer: as `load`.
+        observations, image_size, reward, renderer: the arguments of `load`.
 
     Raises:
         UnknownNameError: for an unknown observation or reward.
-        SettingsError: if the observations are no list.
+        SettingsError: if the observations are not a list or tuple.
     """
 
     setup: Setup
@@ -65,27 +65,29 @@ class Settings:
         """Checks the names."""
         names = self.observations
         if not isinstance(names, list | tuple):
-            raise SettingsError(f'observations are a list or a tuple of names, ("ego",), not {short_repr(names)}')
+            raise SettingsError(f'observations must be a list or tuple of names, ("ego",), not {short_repr(names)}')
         for name in names:
             check_name("observation", name, OBSERVATIONS)
         check_name("reward", self.reward, REWARDS)
 
 
 class SceneTask(composer.Task):
-    """Runs scenes: executes actions, provides observations, and ends and scores episodes if there is a benchmark task.
+    """Executes actions and provides observations. With a benchmark task, it also ends and scores episodes.
 
-    MuJoCo's ten steps of an action are composer's substeps if somebody looks at them: a hook, or an observable with a
-    buffer or a delay. Otherwise they are one substep, as composer's own loop takes longer than the physics.
+    If a hook or an observable needs every physics step, the ten steps of an action are ten substeps of composer.
+    Otherwise they are one substep, because composer's own loop takes longer than the physics.
 
     Args:
-        settings: what the environment is loaded with.
-        scene, shifts: of the first episode.
+        settings: the arguments of `load`.
+        scene: the initial scene of the first episode.
+        shifts: the shifts of the first episode.
 
     Attributes:
-        world, shifts: of this episode.
+        scene_model: the initial scene of this episode, and its coordinates.
+        shifts: the shifts of this episode.
         steps: the number of actions since the start of the episode.
-        stepwise: whether composer runs the substeps, as of the last compilation.
-        substeps_hooked: whether somebody has added a hook to them.
+        stepwise: whether an action has ten substeps of composer, as of the last compilation.
+        substeps_hooked: whether users have added hooks to substeps.
     """
 
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
@@ -100,11 +102,11 @@ class SceneTask(composer.Task):
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None, state: State | None = None) -> None:
-        """Makes the next episode start in the scene, or in a state of an episode that started in it."""
+        """Sets the scene of the next episode, and a state of an episode with this initial scene to continue from."""
         if "state" in self.settings.observations:
-            StateEncoder(scene)  # raises an error, while the present episode can go on, if the vector is too short
+            StateEncoder(scene)  # raises an error if the vector is too short, before anything is changed
         self._arena.check(scene)
-        self.world, self.shifts, self._state = World(scene), shifts, state
+        self.scene_model, self.shifts, self._state = SceneModel(scene), shifts, state
         self._arena.scene = scene
 
     def _observable(self, name: str) -> CurrentObservable:
@@ -118,27 +120,27 @@ class SceneTask(composer.Task):
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
 
     def _stacks(self) -> list[LatestFrames]:
-        return [it for it in self._observables.values() if isinstance(it, LatestFrames)]
+        return [entry for entry in self._observables.values() if isinstance(entry, LatestFrames)]
 
     def state(self, physics: Any) -> State:
-        """The present state of the episode, with the frames of stacks."""
-        frames = {name: stack for it in self._stacks() for name, stack in it.save(physics).items()}
+        """The current state of the episode, with the frames of stacks."""
+        frames = {name: frames for stack in self._stacks() for name, frames in stack.save(physics).items()}
         return replace(self.simulation(physics).state(self.steps, self._trajectory), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
-        """The simulation of this episode in composer's model and data."""
+        """The simulation of this episode, which uses composer's model and data."""
         model, data = physics.model.ptr, physics.data.ptr
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
             renderer, speeds = self.settings.renderer, self.setup.speeds
-            self.world.find_in(model)
-            self._simulation = Simulation(self.world, model, data, renderer, CAMERA_NAMES, speeds=speeds)
-        self.world.coordinates = self._simulation.world.coordinates
-        self._simulation.world, self._simulation.shifts = self.world, self.shifts
+            self.scene_model.find_in(model)
+            self._simulation = Simulation(self.scene_model, model, data, renderer, CAMERA_NAMES, speeds=speeds)
+        self.scene_model.coordinates = self._simulation.scene_model.coordinates
+        self._simulation.scene_model, self._simulation.shifts = self.scene_model, self.shifts
         return self._simulation
 
     def free(self) -> None:
-        """Frees what it drew with."""
+        """Frees the renderer."""
         if self._simulation is not None:
             self._simulation.free()
         self._simulation = None
@@ -150,51 +152,49 @@ class SceneTask(composer.Task):
 
     @property
     def task_observables(self) -> Mapping[str, observable.Observable]:
-        """The observables that were asked for, all enabled."""
+        """The observables of the names in `load(observations=)`, all enabled."""
         return self._observables
 
     @property
     def control_timestep(self) -> float:
-        """Seconds per action. It cannot be set."""
+        """Seconds per action. Setting it raises a `SettingsError`."""
         return 1 / c.CONTROL_RATE
 
     @control_timestep.setter
     def control_timestep(self, new_value: float) -> None:
-        del new_value
-        raise SettingsError(FIXED_TIMESTEPS)
+        self.set_timesteps(new_value, TIMESTEP)
 
     @property
     def physics_timestep(self) -> float:
-        """Seconds per step of MuJoCo. It cannot be set."""
+        """Seconds per step of MuJoCo. Setting it raises a `SettingsError`."""
         return TIMESTEP
 
     @physics_timestep.setter
     def physics_timestep(self, new_value: float) -> None:
-        del new_value
-        raise SettingsError(FIXED_TIMESTEPS)
+        self.set_timesteps(self.control_timestep, new_value)
 
     def set_timesteps(self, control_timestep: float, physics_timestep: float) -> None:
-        """Raises a `SettingsError`."""
+        """Raises a `SettingsError`: the timesteps are fixed."""
         del control_timestep, physics_timestep
         raise SettingsError(FIXED_TIMESTEPS)
 
     @property
     def physics_steps_per_control_step(self) -> int:
-        """Steps of MuJoCo per action: ten. To composer, which reads it when it compiles, they may be one."""
+        """Steps of MuJoCo per action: ten. While composer compiles, its number of substeps per action: ten or one."""
         return 1 if self._arena.compiling and not self.stepwise else SUBSTEPS
 
     def compile_next(self) -> None:
-        """Prepares for composer to compile the trees, and to read how many substeps it is to call hooks in."""
+        """Prepares the next compilation: composer then reads the trees and the number of substeps per action."""
         self._arena.compiling = True
         self.stepwise, self._observers = self._composition()
 
     @property
     def outdated(self) -> bool:
-        """Whether users have changed what only a compilation notices: trees, observables, or hooks of substeps."""
+        """Whether users have changed trees, observables or hooks of substeps, which requires a compilation."""
         return self._arena.edited or self._composition() != (self.stepwise, self._observers)
 
     def _composition(self) -> tuple[bool, list[int]]:
-        """Whether somebody wants to see every substep, and the identities of all observables."""
+        """Whether a hook or an observable needs every substep, and the identities of all observables."""
         watched = self.substeps_hooked or _overrides(self, SceneTask)
         observers = list(self._observables.values())
         for entity in self._arena.iter_entities():
@@ -204,18 +204,18 @@ class SceneTask(composer.Task):
         return watched, list(map(id, observers))
 
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
-        """Makes the tree that of the scene."""
+        """Writes the episode's scene into the trees."""
         del random_state
         self.compile_next()
-        self._arena.show(self.world.scene)
+        self._arena.show(self.scene_model.scene)
 
     def after_compile(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Raises a `SettingsError` if hooks have changed what the scene determines."""
+        """Raises a `SettingsError` if hooks have changed attributes that the scene determines."""
         del physics, random_state
         self._arena.check_owned()
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Writes the scene into the compiled model, and puts everything into its place."""
+        """Writes the scene into the compiled model, and sets the initial state."""
         del random_state
         self._arena.compiled()
         model, data = physics.model.ptr, physics.data.ptr
@@ -226,17 +226,17 @@ class SceneTask(composer.Task):
             write_numbers(model, self._compiled[1])
         elif self.shifts is not None and self.shifts.changes_model:
             self._compiled = model, copy(model)
-        self.world.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.steps, self._trajectory = 0, [self.world.scene] if self.setup.trajectory else []
+        self.steps, self._trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
         if self._state is not None:
             self.resume(physics, self._state)
         for stack in self._stacks():
             stack.begin({} if self._state is None else self._state.frames)
 
     def resume(self, physics: Any, state: State) -> None:
-        """Restores a state of an episode that started in this scene."""
+        """Restores a state of an episode with this initial scene."""
         self.simulation(physics).restore(state.simulation)
         self.steps, self._trajectory = int(state.steps), self.setup.trajectory_of(state)
         if self.shifts is not None:
@@ -251,7 +251,7 @@ class SceneTask(composer.Task):
         self.steps += 1
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Takes MuJoCo's other steps if nobody wants to see them: composer has taken the first."""
+        """If an action is one substep, takes MuJoCo's remaining steps: composer has taken the first."""
         del random_state
         if self.stepwise:
             return
@@ -261,7 +261,7 @@ class SceneTask(composer.Task):
             raise PhysicsError(str(error)) from None
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Notes the scene, if the score depends on the scenes of all steps. Frames are due, drawn after all hooks."""
+        """Stores the scene if the score depends on all scenes, and requests frames, which are drawn after all hooks."""
         del random_state
         if self._trajectory:
             self._trajectory.append(self.simulation(physics).scene)
@@ -280,23 +280,23 @@ class SceneTask(composer.Task):
         return self.score(physics) if rewarded else 0.0
 
     def score(self, physics: Any) -> float:
-        """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self._trajectory or (self.world.scene, self.simulation(physics).scene))
+        """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
+        return self.setup.score(self._trajectory or (self.scene_model.scene, self.simulation(physics).scene))
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
-        """The 18 actions."""
+        """The spec of the 18 actions."""
         del physics
         return specs.DiscreteArray(len(ACTIONS), name="action")
 
 
-def _overrides(thing: SceneTask | composer.Entity, base: type) -> bool:
-    """Whether a task or an entity has hooks of its own for substeps."""
+def _overrides(owner: SceneTask | composer.Entity, base: type) -> bool:
+    """Whether a task or an entity overrides the hooks of substeps."""
     return any(
-        getattr(getattr(thing, name), "__func__", None) is not getattr(base, name)
+        getattr(getattr(owner, name), "__func__", None) is not getattr(base, name)
         for name in ("before_substep", "after_substep")
     )
 
 
-def _in_substeps(it: observable.Observable) -> bool:
-    """Whether what an observable returns depends on more than the state after the last substep."""
-    return it.enabled and (it.update_interval, it.delay or 0, it.buffer_size or 1) != (1, 0, 1)
+def _in_substeps(entry: observable.Observable) -> bool:
+    """Whether an observable depends on more than the state after the last substep."""
+    return entry.enabled and (entry.update_interval, entry.delay or 0, entry.buffer_size or 1) != (1, 0, 1)

@@ -1,4 +1,4 @@
-"""What users do to MJCF trees: whether one was changed, and what its elements hold."""
+"""Detects users' changes of MJCF trees: of any attribute, and of attributes that the scene determines."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ OWNERS: Final[Mapping[str, str]] = {
     "frictionloss": f"Scene.dynamics: {_SCENE}, {_HOOK.format('the compiled model')}",
     "timestep": "the protocol: an action is ten physics steps of 12.5 ms, for which motors and contacts are fitted",
 }
-"""Attribute -> what it follows from, and what users can change instead."""
+"""Attribute -> the part of the scene that determines it, and what users can change instead."""
 
 
 class Watch:
-    """Notices changes of a tree, with everything that is attached to it, since it was made.
+    """Detects changes of a tree and of all attached trees since the watch was created.
 
-    dm_control counts what is assigned, added and removed, but not what is written into an array: `geom.size[0] = 1`.
+    dm_control counts assignments, additions and removals. It does not notice writes into arrays: `geom.size[0] = 1`.
     """
 
     def __init__(self, root: mjcf.RootElement) -> None:
@@ -53,22 +53,22 @@ def _walk(element: Any) -> Iterator[Any]:
 
 
 class Owned:
-    """Attributes that a scene determines, as they were last written. Users change the scene instead."""
+    """The attributes that the scene determines, with their last written values. Users must change the scene instead."""
 
     def __init__(self) -> None:
         self._written: list[tuple[Any, str, str, Any]] = []
 
     def write(self, element: Any, attributes: Mapping[str, Any]) -> None:
-        """Gives an element attributes."""
+        """Sets attributes of an element and stores their values."""
         element.set_attributes(**attributes)
         described = _described(element)
         self._written += ((element, described, name, np.copy(getattr(element, name))) for name in attributes)
 
     def changed(self) -> list[tuple[str, str]]:
-        """The elements and attributes that somebody else has changed since they were written.
+        """The elements and attributes that users have changed since they were written.
 
         Raises:
-            SettingsError: if somebody has removed an element.
+            SettingsError: if a user has removed an element.
         """
         for element, described, *_ in self._written:
             if element.is_removed:
@@ -86,11 +86,11 @@ def _described(element: Any) -> str:
 
 
 def refuse(changed: list[tuple[str, str]]) -> None:
-    """Raises a `SettingsError` if there are such elements and attributes."""
+    """Raises a `SettingsError` if the list of changed elements and attributes is not empty."""
     if changed:
         element, name = changed[0]
         more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
         raise SettingsError(
-            f"{name} of {element} was changed{more}, but it follows from {OWNERS[name]}. The tree has its value again. "
-            "docs/composer.md lists what the scene owns"
+            f"{name} of {element} was changed{more}, but it follows from {OWNERS[name]}. The value has been restored. "
+            "docs/composer.md lists the attributes that the scene determines"
         )

@@ -86,7 +86,7 @@ class Lookahead:
     def __init__(self, engine: Engine) -> None:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
-        self._world = engine.simulation.world
+        self._world = engine.simulation.scene_model
         shifts = engine.simulation.shifts
         self._shifts = EpisodeShifts({}) if shifts is None else shifts.copy()
         self._commands: list[int | None] = []

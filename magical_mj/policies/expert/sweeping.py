@@ -66,7 +66,7 @@ class Sweeper:
             self._actions = plan(engine, np.random.default_rng(self._seed)).actions
             self._first = engine.steps
         step = engine.steps - self._first
-        size = 3 if engine.simulation.world.has_fingers else 2
+        size = 3 if engine.simulation.scene_model.has_fingers else 2
         return self._actions[step] if step < len(self._actions) else np.zeros(size, np.float32)
 
 

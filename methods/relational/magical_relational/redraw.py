@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from magical_mj.assets.world import Structure, World
+from magical_mj.assets.scene_model import SceneModel, Structure
 from magical_mj.engine.simulation import Simulation
 from magical_mj.envs.presets import PRESETS
 from magical_mj.learners.bc import BehaviouralCloning
@@ -160,7 +160,7 @@ class Redrawer:
     def draw(self, states: Tensor, out: Picture) -> None:
         """Draws states (n, names) into pictures (n, size, size, 3)."""
         for scene, picture in zip(scenes_of(states), out, strict=True):
-            simulation = self._simulations.get(structure := World(scene).structure)
+            simulation = self._simulations.get(structure := SceneModel(scene).structure)
             if simulation is None:
                 simulation = self._simulations[structure] = Simulation.of(scene, self._renderer)
             else:

@@ -1,8 +1,8 @@
-"""The world of a scene: its MJCF model, its compiled model, and where the scene's things are in it.
+"""The model of a scene: its MJCF text, its compiled model, and the coordinates of its objects.
 
-Parsing the MJCF text of a world takes longer than compiling it. Worlds with the same numbers of blocks and regions
-differ only in the shapes of their blocks and in numbers, which `World.rewrite` writes into the compiled model. So specs
-are assembled from parts that are parsed once.
+Parsing MJCF text takes longer than compiling it. The models of scenes with the same number of blocks and regions differ
+only in the shapes of blocks and in numbers. So specs are assembled from parts that are parsed once, and
+`SceneModel.rewrite` writes the numbers into the compiled model.
 """
 
 from __future__ import annotations
@@ -42,31 +42,29 @@ from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
 
 MEMORY: Final = '<size memory="33M"/>'
-"""Only about 50 kB of it are used, and unused memory costs nothing. Blocks above 32 MiB are returned to the system by
-glibc; with smaller ones, memory would become fragmented as models come and go: 1 MB per 300 models."""
+"""MuJoCo's arena. Only about 50 kB are used, and unused memory costs nothing. glibc returns allocations above 32 MiB to
+the system. Smaller ones would fragment memory as models are created and freed: 1 MB per 300 models."""
 APART: Final = '<exclude body1="left_finger" body2="right_finger"/>'
 """The fingers do not touch each other."""
-
-
 WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
 """Wall -> the unit vector from the middle of the arena towards it."""
 
 
-def world_mjcf(
+def scene_mjcf(
     scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None, *, empty: bool = False
 ) -> str:
-    """The model as MJCF text: the scene is its reference pose. Blocks come before the robot, which is drawn over them.
+    """The MJCF text of a scene, whose poses are the reference poses. The robot follows the blocks: it is drawn on top.
 
     Args:
         scene: the scene.
         settings: parameters of the simulation.
         regions: the skins of the regions, as MJCF; None: those of the scene.
-        empty: leave out all but the arena, with the meshes that the scene needs.
+        empty: write only the arena, and the meshes that the scene needs.
 
     Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
-    integrator; implicit damping would soften servos whose gain is chosen for this step. With so few geoms, testing all
-    pairs is faster than the mid-phase, and sparse matrices make piles of blocks cheaper. Blocks at rest sleep until
-    something touches them: most blocks, most of the time.
+    integrator; implicit damping would soften servos whose gain is chosen for this step. The model has few geoms, so
+    testing all pairs is faster than the mid-phase. Sparse matrices make piles of blocks cheaper. Blocks at rest sleep
+    until something touches them, which saves time: most blocks rest most of the time.
     """
     dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
     bodies = contacts = tendons = actuators = meshes = ""
@@ -86,18 +84,18 @@ def world_mjcf(
     limits = f'iterations="{settings.iterations}" tolerance="{settings.tolerance}"'
     return f"""
 <mujoco model="magical_mj">
-  <!-- Ten steps of 12.5 ms are one action. What has come to rest sleeps until something touches it. -->
+  <!-- Ten steps of 12.5 ms are one action. Blocks at rest sleep until something touches them. -->
   <compiler angle="radian" autolimits="true" usethread="false"/>
   <option {integrator} solver="Newton" jacobian="sparse" {limits} impratio="{numbers(settings.impratio)}">
     <flag eulerdamp="disable" midphase="disable" sleep="enable"/>
   </option>
   {MEMORY}
   {style.LOOK}
-  <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
+  <!-- Classes. Two geoms collide if the contype of one shares a bit with the conaffinity of the other -->
   <default>{default_classes(settings)}</default>
-  <!-- What things look like -->
+  <!-- Colours -->
   <asset>{style.SKY}</asset>
-  <!-- The world -->
+  <!-- The arena, the blocks and the robot -->
   <worldbody>{_arena(half)}{bodies}</worldbody>
   <deformable>{regions or ""}</deformable>
   <!-- Friction with the ground: force cap / pressure -->
@@ -105,39 +103,39 @@ def world_mjcf(
   <!-- Servos -->
   <tendon>{tendons}</tendon>
   <actuator>{actuators}</actuator>
-  <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
+  <!-- Meshes: the flat polygons that the cameras ego and allo see, and the sides of pentagons and stars -->
   <asset>{library(robot.body, half)}{meshes}</asset>
 </mujoco>"""
 
 
 def _arena(half: float) -> str:
-    """The static part of the world: floor, walls, their look, lamps, the allo camera, and the regions' body."""
+    """The static part of the model: floor, walls, lamps, the camera allo, and the body of the regions."""
     sides = "".join(style.wall_sides(f"{wall}_wall_sides", x, y, half) for wall, (x, y) in WALLS.items())
     walls = ""
     for wall, (x, y) in WALLS.items():
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
-        for kind in ("wall", "finger_wall"):  # separate bodies, so that the broad phase skips what is far from them
+        for kind in ("wall", "finger_wall"):  # separate bodies: the broad phase skips distant pairs of bodies
             geom = f'<geom name="{wall}_{kind}" class="{kind}" type="box" size="{size}"/>'
             walls += f'<body name="{wall}_{kind}" pos="{pos}">{geom}</body>'
     return f"""
-<!-- The arena: the ground, the white workspace, what the flat pictures show beyond it, the line between -->
+<!-- The arena: the ground, the white workspace, the grey area around it in flat pictures, the line between them -->
 <geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>
 {style.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE)}
 {style.visual_geom("surround", "surround", style.LIGHT_GREY, f'group="{style.TASK_GROUP}"')}
 {style.visual_geom("border", "border", style.ARENA_BORDER)}
 {sides}
-<!-- Two walls on each side: of two geoms that touch the larger friction counts, and fingers have their own -->
+<!-- Two walls on each side, for the fingers and for the rest: MuJoCo uses the larger friction of two geoms -->
 {walls}
 <!-- Four lamps, for soft shadows -->
 {style.lamps_mjcf()}
-<!-- The whole workspace from above; the robot has the other camera of the task -->
+<!-- The camera that sees the whole workspace from above; the other camera is on the robot -->
 {style.allo_camera(half)}
-<!-- Goal regions: drawn, never solid -->
+<!-- Goal regions: drawn, without collisions -->
 <body name="{BONE}"/>"""
 
 
 class Structure(NamedTuple):
-    """What two worlds must have in common so that their models differ in numbers only."""
+    """Scenes with equal structures have models that differ only in numbers."""
 
     shapes: tuple[Shape, ...]
     """The shape of each block."""
@@ -148,19 +146,19 @@ class Structure(NamedTuple):
     body: str = GRIPPER
     """The robot's body."""
     half_width: float = c.ARENA_HALF_WIDTH
-    """Of the arena."""
+    """Half of the arena's side, in world units."""
     pebbles: int = 0
     """The number of pebbles."""
 
 
 _COMPILER: Final = threading.Lock()
-"""Specs are made of parts that all threads share."""
+"""Held while compiling: specs share parts, also between threads."""
 _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 """The attributes of geoms that differ between shapes."""
 
 
-def world_spec(structure: Structure) -> mujoco.MjSpec:
-    """A spec of the worlds with this structure; `World.rewrite` writes the numbers into the compiled model."""
+def scene_spec(structure: Structure) -> mujoco.MjSpec:
+    """A spec for scenes of this structure; `SceneModel.rewrite` writes the numbers into the compiled model."""
     spec = _unshaped(*structure[1:]).copy()
     find_class = cache(spec.find_default)
     for index, (shape, mass) in enumerate(zip(structure.shapes, structure.masses, strict=True)):
@@ -174,27 +172,27 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         ):
             for kind, attributes in _parsed(geoms):
                 geom = body.add_geom(find_class(kind))
-                for name, value in attributes:  # twice as fast as naming them to `add_geom`
+                for name, value in attributes:  # twice as fast as passing them to `add_geom`
                     setattr(geom, name, value)
     return spec
 
 
 @lru_cache(16)
-def world_model(structure: Structure) -> mujoco.MjModel:
-    """The compiled model of the worlds with this structure (0.2 MB). It is shared: copy it before `World.rewrite`."""
+def compiled_model(structure: Structure) -> mujoco.MjModel:
+    """The compiled model for scenes of this structure (0.2 MB). It is cached: copy it before `SceneModel.rewrite`."""
     with _COMPILER:
-        return world_spec(structure).compile()
+        return scene_spec(structure).compile()
 
 
 @lru_cache(16)
 def _unshaped(
     dashes: tuple[int, ...], masses: tuple[float, ...], body: str, half_width: float, pebbles: int
 ) -> mujoco.MjSpec:
-    """A spec of the worlds with this structure, with blocks that have no sides and no collision geoms."""
-    apart = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
+    """A spec for scenes of this structure, with blocks that have no sides and no collision geoms."""
+    blocks = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
     grit = tuple(Pebble(0, -index) for index in range(pebbles))
-    scene = Scene(Robot(0, 0, 0, body=body), apart, half_width=half_width, pebbles=grit)
-    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=blank_regions_mjcf(dashes)))
+    scene = Scene(Robot(0, 0, 0, body=body), blocks, half_width=half_width, pebbles=grit)
+    spec = mujoco.MjSpec.from_string(scene_mjcf(scene, regions=blank_regions_mjcf(dashes)))
     for index in range(len(masses)):
         block = spec.body(f"block{index}")
         for geom in (block.geoms[SIDES], *block.first_body().geoms):  # sides and collision geoms
@@ -204,7 +202,7 @@ def _unshaped(
 
 @cache
 def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
-    """The class of each of these geoms, and the attributes in which it differs from its class."""
+    """For each of these geoms: its class, and the attributes that differ from those of the class."""
     spec = mujoco.MjSpec.from_string(
         f"<mujoco><default>{default_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"
     )
@@ -216,16 +214,17 @@ def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     return tuple((geom.classname.name, own_attributes(geom)) for geom in spec.geoms)
 
 
-class World:
-    """A scene in the simulator: its model, rewritten from another one, and the scene that `qpos` describes.
+class SceneModel:
+    """Writes a scene into a compiled model, and reads the current scene from `qpos`.
 
     Args:
-        scene: the scene in which the world's episodes start.
+        scene: the initial scene.
 
     Attributes:
-        structure: worlds with the same structure share a compiled model, apart from its numbers.
-        has_fingers: whether the robot has any.
-        coordinates: where everything is in MuJoCo's vectors: at first, in those of the package's own models.
+        structure: scenes with equal structures share a compiled model, apart from its numbers.
+        has_fingers: whether the robot has fingers.
+        coordinates: the indices of the scene's objects in MuJoCo's vectors. They are those of a model of this package
+            until `find_in` is called.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -246,10 +245,10 @@ class World:
         return len(self.scene.blocks), self.scene.robot.body, len(self.scene.pebbles)
 
     def find_in(self, model: mujoco.MjModel) -> None:
-        """Looks up the coordinates in the compiled model of a composer environment, which may hold more.
+        """Looks up the coordinates in the compiled model of a composer environment, which may contain more objects.
 
         Raises:
-            SettingsError: if the model lacks something of the scene.
+            SettingsError: if the model lacks a joint or an actuator of the scene.
         """
         self.coordinates = find_coordinates(model, *self._counts)
 
@@ -261,16 +260,16 @@ class World:
         nested: bool = False,
         change: Callable[[mujoco.MjModel], None] | None = None,
     ) -> None:
-        """Turns the compiled model of a world with the same structure into the model of this world.
+        """Turns the compiled model of another scene with the same structure into the model of this scene.
 
-        Compiling takes more than ten times as long. Constants that the compiler derives are computed again.
+        Compiling takes more than ten times as long. The constants that the compiler derives are computed again.
 
         Args:
-            model: the compiled model.
-            data: a state of it, which is used to compute constants, and is to be reset afterwards.
-            nested: whether robot and blocks are models of their own that were attached to the arena's, whose names
-                begin with theirs, as in "block0/block0_x".
-            change: changes further numbers of the model.
+            model: the compiled model, which is changed.
+            data: a data of this model, used to compute constants. Reset it afterwards.
+            nested: whether robot and blocks are separate models attached to the arena's model, so that names have a
+                prefix: "block0/block0_x".
+            change: a function that changes further numbers of the model.
         """
         scene = self.scene
         rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
@@ -290,17 +289,17 @@ class World:
         return qpos[self.coordinates.qpos]
 
     def velocities(self, qvel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Their velocities, in units/s and rad/s. Shape (1 + blocks, 3)."""
+        """Velocities of the robot and then of each block, in units/s and rad/s. Shape (1 + blocks, 3)."""
         return qvel[self.coordinates.qvel]
 
     def fingers(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The angles of the left and the right finger; those of the scene, of a body without. Shape (2,)."""
+        """Angles of the left and the right finger, rad; without fingers, those in the scene. Shape (2,)."""
         if not self.has_fingers:
             return np.array(self.scene.robot.fingers)
         return qpos[self.coordinates.fingers]
 
     def read(self, qpos: NDArray[np.float64]) -> Scene:
-        """The scene as it is now."""
+        """The current scene."""
         robot, *blocks = self.poses(qpos).tolist()
         now = self.scene.moved(robot, blocks)
         if self.has_fingers:
