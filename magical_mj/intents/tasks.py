@@ -1,0 +1,156 @@
+"""Intents as tasks: the `TaskSpec` of an intent, and the names ``"intent:TEXT"``.
+
+A text may end with settings of its demo scenes in square brackets: ``"in(colour=red, region) [demos=4, contrasting]"``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any, Final
+
+import numpy as np
+
+from magical_mj.intents.intent import Intent, parse
+from magical_mj.intents.plans import cost, plan
+from magical_mj.intents.scenes import (
+    INNER_MARGIN,
+    accepts,
+    colours_rule,
+    count_rule,
+    demo_scenes,
+    missing,
+    shapes_rule,
+    size_of,
+)
+from magical_mj.scene import Scene
+from magical_mj.tasks.planning import Noise, Subgoal
+from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.utils.errors import IntentError, InvalidSceneError, short_repr
+from magical_mj.variants.placement import layout
+
+MOST_DEMOS: Final = 8
+LEAST_STEPS: Final = 40
+STEPS_PER_COST: Final = 3
+LAYOUTS: Final = 10
+"""The number of layouts of the demo scene that determine the horizon, together with the demo scenes."""
+ROUNDED: Final = 10
+_BRACKETS: Final = re.compile(r"(.*?)\s*\[([^\[\]]*)\]\s*", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Task:
+    """An intent with settings of its demo scenes: `seed` draws them, `demos` is their number."""
+
+    intent: Intent
+    seed: int = 0
+    demos: int = 1
+    contrasting: bool = False
+
+    def __str__(self) -> str:
+        """The canonical text, in which settings are left out that have their defaults."""
+        settings = [f"seed={self.seed}"] * (self.seed != 0) + [f"demos={self.demos}"] * (self.demos != 1)
+        settings += ["contrasting"] * self.contrasting
+        return f"{self.intent} [{', '.join(settings)}]" if settings else str(self.intent)
+
+    @property
+    def name(self) -> str:
+        """A name of letters and digits, as files and ids need. It does not depend on the number of demo scenes."""
+        text = str(Task(self.intent, self.seed))
+        return f"Intent{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+
+
+def task_of(text: str) -> Task:
+    """The task that a text describes.
+
+    Raises:
+        IntentError: if it describes none.
+    """
+    found = _BRACKETS.fullmatch(text)
+    if found is None:
+        return Task(parse(text))
+    allowed = {"seed": str.isdecimal, "demos": [str(number) for number in range(1, MOST_DEMOS + 1)].__contains__}
+    settings: dict[str, Any] = {}
+    for part in filter(None, map(str.strip, found[2].split(","))):
+        name, _, value = (word.strip() for word in part.partition("="))
+        if part == "contrasting":
+            settings[part] = True
+        elif name in allowed and allowed[name](value):
+            settings[name] = int(value)
+        else:
+            raise IntentError(
+                f"{text}: {short_repr(part)} should be seed=N from 0, demos=N from 1 to {MOST_DEMOS}, or contrasting"
+            )
+    return Task(parse(found[1]), **settings)
+
+
+@lru_cache(maxsize=4096)
+def spec_of(task: Task) -> TaskSpec:
+    """The definition of a task.
+
+    Raises:
+        IntentError: if no scene was found for it.
+    """
+    intent = task.intent
+    rng = np.random.default_rng([int(hashlib.sha256(str(intent).encode()).hexdigest()[:12], 16), task.seed])
+    demos = tuple(itertools.islice(demo_scenes(intent, rng), task.demos))
+    regions = len(demos[0].regions)
+    return TaskSpec(
+        name=task.name,
+        summary=intent.sentence,
+        demo=demos[0],
+        further_demos=demos[1:],
+        steps=_horizon(intent, demos),
+        score=partial(_score, intent),
+        check=partial(_check, intent),
+        accepts=partial(accepts, intent),
+        plan=partial(_plan, intent),
+        colour=partial(colours_rule, intent),
+        shape=partial(shapes_rule, intent),
+        count=partial(count_rule, intent),
+        region_size=size_of(regions),
+        inner_margin=INNER_MARGIN if regions else 0.0,
+    )
+
+
+def _horizon(intent: Intent, demos: tuple[Scene, ...]) -> int:
+    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scenes and `LAYOUTS` layouts of the first."""
+    rng = np.random.default_rng(0)
+    layouts = (layout(demos[0], rng, size_of(len(demos[0].regions)), INNER_MARGIN) for _ in itertools.count())
+    starts = (scene for scene in itertools.islice(layouts, 10 * LAYOUTS) if accepts(intent, scene))
+    most = max(cost(intent, scene) for scene in (*demos, *itertools.islice(starts, LAYOUTS)))
+    return max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
+
+
+def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    del rules  # all have the same score
+    return intent.score(initial, final)
+
+
+def _check(intent: Intent, scene: Scene) -> None:
+    if why := missing(intent, scene):
+        raise InvalidSceneError(f"this is not a scene of the intent {intent}: {why}")
+
+
+def _plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    return plan(intent, initial, now, noise)
+
+
+class _Language:
+    """The language of the prefix "intent:", see `magical_mj.tasks.languages.TaskLanguage`."""
+
+    def canonical(self, text: str) -> str:
+        return str(task_of(text))
+
+    def spec(self, text: str) -> TaskSpec:
+        return spec_of(task_of(text))
+
+    def members(self, text: str) -> tuple[str, ...]:
+        return ()
+
+
+LANGUAGE: Final = _Language()
