@@ -18,9 +18,9 @@ from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.envs.registration import suite_ids
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks import KNOWN, SUITES
-from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
+from magical_mj.tasks.registry import environment_axes, environments, listed, task_plugins, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.errors import MagicalError, check_name
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
@@ -36,6 +36,7 @@ Listed = Annotated[
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
+Intents = Annotated[bool, typer.Option("--intents", help="List the sets of intents instead, or those in TASKS.")]
 Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
     Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
@@ -49,9 +50,12 @@ Model = Annotated[
 ]
 
 
-def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
+def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents = False) -> None:
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
+    if intents:
+        out.print(_intents(tasks), soft_wrap=True)
+        return
     pairs = environments(tasks or tuple(KNOWN))
     for name in () if tasks else task_plugins():
         try:
@@ -68,6 +72,19 @@ def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
     out.print(table)
+
+
+def _intents(names: str | None) -> Table:
+    """The sets of intents with these names, or all: for each intent its task's name, its bits, text and sentence."""
+    from magical_mj.intents.sets import NAMES, tasks_in  # imported late: it takes time to read the sets
+
+    wanted = [name.removeprefix("intent:") for name in listed(names or "all", NAMES)]
+    table = Table("task", "bits", "intent", "sentence", box=None, pad_edge=False, header_style="bold")
+    for name in wanted:
+        check_name("set of intents", name, NAMES)
+        for number, task in enumerate(tasks_in(name)):
+            table.add_row(f"intent:{name}/{number}", f"{task.intent.bits:.0f}", str(task), task.intent.sentence)
+    return table
 
 
 def view(

@@ -199,11 +199,13 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
     kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
     if len(kept) > MOST_CONJUNCTS:
         raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
-    if any(one.selector == REST for one in kept):
-        naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
-        if len(kept) == 1 or ALL in naming:
-            why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
-            raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
+    naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
+    with_others = any(one.selector == REST for one in kept)
+    if with_others and not naming and len(kept) > 1:  # others are all blocks
+        return intent_of([replace(one, selector=ALL) for one in kept])
+    if with_others and (len(kept) == 1 or ALL in naming):
+        why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
+        raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
     return Intent(tuple(kept))
 
 

@@ -42,7 +42,7 @@ from magical_mj.tasks.planning import (
 MARGINS: Final = (0.09, 0.06, 0.03)
 """The slack of a position (world units): the largest for which there is one."""
 TOLERANCE: Final = 0.07
-ROBOT_MARGIN: Final = 0.05
+ROBOT_MARGIN: Final = 0.04
 CLEAR: Final = 0.34
 """Between the centres of the robot and a block that it does not touch, with the fingers away from it."""
 ROBOT_LIMIT: Final = 0.78

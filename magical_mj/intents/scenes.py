@@ -7,7 +7,7 @@ not satisfied or nearly so, and its plan satisfies it. Variants draw attributes 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
 
@@ -25,6 +25,8 @@ from magical_mj.variants.placement import layout
 
 _T = TypeVar("_T")
 _Kind = tuple[Colour, Shape]
+Rule = Callable[[Intent, np.random.Generator, Scene], Scene]
+"""Draws an attribute of a scene."""
 
 PROPOSALS: Final = 4_000
 """The number of demo scenes that are proposed for an intent."""
@@ -34,6 +36,8 @@ NEARLY: Final = 0.5
 """An episode does not start in a scene with this share of the intent or more."""
 REDRAWS: Final = 2_000
 """The number of draws of colours, shapes or counts until the intent means something."""
+LAYOUTS: Final = 300
+"""The number of draws until poses are accepted."""
 BLOCKS: Final = (3, 6)
 MORE: Final = 2
 REGIONS: Final = (2, 3)
@@ -60,7 +64,7 @@ def missing(intent: Intent, scene: Scene) -> str:
     shares = [
         sum(part) / len(part) if part else 1.0
         for conjunct, part in zip(intent.conjuncts, parts, strict=True)
-        if not (all(part) and _keeps(conjunct))
+        if not (all(part) and keeps(conjunct))
     ]
     if not shares or sum(shares) / len(shares) >= NEARLY:
         return "the intent is satisfied there, or nearly so"
@@ -72,23 +76,18 @@ def accepts(intent: Intent, scene: Scene) -> bool:
     return not missing(intent, scene) and solved(intent, scene) is not None
 
 
-def _keeps(conjunct: Conjunct) -> bool:
+def keeps(conjunct: Conjunct) -> bool:
     """Whether a relation usually asks to keep what is so already."""
     starts_in = any(test.name == "starts" and test.value != "out" for test in conjunct.selector)
     return RELATIONS[conjunct.relation].least == 0 or conjunct.argument == HOME or starts_in
 
 
-def demo_scenes(intent: Intent, rng: np.random.Generator) -> Iterator[Scene]:
-    """Demo scenes of an intent, without end.
+def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
+    """A demo scene.
 
     Raises:
-        IntentError: if no proposed scene is one.
+        IntentError: if none was found.
     """
-    while True:
-        yield _demo_scene(intent, rng)
-
-
-def _demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
     why, failed = "the blocks and regions that it names are in none of them", 0
     for _ in range(PROPOSALS):
         scene = _proposal(intent, rng)
@@ -212,6 +211,18 @@ def count_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
         return replace(scene, blocks=tuple(kept))
 
     return _first_grounded(intent, scene, draw)
+
+
+def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> Scene:
+    """A scene with other attributes by some rules, and other poses; the scene itself if none is accepted."""
+    for _ in range(LAYOUTS):
+        drawn = scene
+        for rule in rules:
+            drawn = rule(intent, rng, drawn)
+        drawn = layout(drawn, rng, size_of(len(scene.regions)), INNER_MARGIN)
+        if accepts(intent, drawn):
+            return drawn
+    return scene
 
 
 def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:

@@ -6,15 +6,15 @@ A text may end with settings of its demo scenes in square brackets: ``"in(colour
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
 
+from magical_mj.intents.contrast import demo_scenes
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
 from magical_mj.intents.scenes import (
@@ -22,8 +22,8 @@ from magical_mj.intents.scenes import (
     accepts,
     colours_rule,
     count_rule,
-    demo_scenes,
     missing,
+    redrawn,
     shapes_rule,
     size_of,
 )
@@ -31,15 +31,14 @@ from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import IntentError, InvalidSceneError, short_repr
-from magical_mj.variants.placement import layout
 
 MOST_DEMOS: Final = 8
 LEAST_STEPS: Final = 40
-STEPS_PER_COST: Final = 3
-LAYOUTS: Final = 10
-"""The number of layouts of the demo scene that determine the horizon, together with the demo scenes."""
+STEPS_PER_COST: Final = 2.5
+STARTS: Final = 10
+"""The numbers of layouts and of other scenes that determine the horizon, together with the demo scene."""
 ROUNDED: Final = 10
-_BRACKETS: Final = re.compile(r"(.*?)\s*\[([^\[\]]*)\]\s*", re.DOTALL)
+_BRACKETS: Final = re.compile(r"(.*?)\s*(\[[^\[\]]*\])\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -71,21 +70,28 @@ def task_of(text: str) -> Task:
         IntentError: if it describes none.
     """
     found = _BRACKETS.fullmatch(text)
-    if found is None:
-        return Task(parse(text))
+    return Task(parse(text)) if found is None else with_settings(Task(parse(found[1])), found[2])
+
+
+def with_settings(task: Task, settings: str) -> Task:
+    """The task with settings such as "[seed=1, demos=4, contrasting]".
+
+    Raises:
+        IntentError: if they are invalid.
+    """
     allowed = {"seed": str.isdecimal, "demos": [str(number) for number in range(1, MOST_DEMOS + 1)].__contains__}
-    settings: dict[str, Any] = {}
-    for part in filter(None, map(str.strip, found[2].split(","))):
+    changes: dict[str, Any] = {}
+    for part in filter(None, map(str.strip, settings.strip("[]").split(","))):
         name, _, value = (word.strip() for word in part.partition("="))
         if part == "contrasting":
-            settings[part] = True
+            changes[part] = True
         elif name in allowed and allowed[name](value):
-            settings[name] = int(value)
+            changes[name] = int(value)
         else:
             raise IntentError(
-                f"{text}: {short_repr(part)} should be seed=N from 0, demos=N from 1 to {MOST_DEMOS}, or contrasting"
+                f"{settings}: {short_repr(part)} should be seed=N, demos=N from 1 to {MOST_DEMOS}, or contrasting"
             )
-    return Task(parse(found[1]), **settings)
+    return replace(task, **changes)
 
 
 @lru_cache(maxsize=4096)
@@ -97,14 +103,14 @@ def spec_of(task: Task) -> TaskSpec:
     """
     intent = task.intent
     rng = np.random.default_rng([int(hashlib.sha256(str(intent).encode()).hexdigest()[:12], 16), task.seed])
-    demos = tuple(itertools.islice(demo_scenes(intent, rng), task.demos))
+    demos = demo_scenes(intent, rng, task.demos, contrasting=task.contrasting)
     regions = len(demos[0].regions)
     return TaskSpec(
         name=task.name,
-        summary=intent.sentence,
+        summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # as those of other tasks
         demo=demos[0],
         further_demos=demos[1:],
-        steps=_horizon(intent, demos),
+        steps=_horizon(intent, demos[0]),
         score=partial(_score, intent),
         check=partial(_check, intent),
         accepts=partial(accepts, intent),
@@ -117,12 +123,13 @@ def spec_of(task: Task) -> TaskSpec:
     )
 
 
-def _horizon(intent: Intent, demos: tuple[Scene, ...]) -> int:
-    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scenes and `LAYOUTS` layouts of the first."""
+def _horizon(intent: Intent, demo: Scene) -> int:
+    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes as of Layout and All."""
     rng = np.random.default_rng(0)
-    layouts = (layout(demos[0], rng, size_of(len(demos[0].regions)), INNER_MARGIN) for _ in itertools.count())
-    starts = (scene for scene in itertools.islice(layouts, 10 * LAYOUTS) if accepts(intent, scene))
-    most = max(cost(intent, scene) for scene in (*demos, *itertools.islice(starts, LAYOUTS)))
+    starts = [demo]
+    for _ in range(STARTS):
+        starts += [redrawn(intent, rng, demo), redrawn(intent, rng, demo, count_rule, colours_rule, shapes_rule)]
+    most = max(cost(intent, scene) for scene in starts)
     return max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
 
 
@@ -138,19 +145,3 @@ def _check(intent: Intent, scene: Scene) -> None:
 
 def _plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     return plan(intent, initial, now, noise)
-
-
-class _Language:
-    """The language of the prefix "intent:", see `magical_mj.tasks.languages.TaskLanguage`."""
-
-    def canonical(self, text: str) -> str:
-        return str(task_of(text))
-
-    def spec(self, text: str) -> TaskSpec:
-        return spec_of(task_of(text))
-
-    def members(self, text: str) -> tuple[str, ...]:
-        return ()
-
-
-LANGUAGE: Final = _Language()

@@ -1,6 +1,6 @@
 """Languages of tasks: names such as ``"intent:in(colour=red, region)"``, a prefix and a text of the language.
 
-An installed package announces a language by an entry point, ``intent = "magical_mj.intents.tasks:LANGUAGE"``. Its name
+An installed package announces a language by an entry point, ``intent = "magical_mj.intents.names:LANGUAGE"``. Its name
 is the prefix, and the object has the methods of `TaskLanguage`.
 """
 
@@ -46,7 +46,7 @@ class TaskLanguage(Protocol):
 @cache
 def languages() -> Mapping[str, EntryPoint]:
     """The entry points of announced languages by prefix."""
-    return announced("task language", LANGUAGE_GROUP, (), str.isalnum, 'intent = "magical_mj.intents.tasks:LANGUAGE"')
+    return announced("task language", LANGUAGE_GROUP, (), str.isalnum, 'intent = "magical_mj.intents.names:LANGUAGE"')
 
 
 @cache
