@@ -12,12 +12,16 @@ from magical_mj.scene.constants import SHAPES
 
 NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 MOST_PARAPHRASES: Final = 12
+KEPT: Final = "kept"
+LONG: Final = (" that ", " whose ", " nearest ", " farthest ")
+"""Words of descriptions that come last in a clause, since "all blocks that are not stars next to ..." is ambiguous."""
 CLAUSES: Final[dict[str, tuple[str, ...]]] = {
     "in": ("bring {blocks} into the region", "put {blocks} in the region", "move {blocks} into the region"),
     HOME: (
         "keep {blocks} in the region where {they} started",
         "at the end, have {blocks} in the region where {they} started",
     ),
+    KEPT: ("keep {blocks} in the region", "at the end, have {blocks} in the region"),
     "out": ("make sure that {blocks} {are} outside all regions", "at the end, have {blocks} outside all regions"),
     "exactly": (
         "have {blocks} in the region",
@@ -68,8 +72,11 @@ def _clauses(conjunct: Conjunct) -> list[str]:
         "corner": _side(argument, "corner"),
         "reference": reference(argument),
     }
-    clauses = CLAUSES[HOME if argument == HOME else conjunct.relation]
-    if " that " in words["blocks"] or " whose " in words["blocks"]:  # else "blocks that are not stars next to ..."
+    stays = conjunct.relation == "in" and any(
+        test.name == "starts" and test.value != "out" for test in conjunct.selector
+    )
+    clauses = CLAUSES[HOME if argument == HOME else KEPT if stays else conjunct.relation]
+    if any(word in words["blocks"] for word in LONG):
         clauses = map(_blocks_last, clauses)
     return [clause.format(**words) for clause in clauses]
 
@@ -88,7 +95,9 @@ def _blocks(conjunct: Conjunct) -> str:
     if names_one(selector):
         return f"the {noun(selector)}"
     kind = noun(selector, plural=not conjunct.some)
-    if conjunct.relation == "near" and all(test.equal == (test.value in conjunct.argument) for test in selector):
+    words = conjunct.argument.split()
+    plain = all(test.name in ("colour", "shape") and test.equal == (test.value in words) for test in selector)
+    if conjunct.relation == "near" and plain:
         kind = f"other {kind}"
     return f"at least one {kind}" if conjunct.some else f"all {kind}"
 

@@ -28,7 +28,7 @@ _Kind = tuple[Colour, Shape]
 Rule = Callable[[Intent, np.random.Generator, Scene], Scene]
 """Draws an attribute of a scene."""
 
-PROPOSALS: Final = 4_000
+PROPOSALS: Final = 2_000
 """The number of demo scenes that are proposed for an intent."""
 PLANS: Final = 100
 """The number of them in which plans may fail."""
@@ -41,8 +41,8 @@ LAYOUTS: Final = 300
 BLOCKS: Final = (3, 6)
 MORE: Final = 2
 REGIONS: Final = (2, 3)
-INNER_MARGIN: Final = 0.1
-OUTSIDE: Final = (*itertools.product((-0.85, -0.3, 0.3, 0.85), (-0.85, 0.85)), (-0.85, 0.0), (0.85, 0.1))
+INNER_MARGIN: Final = 0.06
+OUTSIDE: Final = tuple(itertools.product((-0.85, -0.3, 0.3, 0.85), (-0.85, 0.85)))
 """Where blocks are proposed outside the regions; placement moves them."""
 
 
@@ -127,7 +127,7 @@ def _proposal(intent: Intent, rng: np.random.Generator) -> Scene:
         kinds = [(kinds[0][0] if index else pick(rng, COLOURS), shape) for index, (_, shape) in enumerate(kinds)]
     if any(test == Test("odd", "shape") for test in tests):
         kinds = [(colour, kinds[0][1] if index else pick(rng, SHAPES)) for index, (colour, _) in enumerate(kinds)]
-    inner = regions if homes else uniform_integer(rng, 0, 2) * regions
+    inner = regions if homes else pick(rng, (0, 1, 1, 2)) * regions
     boxes = tuple(_box(pick(rng, colours if rng.random() < 0.7 else COLOURS), index) for index in range(regions))
     outside = shuffled(rng, OUTSIDE)
     blocks = []
@@ -201,13 +201,15 @@ def shapes_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene
 
 def count_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
     """One block less, up to `MORE` more, or as many with others replaced. New blocks start outside the regions."""
+    free = [Robot(x, y, 0.0) for x, y in OUTSIDE]
+    free = [place for place in free if not any(region.contains(place) for region in scene.regions)]
 
     def draw(keep: float) -> Scene:
         kept = [block for block in scene.blocks if rng.random() < 0.7 + 0.3 * keep]
         number = uniform_integer(rng, max(2, len(scene.blocks) - 1), len(scene.blocks) + MORE)
         while len(kept) < number:
-            x, y = pick(rng, OUTSIDE)
-            kept.append(Block(pick(rng, SHAPES), pick(rng, COLOURS), x, y, 0.0))
+            place = pick(rng, free)
+            kept.append(Block(pick(rng, SHAPES), pick(rng, COLOURS), place.x, place.y, 0.0))
         return replace(scene, blocks=tuple(kept))
 
     return _first_grounded(intent, scene, draw)
