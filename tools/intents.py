@@ -20,7 +20,9 @@ from typing import Final
 
 import numpy as np
 
+import magical_mj
 from magical_mj.engine import Engine
+from magical_mj.evaluation.scores import read
 from magical_mj.intents import EIGHT, sets
 from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.plans import solved
@@ -32,6 +34,8 @@ from magical_mj.intents.tasks import Task, spec_of
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks.languages import members
+from magical_mj.tasks.registry import task_name
 from magical_mj.tasks.rules import pick, uniform_integer
 from magical_mj.utils.errors import IntentError, PlacementError
 from magical_mj.variants import vary
@@ -59,6 +63,8 @@ RELATIONS_DRAWN: Final = {
     "in": 4.0, "out": 2.0, "exactly": 2.0, "wall": 3.0, "near": 4.0, "line": 1.5, "clustered": 0.5, "robot in": 0.5,
     "robot wall": 0.5, "robot near": 1.0, "corner": 2.0, "apart": 1.5,
 }  # fmt: skip
+VARIANTS: Final = ("Demo", "Layout", "All")
+TESTS: Final = ("seen", "combined", "selector", "relation", "long")
 TRAIN, DEV, TEST = 1000, 50, 50
 SPARE: Final = 5
 """The number of further test intents, since some have the meaning of others."""
@@ -258,9 +264,23 @@ def show(number: int) -> None:
 
 
 def expert(out: str) -> None:
-    """Plays the test sets, and prints the share of solved episodes of each set and variant, and what failed."""
-    tasks = {name: task for name in TESTS for task in members(f"intent:{name}")}
-    del tasks
+    """Plays one episode of each test intent in three variants, and prints the shares of solved ones and what failed."""
+    path = Path(out)
+    tasks = {name: list(map(task_name, members(f"intent:{name}"))) for name in TESTS}
+    every = [task for names in tasks.values() for task in names]
+    if path.exists():
+        magical_mj.evaluate("expert", tasks=every, variants=VARIANTS, episodes=1, out=path, resume=True)
+    else:
+        magical_mj.evaluate("expert", tasks=every, variants=VARIANTS, episodes=1, out=path)
+    scores = {(row.task, row.variant): row for row in read(path)}
+    print(f"| Set | {' | '.join(VARIANTS)} |\n| --- |{' ---: |' * len(VARIANTS)}")
+    for name, names in tasks.items():
+        shares = [sum(scores[task, variant].score == 1.0 for task in names) / len(names) for variant in VARIANTS]
+        print(f"| {name} | {' | '.join(f'{share:.2f}' for share in shares)} |")
+    failed = [row for row in scores.values() if row.score < 1.0]
+    print(f"\n{len(scores) - len(failed)} of {len(scores)} episodes are solved. Not solved:")
+    for row in failed:
+        print(f"- {row.task}, {row.variant}: {row.score:.2f}")
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgo
 
 def solved(intent: Intent, scene: Scene) -> Scene | None:
     """The scene after a plan from the start of an episode, or None if no plan satisfies the intent."""
-    noise = Noise(np.random.default_rng(0), 0.0)
+    noise = _quiet()
     todo = plan(intent, scene, scene, noise)
     end = scene_after(scene, todo)
     if _overlaps(scene, todo):
@@ -84,10 +84,15 @@ def solved(intent: Intent, scene: Scene) -> Scene | None:
 
 def cost(intent: Intent, scene: Scene) -> float:
     """The estimated number of actions from the start of an episode, as sum of the subgoals' costs."""
-    noise = Noise(np.random.default_rng(0), 0.0)
+    noise = _quiet()
     todo = plan(intent, scene, scene, noise)
     drive = _drive(intent, scene, scene_after(scene, todo), noise) if todo and todo[0].block is not None else []
     return sum(subgoal.cost(scene) for subgoal in (*todo, *drive))
+
+
+def _quiet() -> Noise:
+    """No noise. The generator is named, since numpy may change its default."""
+    return Noise(np.random.Generator(np.random.PCG64(0)), 0.0)
 
 
 class _Attempt:

@@ -221,7 +221,10 @@ def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule
         drawn = scene
         for rule in rules:
             drawn = rule(intent, rng, drawn)
-        drawn = layout(drawn, rng, size_of(len(scene.regions)), INNER_MARGIN)
+        try:
+            drawn = layout(drawn, rng, size_of(len(scene.regions)), INNER_MARGIN)
+        except PlacementError:
+            continue
         if accepts(intent, drawn):
             return drawn
     return scene
