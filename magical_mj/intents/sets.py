@@ -15,7 +15,7 @@ from magical_mj.intents.tasks import Task, task_of
 
 INTENTS: Final = 1
 """The protocol number of the sets, and of the scenes and horizons of intents."""
-DIGEST: Final = ""
+DIGEST: Final = "5324e54880e1b2b8e811e2584d7911724ce025c917896eca3df9675ad9b5f3e7"
 """The SHA-256 of sets.txt."""
 NAMES: Final[Mapping[str, str]] = {
     "train": "for training",
