@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import pytest
 
 import magical_mj
 from magical_mj.engine import Engine
-from magical_mj.intents import parse
+from magical_mj.intents import parse, rivals
+from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
 from magical_mj.policies.expert import Expert
 from magical_mj.tasks.registry import code_digest, environments, sample_scene, task_name, task_spec
@@ -83,3 +87,50 @@ def test_scenes_of_all_variants_are_unsatisfied_and_solvable_and_an_expert_solve
     while not engine.step(expert()):
         pass
     assert engine.score() == 1.0
+
+
+@pytest.mark.parametrize("text", ["line(all)", "wall(shape=star, left)"])
+def test_contrasting_demo_scenes_refute_more_rivals_than_others(text: str) -> None:
+    intent = parse(text)
+    left = []
+    for contrasting in (False, True):
+        spec = intent.spec(demos=4, contrasting=contrasting)
+        assert spec.demo == intent.spec().demo
+        assert spec.steps == intent.spec().steps
+        found = rivals([(demo, solved(intent, demo) or demo) for demo in spec.demos], 20)
+        assert intent in found
+        left.append(len(found))
+    assert left[1] < left[0] / 3
+
+
+def test_colours_and_shapes_vary_where_the_sentence_keeps_its_meaning() -> None:
+    intent = parse("near(colour=red, shape=star, to=blue circle)")
+    demo = intent.spec().demo
+    for variant, attribute in (("Colour", "colour"), ("Shape", "shape")):
+        scenes = [sample_scene(f"intent:{intent}", variant, seed) for seed in range(10)]
+        kinds = {tuple(getattr(block, attribute) for block in scene.blocks) for scene in scenes}
+        assert len(kinds) > 1
+        for scene in scenes:
+            assert [block.pose for block in scene.blocks] == [block.pose for block in demo.blocks]
+            words = [(block.colour, block.shape) for block in scene.blocks]
+            assert ("red", "star") in words
+            assert words.count(("blue", "circle")) == 1
+
+
+def test_random_rivals_of_an_intent_have_plans_that_satisfy_them() -> None:
+    """All kinds of relations and selectors: the plan's end satisfies the intent, and moves no block onto another."""
+    for text in (
+        "in(starts=matched, home) & out(starts=mismatched)",
+        "wall(any, starts=out, bottom) & robot wall(top)",
+        "near(farthest=region, to=pentagon) & untouched(others)",
+        "exactly(1, like!=colour) & corner(odd=shape, any)",
+        "line(colour=region) & out(all)",
+    ):
+        intent = parse(text)
+        for seed in range(3):
+            start = sample_scene(f"intent:{text}", "All", seed)
+            end = solved(intent, start)
+            assert end is not None
+            assert intent.holds(start, end)
+            centres = [(block.x, block.y) for block in end.blocks]
+            assert min(math.dist(*pair) for pair in itertools.combinations(centres, 2)) > 0.2
