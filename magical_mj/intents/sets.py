@@ -59,3 +59,4 @@ class Sets(Mapping[str, tuple[Intent, ...]]):
 
 
 SETS: Final = Sets()
+"""Set -> its intents, of `train`, `dev`, `seen`, `combined`, `selector`, `relation` and `long`."""
