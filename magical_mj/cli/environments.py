@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Final
@@ -54,7 +55,8 @@ def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents =
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
     if intents:
-        out.print(_intents(tasks), soft_wrap=True)
+        for line in _intents(tasks):
+            out.print(line, soft_wrap=True, markup=False, highlight=False)
         return
     pairs = environments(tasks or tuple(KNOWN))
     for name in () if tasks else task_plugins():
@@ -74,17 +76,15 @@ def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents =
     out.print(table)
 
 
-def _intents(names: str | None) -> Table:
-    """The sets of intents with these names, or all: for each intent its task's name, its bits, text and sentence."""
-    from magical_mj.intents.sets import NAMES, tasks_in  # imported late: it takes time to read the sets
+def _intents(names: str | None) -> Iterator[str]:
+    """Lines about the intents of the sets with these names, or of all: the task's name, the bits, text and sentence."""
+    from magical_mj.intents.sets import NAMES, tasks_in  # imported late: `list` is faster without
 
-    wanted = [name.removeprefix("intent:") for name in listed(names or "all", NAMES)]
-    table = Table("task", "bits", "intent", "sentence", box=None, pad_edge=False, header_style="bold")
-    for name in wanted:
+    for name in listed(names or "all", NAMES):
+        name = name.removeprefix("intent:")
         check_name("set of intents", name, NAMES)
         for number, task in enumerate(tasks_in(name)):
-            table.add_row(f"intent:{name}/{number}", f"{task.intent.bits:.0f}", str(task), task.intent.sentence)
-    return table
+            yield f"{f'intent:{name}/{number}':<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
 
 
 def view(
