@@ -19,9 +19,9 @@ from typing import Final
 
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.intent import Intent, parse
-from magical_mj.intents.sets import SETS
+from magical_mj.intents.sets import INTENTS, SETS
 
-__all__ = ["EIGHT", "SETS", "Intent", "explain", "parse", "rivals"]
+__all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "explain", "parse", "rivals"]
 
 EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {

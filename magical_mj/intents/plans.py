@@ -42,9 +42,11 @@ from magical_mj.tasks.planning import (
 MARGINS: Final = (0.09, 0.06, 0.03)
 """The slack of a position (world units): the largest for which there is one."""
 TOLERANCE: Final = 0.07
+"""A block this near to its position (world units) has reached it; or nearer, if the margin is smaller."""
 ROBOT_MARGIN: Final = 0.04
+"""The least slack of the robot's position."""
 CLEAR: Final = 0.34
-"""Between the centres of the robot and a block that it does not touch, with the fingers away from it."""
+"""The least distance between the centres of a block and the robot, with its fingers away from the block."""
 ROBOT_LIMIT: Final = 0.78
 """The robot drives to positions within this square (half side)."""
 TRIES: Final = 4
@@ -62,7 +64,7 @@ class _Choice(NamedTuple):
 
 
 def plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The remaining subgoals: those of blocks, or if none is left, that of the robot."""
+    """The remaining subgoals: those of blocks, or if none remains, that of the robot."""
     todo: list[Subgoal] = []
     for _ in range(TRIES):
         todo = _Attempt(intent, initial, now, noise).subgoals()
@@ -165,10 +167,10 @@ class _Attempt:
                 continue
             choice = self._choice(index, wants)
             if choice is not None:
-                self._move(Subgoal(index, choice.place, min(TOLERANCE, choice.margin)))
+                self._move(index, choice.place, min(TOLERANCE, choice.margin))
 
-    def _move(self, subgoal: Subgoal) -> None:
-        self._targets[subgoal.block or 0] = subgoal
+    def _move(self, index: int, target: Point, tolerance: float) -> None:
+        self._targets[index] = Subgoal(index, target, tolerance)
         self._after = scene_after(self._now, self._targets.values())
 
     def _choice(self, index: int, wants: Sequence[Slack]) -> _Choice | None:
@@ -200,7 +202,7 @@ class _Attempt:
             targets = cluster_targets(places, kinds, NEARER, self._noise, fixed)
         for index, target in zip(blocks, targets, strict=True):
             if target is not None:
-                self._move(Subgoal(index, target, TOLERANCE))
+                self._move(index, target, TOLERANCE)
 
     def _lines(self, arrangements: Floats, blocks: Sequence[int]) -> Iterator[bool]:
         """Whether the blocks form a line in each of the arrangements, touch no others, and their relations hold."""

@@ -1,7 +1,8 @@
 """Scenes of intents: demo scenes, the rules by which variants vary them, and which scenes an episode can start in.
 
-A demo scene is proposed with blocks that the intent names, and random ones, until the intent means something there, is
-not satisfied or nearly so, and its plan satisfies it. Variants draw attributes uniformly under the same conditions.
+A demo scene is proposed with the blocks that the intent names, and others, until an episode can start there: each
+relation is about something, the intent is not satisfied or nearly so, and its plan satisfies it. Variants draw
+attributes uniformly under the same conditions.
 """
 
 from __future__ import annotations
@@ -39,9 +40,13 @@ REDRAWS: Final = 2_000
 LAYOUTS: Final = 300
 """The number of draws until poses are accepted."""
 BLOCKS: Final = (3, 6)
+"""The least and greatest number of blocks in demo scenes; one more of each for clusters."""
 MORE: Final = 2
+"""The number of blocks by which other scenes exceed the demo scene at most."""
 REGIONS: Final = (2, 3)
+"""The numbers of regions for intents about several regions."""
 INNER_MARGIN: Final = 0.06
+"""See `VariationRules.inner_margin`."""
 OUTSIDE: Final = tuple(itertools.product((-0.85, -0.3, 0.3, 0.85), (-0.85, 0.85)))
 """Where blocks are proposed outside the regions; placement moves them."""
 
@@ -54,13 +59,13 @@ def size_of(number: int) -> tuple[float, float]:
 def missing(intent: Intent, scene: Scene) -> str:
     """Why no episode of the intent starts in a scene; empty if one does.
 
-    The intent must mean something there. The share of its relations that hold must be below `NEARLY`. This share leaves
-    out the relations that ask to keep what is so already.
+    Every relation must be about something in the scene. The share that holds must be below `NEARLY`, without relations
+    that hold and only ask to change nothing.
     """
     try:
         parts = intent.parts(scene, scene)
     except UngroundedError as error:
-        return f"the intent means nothing there: {error}"
+        return f"a relation is about nothing there: {error}"
     shares = [
         sum(part) / len(part) if part else 1.0
         for conjunct, part in zip(intent.conjuncts, parts, strict=True)
@@ -77,7 +82,7 @@ def accepts(intent: Intent, scene: Scene) -> bool:
 
 
 def keeps(conjunct: Conjunct) -> bool:
-    """Whether a relation usually asks to keep what is so already."""
+    """Whether a relation asks to change nothing where it holds, such as `untouched`."""
     starts_in = any(test.name == "starts" and test.value != "out" for test in conjunct.selector)
     return RELATIONS[conjunct.relation].least == 0 or conjunct.argument == HOME or starts_in
 
