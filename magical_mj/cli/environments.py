@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Final
@@ -18,9 +19,9 @@ from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.envs.registration import suite_ids
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks import KNOWN, SUITES
-from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
+from magical_mj.tasks.registry import environment_axes, environments, listed, task_plugins, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.errors import MagicalError, check_name
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
@@ -36,6 +37,7 @@ Listed = Annotated[
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
+Intents = Annotated[bool, typer.Option("--intents", help="List the sets of intents instead, or those in TASKS.")]
 Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
     Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
@@ -49,9 +51,13 @@ Model = Annotated[
 ]
 
 
-def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
+def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents = False) -> None:
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
+    if intents:
+        for line in _intents(tasks):
+            out.print(line, soft_wrap=True, markup=False, highlight=False)
+        return
     pairs = environments(tasks or tuple(KNOWN))
     for name in () if tasks else task_plugins():
         try:
@@ -68,6 +74,17 @@ def list_environments(tasks: Listed = None, ids: Ids = False) -> None:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
     out.print(table)
+
+
+def _intents(names: str | None) -> Iterator[str]:
+    """Lines about the intents of the sets with these names, or of all: the task's name, the bits, text and sentence."""
+    from magical_mj.intents.sets import NAMES, tasks_in  # imported late: `list` is faster without
+
+    for name in listed(names or "all", NAMES):
+        name = name.removeprefix("intent:")
+        check_name("set of intents", name, NAMES)
+        for number, task in enumerate(tasks_in(name)):
+            yield f"{f'intent:{name}/{number}':<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
 
 
 def view(

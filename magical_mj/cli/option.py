@@ -30,7 +30,10 @@ def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
     return complete
 
 
-TASK_HELP = f"One of {', '.join(KNOWN)}, a task of an installed package, or package.module:SPEC."
+TASK_HELP = (
+    f"One of {', '.join(KNOWN)}, a task of an installed package, package.module:SPEC, or an intent such as "
+    '"intent:in(colour=red, region)". See docs/intents.md.'
+)
 VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
 
 COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}

@@ -151,7 +151,8 @@ def train(
     with how_to_continue(screen, "the same command with --resume continues"), bars(screen) as progress:
         learners.train(settings, out, resume=resume, watch=TrainingView(progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
-    again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
+    tasks = shlex.quote(",".join(settings.tasks))
+    again = f"magical-mj evaluate --policy {folder} --tasks {tasks} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 import json
 import lzma
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -59,11 +60,13 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
     demos = [demo for demo in (read(path, task, trusted=[body]) for path in paths) if demo.scene.robot.body == body]
     if demos:
         return demos
-    command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"
+    quoted = shlex.quote(task)
+    command = f"play {quoted} --record" if spec.plan is None else f"demos generate --tasks {quoted} --out"
     where = f"in {folder}: make some with magical-mj {command} {folder}"
     if folder is None:
         where = (
-            f"in the package: make some with magical-mj {command} FOLDER, and set demonstrations=FOLDER in its TaskSpec"
+            f"in the package: make some with magical-mj {command} FOLDER, and name this folder, or set "
+            "demonstrations=FOLDER in its TaskSpec"
         )
     by = "" if body == GRIPPER else f" with the body {body!r}"
     raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")

@@ -3,6 +3,8 @@
 An intent is one to three relations, joined by ``&``. A relation is written with the blocks that it is about, judged in
 the initial scene, and what it wants of them in the final scene. docs/intents.md describes the language.
 
+Every intent is a task: its name is ``"intent:"`` and the text, or ``"intent:combined/17"`` for an intent of `SETS`.
+
 Example:
     >>> intent = magical_mj.intents.parse("in(colour=red, region) & untouched(others)")
     >>> intent.sentence
@@ -17,8 +19,9 @@ from typing import Final
 
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.intent import Intent, parse
+from magical_mj.intents.sets import INTENTS, SETS
 
-__all__ = ["EIGHT", "Intent", "explain", "parse", "rivals"]
+__all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "explain", "parse", "rivals"]
 
 EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {

@@ -12,17 +12,21 @@ from magical_mj.scene.constants import SHAPES
 
 NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 MOST_PARAPHRASES: Final = 12
+KEPT: Final = "kept"
+LONG: Final = (" that ", " whose ", " nearest ", " farthest ")
+"""Words of descriptions that come last in a clause, since "all blocks that are not stars next to ..." is ambiguous."""
 CLAUSES: Final[dict[str, tuple[str, ...]]] = {
     "in": ("bring {blocks} into the region", "put {blocks} in the region", "move {blocks} into the region"),
     HOME: (
         "keep {blocks} in the region where {they} started",
         "at the end, have {blocks} in the region where {they} started",
     ),
-    "out": ("keep {blocks} out of all regions", "make sure that {blocks} {are} in no region"),
+    KEPT: ("keep {blocks} in the region", "at the end, have {blocks} in the region"),
+    "out": ("make sure that {blocks} {are} outside all regions", "at the end, have {blocks} outside all regions"),
     "exactly": (
-        "have exactly {blocks} in the region",
-        "leave exactly {blocks} in the region",
-        "see to it that exactly {blocks} {are} in the region",
+        "have {blocks} in the region",
+        "leave {blocks} in the region",
+        "see to it that {blocks} {are} in the region",
     ),
     "wall": ("push {blocks} to {wall}", "move {blocks} to {wall}"),
     "corner": ("push {blocks} into {corner}", "move {blocks} into {corner}"),
@@ -39,13 +43,14 @@ CLAUSES: Final[dict[str, tuple[str, ...]]] = {
 
 
 def sentence_of(conjuncts: Sequence[Conjunct]) -> str:
-    """One sentence that asks for all of the conjuncts."""
-    return _joined([_clauses(conjunct)[0] for conjunct in conjuncts])
+    """One sentence that asks for all of the conjuncts, last for those that want blocks left where they are."""
+    return paraphrases_of(conjuncts)[0]
 
 
 def paraphrases_of(conjuncts: Sequence[Conjunct]) -> tuple[str, ...]:
     """Different sentences that ask for the same, the usual one first."""
-    sentences = map(_joined, itertools.product(*map(_clauses, conjuncts)))
+    ordered = sorted(conjuncts, key=lambda conjunct: conjunct.relation == "untouched")
+    sentences = map(_joined, itertools.product(*map(_clauses, ordered)))
     return tuple(itertools.islice(dict.fromkeys(sentences), MOST_PARAPHRASES))
 
 
@@ -67,18 +72,32 @@ def _clauses(conjunct: Conjunct) -> list[str]:
         "corner": _side(argument, "corner"),
         "reference": reference(argument),
     }
-    return [clause.format(**words) for clause in CLAUSES[HOME if argument == HOME else conjunct.relation]]
+    stays = conjunct.relation == "in" and any(
+        test.name == "starts" and test.value != "out" for test in conjunct.selector
+    )
+    clauses = CLAUSES[HOME if argument == HOME else KEPT if stays else conjunct.relation]
+    if any(word in words["blocks"] for word in LONG):
+        clauses = map(_blocks_last, clauses)
+    return [clause.format(**words) for clause in clauses]
+
+
+def _blocks_last(clause: str) -> str:
+    """The clause with the blocks at its end, unless it refers to them after naming them."""
+    verb, blocks, rest = clause.partition("{blocks}")
+    return clause if not rest or "{they}" in rest or "{are}" in rest else f"{verb}{rest.strip()} {blocks}"
 
 
 def _blocks(conjunct: Conjunct) -> str:
     """The blocks that a conjunct is about, as an object."""
     selector = conjunct.selector
     if conjunct.number:
-        return f"{NUMBERS[conjunct.number]} {noun(selector, plural=conjunct.number > 1)}"
+        return f"exactly {NUMBERS[conjunct.number]} {noun(selector, plural=conjunct.number > 1)}"
     if names_one(selector):
         return f"the {noun(selector)}"
     kind = noun(selector, plural=not conjunct.some)
-    if conjunct.relation == "near" and all(test.equal and test.value in conjunct.argument for test in selector):
+    words = conjunct.argument.split()
+    plain = all(test.name in ("colour", "shape") and test.equal == (test.value in words) for test in selector)
+    if conjunct.relation == "near" and plain:
         kind = f"other {kind}"
     return f"at least one {kind}" if conjunct.some else f"all {kind}"
 
@@ -114,7 +133,7 @@ def noun(selector: Selector, *, plural: bool = False) -> str:
             case "shape", False:
                 clauses.append(f"{are} not {value}s" if plural else f"is not a {value}")
             case "like", equal:
-                before.append("other")
+                before += ["other"] if equal else []
                 about.append(_like(value, equal=equal))
             case "starts", _:
                 clauses.append(f"{start} {_began(value, 'their' if plural else 'its')}")

@@ -25,6 +25,8 @@ from magical_mj.intents.selectors import (
     names_one,
 )
 from magical_mj.scene import Scene
+from magical_mj.tasks.languages import canonical_name, language_spec
+from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import IntentError
 
 MOST_CONJUNCTS: Final = 3
@@ -90,7 +92,10 @@ class Intent:
 
     def grounded(self, initial: Scene) -> bool:
         """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
-        named = self._named(initial)
+        try:
+            named = self._named(initial)
+        except UngroundedError:
+            return False
         return all(conjunct.grounded(initial, named) for conjunct in self.conjuncts)
 
     def _named(self, initial: Scene) -> tuple[int, ...]:
@@ -106,6 +111,21 @@ class Intent:
     def bits(self) -> float:
         """The description length in bits: of the number of conjuncts, and of each one's relation and arguments."""
         return intent_bits(self.conjuncts)
+
+    def spec(self, seed: int = 0, demos: int = 1, contrasting: bool = False) -> TaskSpec:
+        """The intent as a task. The name of this task is `"intent:"` and the intent's text, with these settings.
+
+        Args:
+            seed: the seed of the demo scenes.
+            demos: the number of demo scenes, 1 to 8.
+            contrasting: choose each further demo scene so that it refutes as many of the simplest rivals as possible,
+                instead of drawing it as Layout and Colour do.
+
+        Raises:
+            IntentError: if a setting is invalid, or no scene was found for the intent.
+        """
+        settings = f"seed={seed}, demos={demos}{', contrasting' if contrasting else ''}"
+        return language_spec(canonical_name(f"intent:{self} [{settings}]"))
 
     @property
     def sentence(self) -> str:
@@ -179,11 +199,13 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
     kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
     if len(kept) > MOST_CONJUNCTS:
         raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
-    if any(one.selector == REST for one in kept):
-        naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
-        if len(kept) == 1 or ALL in naming:
-            why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
-            raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
+    naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
+    with_others = any(one.selector == REST for one in kept)
+    if with_others and not naming and len(kept) > 1:  # others are all blocks
+        return intent_of([replace(one, selector=ALL) for one in kept])
+    if with_others and (len(kept) == 1 or ALL in naming):
+        why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
+        raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
     return Intent(tuple(kept))
 
 

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, TrainingSettings
-from magical_mj.tasks.registry import TASKS, listed, task_name
+from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import check_named
 from magical_mj.utils.plugins import announced, imported
 from magical_mj.utils.settings import changed
 
@@ -114,7 +113,7 @@ def load_settings(
         UnknownNameError: for an unknown task or setting.
         SettingsError: if a value is invalid, or `quick` is used with the preset State.
     """
-    tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
+    tasks = tuple(listed_tasks(tasks))
     settings = settings_type(method)(method, tasks)
     short = QUICK if quick else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
@@ -215,9 +214,7 @@ def from_toml(path: Path, trusted: Collection[str] = ()) -> TrainingSettings:
         raise SettingsError(f"{START} in {path} must be a table, as written by a training: remove it")
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
-    method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
-    for task in tasks:
-        check_named(task, path, trusted)
+    method, tasks = table.pop("method"), tuple(tasks_in_file(table.pop("tasks"), path, trusted))
     return changed(settings_type(method)(method, tasks), flattened(table))
 
 

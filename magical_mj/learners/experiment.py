@@ -22,10 +22,9 @@ from magical_mj.learners.learner import device, keep_freed_memory
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.training import METHODS, Progress, train
-from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
+from magical_mj.tasks.registry import environments, task_spec, tasks_in_file
 from magical_mj.utils.errors import SettingsError, check_name, counted
 from magical_mj.utils.files import read_toml, to_path
-from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
 
@@ -174,10 +173,8 @@ def plan_experiment(file: Path | str, out: Path | str, *, trusted: Collection[st
     for name in experiment.evaluation:
         check_name(f"entry of [evaluation] in {file}", name, EVALUATION)
     evaluation = EVALUATION | experiment.evaluation
-    names = listed(experiment.tasks, TASKS)
-    for task in names:
-        check_named(task, file, trusted)
-    tasks = tuple(dict.fromkeys(task_name(task) for task in names))
+    names = tasks_in_file(experiment.tasks, file, trusted)
+    tasks = tuple(dict.fromkeys(names))
     if len(tasks) < len(names):
         raise SettingsError(f"{file} contains a task twice: {', '.join(names)}")
     for method in experiment.methods:

@@ -38,7 +38,7 @@ class Pose(Shift):
     @classmethod
     def supports(cls, task: str) -> str | None:
         """Supports tasks with the variant Layout, unless they define a rule for it: interpolation could violate it."""
-        if callable((spec := task_spec(task)).layout):
+        if callable((spec := task_spec(task)).layout) or spec.accepts is not None:
             return "it defines its own rule for layouts"
         return None if "layout" in supported_axes(spec) else "it has no variant Layout"
 

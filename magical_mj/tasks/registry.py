@@ -1,6 +1,7 @@
 """All tasks, variants and environments by name, their scenes and their scores.
 
-Tasks of other packages are announced by entry points, or given as a reference ``"package.module:SPEC"``.
+Tasks of other packages are announced by entry points, or given as a reference ``"package.module:SPEC"``. Names with the
+prefix of a language, such as ``"intent:in(colour=red, region)"``, are texts that describe tasks.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -20,6 +21,7 @@ from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import KNOWN, RULES, SPECS, Rules, TaskSpec
+from magical_mj.tasks.languages import canonical_name, in_language, language_spec, languages, members
 from magical_mj.utils.errors import (
     InvalidSceneError,
     MagicalError,
@@ -31,6 +33,7 @@ from magical_mj.utils.errors import (
     unknown_name,
 )
 from magical_mj.utils.imports import (
+    check_named,
     errors_of_task,
     is_reference,
     location,
@@ -76,6 +79,8 @@ TASK_GROUP: Final = "magical_mj.tasks"
 """The entry-point group for tasks of installed packages, such as ``PushOut = "push_out:SPEC"``."""
 _SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
 """How a module defines a task."""
+_COMMA: Final = re.compile(r",(?![^(\[]*[)\]])")
+"""A comma that is not in brackets."""
 DRAWS: Final = 3
 """The number of draws of each variant's first scene, to check that they are equal."""
 _CHECKED: Final[dict[str, TaskSpec]] = {}
@@ -86,15 +91,18 @@ def task_spec(task: str) -> TaskSpec:
     """The definition of a task.
 
     Args:
-        task: one of `TASKS`, a task of another suite, a task that an installed package announces, or
-            ``"package.module:SPEC"``.
+        task: one of `TASKS`, a task of another suite, a task that an installed package announces,
+            ``"package.module:SPEC"``, or a text of a language, such as ``"intent:in(colour=red, region)"``.
 
     Raises:
         UnknownNameError: if the task does not exist.
         TaskError: if the task of another package is invalid.
+        IntentError: if it is a text that is no intent.
     """
     if isinstance(task, str) and task in KNOWN:
         return KNOWN[task]
+    if in_language(task):
+        return language_spec(canonical_name(task))
     if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
         return load_spec(task)
     if (parts := _parts_of_id(task)) is not None:
@@ -103,7 +111,8 @@ def task_spec(task: str) -> TaskSpec:
             f"{parts[1]!r}; give them separately"
         )
     meant = reference_in_folder(task, _SPEC)
-    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"), meant)
+    texts = (f"{prefix}:TEXT" for prefix in languages())
+    raise unknown_name("task", task, (*KNOWN, *task_plugins(), *texts, "package.module:SPEC"), meant)
 
 
 def _parts_of_id(text: object) -> Pair | None:
@@ -118,12 +127,15 @@ def _parts_of_id(text: object) -> Pair | None:
 
 
 def task_name(task: str) -> str:
-    """The name of a task in stored results. References to announced tasks are replaced by their names.
+    """The name of a task in stored results: of an announced task its name, of a text in a language the canonical one.
 
     Raises:
         UnknownNameError: if the task does not exist.
         TaskError: if the task of another package is invalid.
+        IntentError: if it is a text that is no intent.
     """
+    if in_language(task):
+        return canonical_name(task)
     spec = task_spec(task)
     known = spec.name in KNOWN or spec.name in task_plugins()
     return spec.name if known and task_spec(spec.name) is spec else task
@@ -154,7 +166,7 @@ def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
     """The existing (task, variant) pairs of these tasks and variants, first the benchmark's in its order, then others.
 
     Args:
-        tasks: names that `task_spec` accepts; "all" is `TASKS`.
+        tasks: names for `listed_tasks`.
         variants: names that `variant_name` accepts; "all" is `VARIANTS`.
 
     Raises:
@@ -162,7 +174,7 @@ def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
         UnknownNameError: if a name is unknown, or none of the pairs exists.
         TaskError: if the task of another package is invalid.
     """
-    chosen = in_order(task_name(task) for task in listed(tasks, TASKS))
+    chosen = in_order(listed_tasks(tasks))
     wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
     pairs = [(task, variant) for task in chosen for variant in variants_of(task_spec(task)) if variant in wanted]
     if not pairs:
@@ -176,14 +188,38 @@ def in_order(tasks: Iterable[str]) -> list[str]:
     return sorted(dict.fromkeys(tasks), key=lambda task: rank.get(task, len(rank)))
 
 
+def listed_tasks(names: Names) -> list[str]:
+    """The stored names of tasks. "all" is `TASKS`, and a set of a language, such as "intent:dev", is all of its tasks.
+
+    Raises:
+        SettingsError: if no name is given.
+        UnknownNameError, TaskError, IntentError: as `task_name`.
+    """
+    return [task_name(member) for name in listed(names, TASKS) for member in members(name)]
+
+
+def tasks_in_file(names: Names, file: object, trusted: Collection[str] = ()) -> list[str]:
+    """The stored names of tasks that a file lists, as `listed_tasks`.
+
+    Raises:
+        UntrustedNameError: if one is a reference that is not trusted.
+    """
+    for name in listed(names, TASKS):
+        if not in_language(name):
+            check_named(name, file, trusted)
+    return listed_tasks(names)
+
+
 def listed(names: Names, every: Iterable[str]) -> list[str]:
     """The names as a list. They may be given as a list or separated by commas. "all" means all names in `every`.
+
+    Commas in brackets, as in "intent:in(colour=red, region)", separate no names.
 
     Raises:
         SettingsError: if no name is given.
     """
     if isinstance(names, str):
-        names = names.split(",")
+        names = _COMMA.split(names)
     try:
         entries = [name.strip() if isinstance(name, str) else name for name in names]
     except TypeError:  # also raised for arrays without dimensions, which appear to be sequences
@@ -330,7 +366,14 @@ def load_spec(task: str) -> TaskSpec:
 
 
 def code_digest(task: str) -> str:
-    """A hash of the modules that define this task: the module in the reference, and those of the task's functions."""
+    """A hash of the modules that define this task: the module in the reference, and those of the task's functions.
+
+    For a task of a language it is a hash of what its text means: the name, the demo scenes and the horizon.
+    """
+    if in_language(task):
+        spec = task_spec(task)
+        parts = canonical_name(task), str(spec.steps), *(scene.to_json() for scene in spec.demos)
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
     point, spec = task_plugins().get(task), load_spec(task)
     functions = (getattr(spec, field.name) for field in fields(spec))
     names = {getattr(function, "__module__", None) for function in functions if callable(function)}

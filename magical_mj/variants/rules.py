@@ -56,6 +56,8 @@ WIDER: Final = 0.2
 """The most (world units) that a region may be wider than the arena, as x-magical's goal zone is."""
 
 MAX_SHAPE_DRAWS: Final = 1_000
+MAX_REDRAWS: Final = 300
+"""The number of scenes that are drawn until a task accepts one."""
 
 DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {
@@ -82,8 +84,13 @@ class VariationRules:
     """The name in ids and file names, such as ``"FindDupe"``: letters and digits."""
     demo: Scene
     """The scene in which all demonstrations start, with blocks and regions in the original's order."""
+    further_demos: tuple[Scene, ...] = ()
+    """Further scenes in which demonstrations start. Test variants vary `demo` only, so that their scenes do not depend
+    on the number of demo scenes."""
     check: Callable[[Scene], None]
     """Raises `InvalidSceneError` if this task cannot start in the scene."""
+    accepts: Callable[[Scene], bool] | None = None
+    """Whether a drawn scene is a good start. Other scenes are drawn again. None: every scene is."""
 
     colour: AxisRule | None = None
     shape: AxisRule | None = None
@@ -105,6 +112,9 @@ class VariationRules:
         if not is_task_name(self.name):
             raise TaskError(f"the name of a task must be made of letters and digits, not {short_repr(self.name)}")
         self._require("demo", isinstance(self.demo, Scene), "a magical_mj.Scene")
+        further = isinstance(self.further_demos, tuple) and all(isinstance(s, Scene) for s in self.further_demos)
+        self._require("further_demos", further, "a tuple of scenes")
+        self._require("accepts", self.accepts is None or callable(self.accepts), "a function, or None")
         self._require("jitter", isinstance(self.jitter, bool), "a bool")
         self._require("layout", isinstance(self.layout, bool) or callable(self.layout), "a bool, or a function")
         forces = isinstance(self.drive_forces, tuple) and len(self.drive_forces) == 2
@@ -117,14 +127,19 @@ class VariationRules:
             raise TaskError(f"{self.name}.count needs a layout, which places the added blocks: omit layout=False")
         self._check_regions()
 
+    @property
+    def demos(self) -> tuple[Scene, ...]:
+        """All demo scenes. The Demo variant has them in turn by seed."""
+        return self.demo, *self.further_demos
+
     def _require(self, part: str, condition: bool, need: str) -> None:
         """Raise a `TaskError` unless the condition holds. `need` describes valid values."""
         if not condition:
             raise TaskError(f"{self.name}.{part} must be {need}, not {short_repr(getattr(self, part))}")
 
     def _check_regions(self) -> None:
-        """Raise a `TaskError` unless the sizes are possible and include those of the demo's regions."""
-        sides = [side for region in self.demo.regions for side in (region.height, region.width)]
+        """Raise a `TaskError` unless the sizes are possible and include those of the demos' regions."""
+        sides = [side for demo in self.demos for region in demo.regions for side in (region.height, region.width)]
         possible = _are_sizes(self.region_size, 2 * self.demo.half_width + WIDER) and (
             self.region_size[0] > 0 or not sides
         )
@@ -184,9 +199,8 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
 def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
     """The initial scene of a task's variant for a seed, with this body of the robot.
 
-    Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
-    drawn first, since a task's rules may change them. Counts follow, because the other axes depend on them. Poses are
-    drawn last.
+    Each axis has its own random generator, so that adding a draw to one axis never changes another. If the task does
+    not accept the scene, all axes are drawn again.
 
     Raises:
         UnknownNameError: if the task has no such variant.
@@ -195,10 +209,24 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
         TaskError: if a rule of the task does not return a scene.
     """
     seed = check_seed(seed)
-    rngs = {axis: axis_generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
-    scene = rules.demo
-    if body != scene.robot.body:
-        scene = replace(scene, robot=replace(scene.robot, body=body))
+    axes = varied_axes(rules, variant)
+    rngs: dict[Axis, np.random.Generator] = {axis: axis_generator(rules.name, axis, seed) for axis in axes}
+    demo = rules.demo if rngs else rules.demos[seed % len(rules.demos)]
+    if body != demo.robot.body:
+        demo = replace(demo, robot=replace(demo.robot, body=body))
+    for _ in range(MAX_REDRAWS):
+        scene = _varied(rules, demo, rngs)
+        if not rngs or rules.accepts is None or rules.accepts(scene):
+            return scene
+    raise PlacementError(f"none of {MAX_REDRAWS} scenes of {rules.name}-{variant} with seed {seed} is a good start")
+
+
+def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.Generator]) -> Scene:
+    """The demo scene with new draws of some axes.
+
+    Dynamics are drawn first, since a task's rules may change them. Counts follow, because the other axes depend on
+    them. Poses are drawn last.
+    """
     dynamics = draw_dynamics(rngs["dynamics"], rules.drive_forces) if "dynamics" in rngs else None
     if dynamics is not None:
         scene = replace(scene, dynamics=dynamics)

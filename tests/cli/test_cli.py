@@ -23,6 +23,7 @@ from magical_mj.cli.film import Film, film, in_words
 from magical_mj.evaluation.scores import read
 from magical_mj.rendering.libraries import OSMESA_LIBRARIES
 from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError
 from tests.helpers.commands import COMMANDS, Shell, opened, process
 
 TASK = """
@@ -52,6 +53,34 @@ def test_list_ids(shell: Shell) -> None:
     assert (
         shell("list", "FindDupe,SweepToTop", "--ids")[1].split() == [id_ for id_ in ids if "FindDupe" in id_] + ids[60:]
     )
+
+
+def test_intents_are_listed_viewed_exported_evaluated_and_demonstrated(shell: Shell, tmp_path: Path) -> None:
+    rows = shell("list", "dev,intent:seen", "--intents")[1].splitlines()
+    assert len(rows) == 50 + 50
+    assert re.search(r"intent:dev/3 +\d+ bits +" + re.escape(f"{magical_mj.intents.SETS['dev'][3]}: "), rows[3])
+    assert "[seed=1]: " in rows[50]
+    assert "Did you mean 'dev'" in shell("list", "--intents", "deb")[2]
+    task = "intent:robot wall(top)"
+    name = magical_mj.env_id(task, "Layout").split("/")[1].removesuffix("-v0").replace("Test", "")
+    assert shell("view", task, "Layout", "--seed", "3")[1].strip() == f"{name}-3.png"
+    assert shell("export", task, "Layout", "--seed", "3")[1].strip() == f"{name}-3.xml"
+    mujoco.MjModel.from_xml_path(f"{name}-3.xml")
+    run = ("--tasks", f"{task},intent:in(colour=red, region)", "--variants", "Demo", "--episodes", "1", "--out", "run")
+    assert shell("evaluate", "--policy", "noop", *run)[0] == 0
+    assert [row.task for row in read(tmp_path / "run")] == ["intent:in(colour=red, region)", task]
+    assert shell("report", "run")[0] == 0
+    assert shell("demos", "generate", "--tasks", task, "--count", "1", "--out", "demos")[0] == 0
+    (demo,) = magical_mj.demos.load(task, "demos")
+    assert (demo.task, demo.score) == (task, 1.0)
+    assert "magical-mj demos generate --tasks 'intent:robot wall(top)'" in error_of(task)
+
+
+def error_of(task: str) -> str:
+    """What the error about missing demonstrations says."""
+    with pytest.raises(DemonstrationError) as error:
+        magical_mj.demos.load(task)
+    return str(error.value)
 
 
 def test_list_shows_a_task_of_ones_own(shell: Shell) -> None:

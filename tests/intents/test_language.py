@@ -240,7 +240,7 @@ def test_paraphrases_say_the_same_in_other_words() -> None:
         first
         == intent.sentence
         == (
-            "Bring at least one non-red block that is not a star into the region, "
+            "Bring into the region at least one non-red block that is not a star, "
             "and leave the block nearest to the robot where it is."
         )
     )

@@ -18,9 +18,10 @@ from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplif
 from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.bodies import BODIES
+from magical_mj.tasks import move_to_region
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.registry import SPLITS
-from magical_mj.utils.errors import InvalidSceneError, InvalidSeedError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import InvalidSceneError, InvalidSeedError, PlacementError, SettingsError, UnknownNameError
 
 
 def noise(seed: int = 0, strength: float = 1.0) -> Noise:
@@ -40,6 +41,20 @@ def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Engine
     env = magical_mj.Engine(task, variant, seed=seed)
     env.reset(seed=seed)
     return env
+
+
+def _cramped(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    if noise.strength == 1.0:  # the first attempt of three
+        raise PlacementError("a plan has no position for the robot")
+    return move_to_region.plan(initial, now, noise)
+
+
+CRAMPED = dataclasses.replace(move_to_region.SPEC, name="Cramped", plan=_cramped)
+
+
+def test_a_plan_without_a_position_ends_the_attempt_and_not_the_episode() -> None:
+    task = "tests.policies.test_expert:CRAMPED"
+    assert played(env_of(task), task, 0) == 1.0
 
 
 # paths

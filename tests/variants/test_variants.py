@@ -145,3 +145,20 @@ def test_a_placement_that_cannot_be_gives_up_and_names_remedies(monkeypatch: pyt
     crowded = replace(task_spec("FixColour"), region_size=(0.4, 1.9))
     with pytest.raises(PlacementError, match="no room for GoalRegion"):
         vary(crowded, "Layout", 0)
+
+
+def test_scenes_that_a_task_does_not_accept_are_drawn_again() -> None:
+    spec = task_spec("MoveToRegion")
+    choosy = replace(spec, accepts=lambda scene: scene.robot.x > 0)
+    for variant in ("Layout", "All"):
+        plain, accepted = ([vary(rules, variant, seed) for seed in range(20)] for rules in (spec, choosy))
+        assert all(scene.robot.x > 0 for scene in accepted)
+        assert any(scene.robot.x <= 0 for scene in plain)
+        assert [scene for scene in plain if scene.robot.x > 0] == [
+            again for scene, again in zip(plain, accepted, strict=True) if scene == again
+        ]
+
+
+def test_a_task_that_accepts_no_scene_is_an_error() -> None:
+    with pytest.raises(PlacementError, match="none of 300 scenes of MoveToRegion-Jitter with seed 4"):
+        vary(replace(task_spec("MoveToRegion"), accepts=lambda _: False), "Jitter", 4)

@@ -21,7 +21,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.actions import NOOP, Gripper
 from magical_mj.tasks.planning import Noise, Subgoals, scene_after
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import SettingsError, short_repr
+from magical_mj.utils.errors import PlacementError, SettingsError, short_repr
 from magical_mj.variants import check_seed
 
 BUDGET: Final = 300  # simulated steps per step of the episode; after them, no new plan is started
@@ -116,7 +116,10 @@ class Planner:
             scene, here = lookahead.scene(), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(scene_after(scene, todo)) < 1.0:
-                todo = self._subgoals(scene, noise, stuck)
+                try:
+                    todo = self._subgoals(scene, noise, stuck)
+                except PlacementError:  # blocks were left where nothing has space: this attempt fails
+                    todo = ()
             option = self._best(here, scene, todo, left, noise)
             lookahead.restore(here)
             if option is None:

@@ -1,0 +1,51 @@
+"""Several demo scenes of an intent: drawn like test scenes, or chosen to refute other readings."""
+
+from __future__ import annotations
+
+from itertools import compress
+from typing import Final
+
+import numpy as np
+
+from magical_mj.intents.ambiguity import Ends, Judge, rivals
+from magical_mj.intents.intent import Intent
+from magical_mj.intents.plans import solved
+from magical_mj.intents.scenes import colours_rule, count_rule, demo_scene, redrawn, shapes_rule
+from magical_mj.scene import Scene
+
+BITS: Final = 22.0
+"""The longest rivals that scenes are chosen to refute."""
+SIMPLEST: Final = 500
+"""The number of the simplest remaining rivals that count in a choice."""
+CANDIDATES: Final = 12
+"""The number of scenes from which each is chosen."""
+
+
+def demo_scenes(intent: Intent, rng: np.random.Generator, number: int, *, contrasting: bool) -> tuple[Scene, ...]:
+    """Demo scenes of an intent. The first does not depend on the number.
+
+    Further ones have other colours and poses. If `contrasting`, they also have other shapes and counts, and each is the
+    one of `CANDIDATES` that refutes most of the simplest rivals which the scenes before leave.
+
+    Raises:
+        IntentError: if no scene was found.
+    """
+    first = demo_scene(intent, rng)
+    scenes, left = [first], rivals([_ends(intent, first)], BITS) if contrasting and number > 1 else []
+    while len(scenes) < number:
+        if contrasting:
+            rules = (count_rule, colours_rule, shapes_rule)
+            candidates = [redrawn(intent, rng, first, *rules) for _ in range(CANDIDATES)]
+            judge = Judge(left)
+            reached = [judge.reached(*_ends(intent, scene)) for scene in candidates]
+            best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
+            left = list(compress(left, reached[best]))
+            scenes.append(candidates[best])
+        else:
+            scenes.append(redrawn(intent, rng, first, colours_rule))
+    return tuple(scenes)
+
+
+def _ends(intent: Intent, scene: Scene) -> Ends:
+    """A scene, and the scene after a plan that satisfies the intent."""
+    return scene, solved(intent, scene) or scene

@@ -1,0 +1,241 @@
+"""Scenes of intents: demo scenes, the rules by which variants vary them, and which scenes an episode can start in.
+
+A demo scene is proposed with the blocks that the intent names, and others, until an episode can start there: each
+relation is about something, the intent is not satisfied or nearly so, and its plan satisfies it. Variants draw
+attributes uniformly under the same conditions.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final, TypeVar
+
+import numpy as np
+
+from magical_mj.intents.intent import Intent
+from magical_mj.intents.plans import solved
+from magical_mj.intents.relations import HOME, RELATIONS, Conjunct
+from magical_mj.intents.selectors import REGION, Test, UngroundedError
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE, REGION_SIZE, SHAPES, Colour, Shape
+from magical_mj.tasks.rules import coloured, pick, shaped, shuffled, uniform_integer
+from magical_mj.utils.errors import IntentError, PlacementError
+from magical_mj.variants.placement import layout
+
+_T = TypeVar("_T")
+_Kind = tuple[Colour, Shape]
+Rule = Callable[[Intent, np.random.Generator, Scene], Scene]
+"""Draws an attribute of a scene."""
+
+PROPOSALS: Final = 2_000
+"""The number of demo scenes that are proposed for an intent."""
+PLANS: Final = 100
+"""The number of them in which plans may fail."""
+NEARLY: Final = 0.5
+"""An episode does not start in a scene with this share of the intent or more."""
+REDRAWS: Final = 2_000
+"""The number of draws of colours, shapes or counts until the intent means something."""
+LAYOUTS: Final = 300
+"""The number of draws until poses are accepted."""
+BLOCKS: Final = (3, 6)
+"""The least and greatest number of blocks in demo scenes; one more of each for clusters."""
+MORE: Final = 2
+"""The number of blocks by which other scenes exceed the demo scene at most."""
+REGIONS: Final = (2, 3)
+"""The numbers of regions for intents about several regions."""
+INNER_MARGIN: Final = 0.06
+"""See `VariationRules.inner_margin`."""
+OUTSIDE: Final = tuple(itertools.product((-0.85, -0.3, 0.3, 0.85), (-0.85, 0.85)))
+"""Where blocks are proposed outside the regions; placement moves them."""
+
+
+def size_of(number: int) -> tuple[float, float]:
+    """The least and greatest side of regions, if a scene has this number of them."""
+    return REGION_SIZE if number < 2 else FIX_COLOUR_REGION_SIZE
+
+
+def missing(intent: Intent, scene: Scene) -> str:
+    """Why no episode of the intent starts in a scene; empty if one does.
+
+    Every relation must be about something in the scene. The share that holds must be below `NEARLY`, without relations
+    that hold and only ask to change nothing.
+    """
+    try:
+        parts = intent.parts(scene, scene)
+    except UngroundedError as error:
+        return f"a relation is about nothing there: {error}"
+    shares = [
+        sum(part) / len(part) if part else 1.0
+        for conjunct, part in zip(intent.conjuncts, parts, strict=True)
+        if not (all(part) and keeps(conjunct))
+    ]
+    if not shares or sum(shares) / len(shares) >= NEARLY:
+        return "the intent is satisfied there, or nearly so"
+    return ""
+
+
+def accepts(intent: Intent, scene: Scene) -> bool:
+    """Whether an episode can start in a scene, and a plan satisfies the intent."""
+    return not missing(intent, scene) and solved(intent, scene) is not None
+
+
+def keeps(conjunct: Conjunct) -> bool:
+    """Whether a relation asks to change nothing where it holds, such as `untouched`."""
+    starts_in = any(test.name == "starts" and test.value != "out" for test in conjunct.selector)
+    return RELATIONS[conjunct.relation].least == 0 or conjunct.argument == HOME or starts_in
+
+
+def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
+    """A demo scene.
+
+    Raises:
+        IntentError: if none was found.
+    """
+    why, failed = "the blocks and regions that it names are in none of them", 0
+    for _ in range(PROPOSALS):
+        scene = _proposal(intent, rng)
+        if not intent.grounded(scene):
+            continue
+        try:
+            scene = layout(scene, rng, size_of(len(scene.regions)), INNER_MARGIN)
+        except PlacementError:
+            continue
+        if why := missing(intent, scene):
+            continue
+        if solved(intent, scene):
+            return scene
+        why, failed = "no plan satisfies it", failed + 1
+        if failed == PLANS:
+            break
+    raise IntentError(f"found no scene for the intent {intent}: in the last that was proposed, {why}")
+
+
+def _proposal(intent: Intent, rng: np.random.Generator) -> Scene:
+    """A scene that is not placed yet, with blocks and regions that the intent may need."""
+    named = _named(intent)
+    tests = [test for conjunct in intent.conjuncts for test in conjunct.selector]
+    homes = any(test.value in ("matched", "mismatched") for test in tests) or any(
+        conjunct.argument == HOME for conjunct in intent.conjuncts
+    )
+    regions = uniform_integer(rng, *REGIONS) if homes else int(_needs_region(intent) or rng.random() < 0.5)
+    clusters = any(conjunct.relation == "clustered" for conjunct in intent.conjuncts)
+    number = max(len(named), uniform_integer(rng, BLOCKS[0] + clusters, BLOCKS[1] + clusters))
+    colours = _pool(rng, COLOURS, [colour for colour, _ in named if colour])
+    shapes = _pool(rng, SHAPES, [shape for _, shape in named if shape])
+    kinds: list[_Kind] = [(colour or pick(rng, colours), shape or pick(rng, shapes)) for colour, shape in named]
+    while len(kinds) < number:
+        kinds.append(pick(rng, kinds) if kinds and rng.random() < 0.3 else (pick(rng, colours), pick(rng, shapes)))
+    kinds = shuffled(rng, kinds)
+    if any(test == Test("odd", "colour") for test in tests):
+        kinds = [(kinds[0][0] if index else pick(rng, COLOURS), shape) for index, (_, shape) in enumerate(kinds)]
+    if any(test == Test("odd", "shape") for test in tests):
+        kinds = [(colour, kinds[0][1] if index else pick(rng, SHAPES)) for index, (colour, _) in enumerate(kinds)]
+    inner = regions if homes else pick(rng, (0, 1, 1, 2)) * regions
+    boxes = tuple(_box(pick(rng, colours if rng.random() < 0.7 else COLOURS), index) for index in range(regions))
+    outside = shuffled(rng, OUTSIDE)
+    blocks = []
+    for index, (colour, shape) in enumerate(kinds):
+        x, y = boxes[index % regions].centre if index < inner else outside[index % len(outside)]
+        blocks.append(Block(shape, colour, x, y, 0.0))
+    return Scene(Robot(0.0, -0.6, 0.0), tuple(shuffled(rng, blocks)), boxes)
+
+
+def _box(colour: Colour, number: int) -> GoalRegion:
+    """A region, which placement moves."""
+    x = (0.0, -0.6, 0.6)[number]
+    return GoalRegion(colour, x - 0.25, -0.25, x + 0.25, 0.25)
+
+
+def _needs_region(intent: Intent) -> bool:
+    """Whether the intent means nothing without a region."""
+    return any(
+        conjunct.relation in ("in", "out", "exactly", "robot in")
+        or any(test.name in ("like", "starts") or test.value == REGION for test in conjunct.selector)
+        for conjunct in intent.conjuncts
+    )
+
+
+def _pool(rng: np.random.Generator, every: Sequence[_T], named: Sequence[_T]) -> list[_T]:
+    """The named values, and others: two to four in all."""
+    own = list(dict.fromkeys(named))
+    others = shuffled(rng, [value for value in every if value not in own])
+    return own + others[: max(1, uniform_integer(rng, 2, len(every)) - len(own))]
+
+
+def _named(intent: Intent) -> list[tuple[Colour | None, Shape | None]]:
+    """The colour and shape of each block that the intent names; None: any."""
+    named = []
+    for conjunct in intent.conjuncts:
+        words = [test.value for test in conjunct.selector if test.name in ("colour", "shape") and test.equal]
+        words_of = [words, *([conjunct.argument.split()] if conjunct.relation.endswith("near") else [])]
+        words_of += [test.value.split() for test in conjunct.selector if test.name in ("nearest", "farthest")]
+        for group in words_of:
+            colour = next((word for word in group if word in COLOURS), None)
+            shape = next((word for word in group if word in SHAPES), None)
+            if colour or shape:
+                named.append((colour, shape))
+    return list(dict.fromkeys(named))
+
+
+# Rules of variants. The first draws are uniform; later ones keep more and more of the scene, so that one is found.
+
+
+def colours_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
+    """Other colours of blocks and regions."""
+
+    def draw(keep: float) -> Scene:
+        def colour(item: Block | GoalRegion) -> Colour:
+            return item.colour if rng.random() < keep else pick(rng, COLOURS)
+
+        regions = tuple(replace(region, colour=colour(region)) for region in scene.regions)
+        return coloured(replace(scene, regions=regions), map(colour, scene.blocks))
+
+    return _first_grounded(intent, scene, draw)
+
+
+def shapes_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
+    """Other shapes of blocks."""
+
+    def draw(keep: float) -> Scene:
+        return shaped(scene, [b.shape if rng.random() < keep else pick(rng, SHAPES) for b in scene.blocks])
+
+    return _first_grounded(intent, scene, draw)
+
+
+def count_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
+    """One block less, up to `MORE` more, or as many with others replaced. New blocks start outside the regions."""
+    free = [Robot(x, y, 0.0) for x, y in OUTSIDE]
+    free = [place for place in free if not any(region.contains(place) for region in scene.regions)]
+
+    def draw(keep: float) -> Scene:
+        kept = [block for block in scene.blocks if rng.random() < 0.7 + 0.3 * keep]
+        number = uniform_integer(rng, max(2, len(scene.blocks) - 1), len(scene.blocks) + MORE)
+        while len(kept) < number:
+            place = pick(rng, free)
+            kept.append(Block(pick(rng, SHAPES), pick(rng, COLOURS), place.x, place.y, 0.0))
+        return replace(scene, blocks=tuple(kept))
+
+    return _first_grounded(intent, scene, draw)
+
+
+def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> Scene:
+    """A scene with other attributes by some rules, and other poses; the scene itself if none is accepted."""
+    for _ in range(LAYOUTS):
+        drawn = scene
+        for rule in rules:
+            drawn = rule(intent, rng, drawn)
+        try:
+            drawn = layout(drawn, rng, size_of(len(scene.regions)), INNER_MARGIN)
+        except PlacementError:
+            continue
+        if accepts(intent, drawn):
+            return drawn
+    return scene
+
+
+def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:
+    """The first drawn scene in which the intent means something, or the scene itself."""
+    draws = (draw(number / REDRAWS) for number in range(REDRAWS))
+    return next((drawn for drawn in draws if intent.grounded(drawn)), scene)

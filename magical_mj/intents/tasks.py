@@ -1,0 +1,147 @@
+"""Intents as tasks: the `TaskSpec` of an intent, and the names ``"intent:TEXT"``.
+
+A text may end with settings of its demo scenes in square brackets: ``"in(colour=red, region) [demos=4, contrasting]"``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import zlib
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from magical_mj.intents.contrast import demo_scenes
+from magical_mj.intents.intent import Intent, parse
+from magical_mj.intents.plans import cost, plan
+from magical_mj.intents.scenes import (
+    INNER_MARGIN,
+    accepts,
+    colours_rule,
+    count_rule,
+    missing,
+    redrawn,
+    shapes_rule,
+    size_of,
+)
+from magical_mj.scene import Scene
+from magical_mj.tasks.planning import Noise, Subgoal
+from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.utils.errors import IntentError, InvalidSceneError, short_repr
+
+MOST_DEMOS: Final = 8
+LEAST_STEPS: Final = 40
+STEPS_PER_COST: Final = 2.5
+STARTS: Final = 10
+"""The numbers of layouts and of other scenes that determine the horizon, together with the demo scene."""
+ROUNDED: Final = 10
+_BRACKETS: Final = re.compile(r"(.*?)\s*(\[[^\[\]]*\])\s*", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Task:
+    """An intent with settings of its demo scenes: `seed` draws them, `demos` is their number."""
+
+    intent: Intent
+    seed: int = 0
+    demos: int = 1
+    contrasting: bool = False
+
+    def __str__(self) -> str:
+        """The canonical text, in which settings are left out that have their defaults."""
+        settings = [f"seed={self.seed}"] * (self.seed != 0) + [f"demos={self.demos}"] * (self.demos != 1)
+        settings += ["contrasting"] * self.contrasting
+        return f"{self.intent} [{', '.join(settings)}]" if settings else str(self.intent)
+
+    @property
+    def name(self) -> str:
+        """A name of letters and digits, as files and ids need. It does not depend on the number of demo scenes."""
+        text = str(Task(self.intent, self.seed))
+        return f"Intent{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+
+
+def task_of(text: str) -> Task:
+    """The task that a text describes.
+
+    Raises:
+        IntentError: if it describes none.
+    """
+    found = _BRACKETS.fullmatch(text)
+    return Task(parse(text)) if found is None else with_settings(Task(parse(found[1])), found[2])
+
+
+def with_settings(task: Task, settings: str) -> Task:
+    """The task with settings such as "[seed=1, demos=4, contrasting]".
+
+    Raises:
+        IntentError: if they are invalid.
+    """
+    allowed = {"seed": str.isdecimal, "demos": [str(number) for number in range(1, MOST_DEMOS + 1)].__contains__}
+    changes: dict[str, Any] = {}
+    for part in filter(None, map(str.strip, settings.strip("[]").split(","))):
+        name, _, value = (word.strip() for word in part.partition("="))
+        if part == "contrasting":
+            changes[part] = True
+        elif name in allowed and allowed[name](value):
+            changes[name] = int(value)
+        else:
+            raise IntentError(
+                f"{settings}: {short_repr(part)} should be seed=N, demos=N from 1 to {MOST_DEMOS}, or contrasting"
+            )
+    return replace(task, **changes)
+
+
+def spec_of(task: Task) -> TaskSpec:
+    """The definition of a task.
+
+    Raises:
+        IntentError: if no scene was found for it.
+    """
+    intent = task.intent
+    rng = np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), task.seed]))
+    demos = demo_scenes(intent, rng, task.demos, contrasting=task.contrasting)
+    regions = len(demos[0].regions)
+    return TaskSpec(
+        name=task.name,
+        summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # as those of other tasks
+        demo=demos[0],
+        further_demos=demos[1:],
+        steps=_horizon(intent, demos[0]),
+        score=partial(_score, intent),
+        check=partial(_check, intent),
+        accepts=partial(accepts, intent),
+        plan=partial(_plan, intent),
+        colour=partial(colours_rule, intent),
+        shape=partial(shapes_rule, intent),
+        count=partial(count_rule, intent),
+        region_size=size_of(regions),
+        inner_margin=INNER_MARGIN if regions else 0.0,
+    )
+
+
+def _horizon(intent: Intent, demo: Scene) -> int:
+    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes as of Layout and All."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    starts = [demo]
+    for _ in range(STARTS):
+        starts += [redrawn(intent, rng, demo), redrawn(intent, rng, demo, count_rule, colours_rule, shapes_rule)]
+    most = max(cost(intent, scene) for scene in starts)
+    return max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
+
+
+def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    del rules  # all have the same score
+    return intent.score(initial, final)
+
+
+def _check(intent: Intent, scene: Scene) -> None:
+    if why := missing(intent, scene):
+        raise InvalidSceneError(f"this is not a scene of the intent {intent}: {why}")
+
+
+def _plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    return plan(intent, initial, now, noise)
