@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -208,3 +208,11 @@ def with_bar(screen: Console, label: str, results: Iterable[Result], total: int)
         for result in results:
             yield result
             progress.update(bar, advance=1)
+
+
+@contextmanager
+def counting(screen: Console, label: str) -> Iterator[Callable[[int, int], None]]:
+    """A context with a progress bar, and a function that takes the numbers of finished items and of all."""
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task(label, total=0)
+        yield lambda done, number: progress.update(bar, completed=done, total=number)

@@ -26,6 +26,7 @@ from magical_mj.cli.console import (
     with_bar,
 )
 from magical_mj.cli.film import film
+from magical_mj.cli.intents import intents
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
@@ -81,6 +82,7 @@ AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, whi
 Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
 
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
+app.command(name="intents")(intents)
 
 
 @app.callback(invoke_without_command=True)

@@ -25,6 +25,7 @@ from magical_mj.cli.console import (
     check_suffix,
     check_writable,
     console,
+    counting,
     how_to_continue,
     make_writable_folder,
     with_bar,
@@ -81,8 +82,9 @@ def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
     if out.suffix in (".json", ".jsonl", ".csv"):
         raise typer.BadParameter(f"{out} is the name of a file; --out must be a folder, for {SCORES} and run.json.")
-    evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options))
     screen = console()
+    with counting(screen, "demonstrating") as watch:
+        evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options), watch)
     _print_preset(screen, options["preset"], evaluation.settings.observed)
     if evaluation.scores:
         number = len(evaluation.scores)
@@ -118,6 +120,7 @@ def rollout(
     settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
     first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
+    settings.check_given(listed)
     settings = changed(settings, preset=listed[0].preset)
     settings.shift_labels(pair[0], listed)  # raises an error if a policy does not notice the shifts
     if video is not None:
@@ -149,7 +152,9 @@ def rollout(
         raise typer.Exit(1)
 
 
-option.add_options(rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust")
+option.add_options(
+    rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust", "demonstrations", "scenes"
+)
 
 
 def _print_preset(screen: Console, given: str | None, preset: str) -> None:

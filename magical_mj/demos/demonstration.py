@@ -32,6 +32,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
+from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import announced_name, environment_axes, score_trajectory, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedNameError, short_repr
@@ -331,6 +332,17 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
         given = f"these are of {', '.join(names)}" if names else "none were given"
         raise DemonstrationError(f"a data set contains demonstrations of one environment, but {given}")
     return names[0]
+
+
+def group_name(demos: Sequence[Demonstration]) -> str:
+    """The name of the environment of all these demonstrations, or for several intents such as ``"Intents-Demo"``.
+
+    Raises:
+        DemonstrationError: as `only_environment`, unless all of them are of intents.
+    """
+    if len({demo.task for demo in checked(demos)}) > 1 and all(in_language(demo.task) for demo in demos):
+        return "-".join(("Intents", *sorted({demo.variant for demo in demos})))
+    return only_environment(demos)
 
 
 def check_seeds(demos: Sequence[Demonstration]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +13,11 @@ from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import Stacks, copying, preset_named
+from magical_mj.policies.interface import Observations, Transitions
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import state_vector
 from magical_mj.utils.errors import DemonstrationError
-
-Observations = NDArray[Any] | dict[str, NDArray[Any]]
-"""An array with a row for each time. For presets with the layout "dict", one such array for each name."""
-
-
-class Transitions(NamedTuple):
-    """The observation before each action, and the action."""
-
-    observations: Observations
-    """Shape (n, ...). Rows are observations of the preset, such as (96, 96, 12) uint8 for LoRes4E."""
-    actions: NDArray[Any]
-    """Action numbers, shape (n,). For SweepToTop speeds, shape (n, 2 or 3)."""
 
 
 def transitions(

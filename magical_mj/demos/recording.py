@@ -40,7 +40,7 @@ from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, variant_name
+from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, task_spec, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
 
@@ -195,15 +195,26 @@ def recorded(task: str, variant: str, seed: int, actions: Iterable[int], demonst
         DemonstrationError: if they are not a complete episode.
     """
     actions = list(actions)
+    horizon = task_spec(task).horizon()
+    if len(actions) != horizon:
+        raise DemonstrationError(f"an episode of {task} has {horizon} actions; this recording has {len(actions)}")
+    return replayed(task, variant, seed, actions, demonstrator)
+
+
+def replayed(
+    task: str,
+    variant: str,
+    seed: int,
+    actions: Iterable[int],
+    demonstrator: Demonstrator,
+    expert: int | None = None,
+) -> Demonstration:
+    """The demonstration of actions in the scene of a seed; `expert` is the demonstrator's seed, if it has one."""
     with closing(Engine(task, variant, seed=seed)) as env:
-        if len(actions) != env.horizon:
-            raise DemonstrationError(
-                f"an episode of {task} has {env.horizon} actions, but this recording has {len(actions)}"
-            )
         recorder = Recorder(env)
         for action in actions:
             recorder.step(action)
-        return recorder.demonstration(demonstrator)
+        return recorder.demonstration(demonstrator, expert)
 
 
 class Imported(NamedTuple):

@@ -25,7 +25,6 @@ from magical_mj.evaluation.scores import (
     EpisodeResult,
     check_runs,
     folders_of,
-    method_name,
     read,
     recorded_policies,
     recorded_settings,
@@ -49,6 +48,8 @@ MOST_OF_CARD: Final = 20_000
 PLAIN: Final = {
     "split": ("test", "on the split {}, but entries must be played on test"),
     "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
+    "demonstrations": ("", "with demonstrations at test time ({}), which entries do not have"),
+    "other": ("", "as a control, with what belongs to {}"),
 }
 """Field -> the value that all episodes of an entry must have, and the error for other values."""
 SEEDS: Final = 100
@@ -269,9 +270,9 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
     """
     known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
     check_runs(
-        (method_name(policy, settings["body"], settings["wrap"]), run, digest)
+        (name, run, digest)
         for settings in known
-        for policy, run, digest in recorded_policies(settings)
+        for policy, name, run, digest in recorded_policies(settings)
         if policy == (method or policy)
     )
 

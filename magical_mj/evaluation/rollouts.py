@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from magical_mj.envs.wrappers import ScoreAtTheEnd
 from magical_mj.evaluation.scores import EpisodeResult, Outcome
 from magical_mj.policies.interface import (
+    NEUTRAL,
     Act,
     BatchPolicy,
     Episode,
@@ -110,12 +111,12 @@ def rollouts(
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
             outcomes = play_side_by_side(
-                env, policy, [replace(episode, task=policy_task(episode.task)) for episode in wave]
+                env, policy, [replace(episode, task=policy_task(episode.task, policy)) for episode in wave]
             )
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:
-            outcome = play_episode(env, policy, replace(episode, task=policy_task(episode.task)))
+            outcome = play_episode(env, policy, replace(episode, task=policy_task(episode.task, policy)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
@@ -188,12 +189,13 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
     engine, over = engine_of(env), False
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
+        told = episode.instruction
         with policy_errors():
-            episode = replace(episode, instruction=engine.instruction)
+            episode = replace(episode, instruction=_sentence(policy, episode, told or engine.instruction))
             begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
         while not over:
             with policy_errors():
-                action = action_number(policy(observation))
+                action = action_number(policy(_reading(observation, told)))
             check_time()
             result = env.step(action)
             outcome.actions.append(action)
@@ -213,13 +215,18 @@ def play_side_by_side(
     scores, over = np.zeros(count), False
     with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
-        sentences = _instructions(envs, episodes)
-        begun = [replace(each, instruction=text) for each, text in zip(episodes, sentences, strict=True)]
+        told = tuple(episode.instruction for episode in episodes)
+        sentences = told if all(told) else _instructions(envs, episodes)
+        begun = [
+            replace(each, instruction=_sentence(policy, each, text))
+            for each, text in zip(episodes, sentences, strict=True)
+        ]
         with policy_errors():
             batch.reset_batch(begun)
         while not over:
             with policy_errors():
-                actions = np.array([action_number(action) for action in batch.act_batch(observations)])
+                seen = _reading(observations, told if all(told) else ())
+                actions = np.array([action_number(action) for action in batch.act_batch(seen)])
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
             check_time()
@@ -230,6 +237,18 @@ def play_side_by_side(
         _check_whole(whole.actions, envs)
     whole.seconds /= count
     return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
+
+
+def _sentence(policy: object, episode: Episode, sentence: str) -> str:
+    """The sentence that a policy is told: none if the task's name is hidden from it and it reads no sentences."""
+    return "" if episode.task == NEUTRAL and not uses_instruction(policy) else sentence
+
+
+def _reading(observation: Any, told: str | tuple[str, ...]) -> Any:
+    """The observation, with the sentence, or one for each environment, that is told instead of the task's, if any."""
+    if told and isinstance(observation, Mapping) and "instruction" in observation:
+        return {**observation, "instruction": told}
+    return observation
 
 
 def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:

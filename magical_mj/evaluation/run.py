@@ -14,6 +14,7 @@ import cloudpickle
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
+from magical_mj.evaluation.given import Watch
 from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, check_runs, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
@@ -94,8 +95,12 @@ class Evaluation:
         units: the work that remained at construction, or at the last call of `play`.
     """
 
-    def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
-        """Checks the settings and reads finished episodes, but plays none. Raises the errors of `evaluate`."""
+    def __init__(self, policy: Any, settings: EvaluationSettings, watch: Watch = lambda _, __: None) -> None:
+        """Checks the settings and reads finished episodes, but plays none. Raises the errors of `evaluate`.
+
+        If policies are given demonstrations of intents that are not in the user's cache, the expert plays them. `watch`
+        is then called with the number of those that are there, and the number of all.
+        """
         check_extra("evaluations", "eval")
         if settings.batched:
             check_extra("batched environments", "gpu")
@@ -115,11 +120,14 @@ class Evaluation:
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
+        settings.check_given(self._sources)
+        self._player = Player.of(self._sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None
         if settings.out is not None:
-            self._folder = EvaluationFolder(settings.out, settings.recorded(self._sources), resume=settings.resume)
+            recorded = {**settings.recorded(self._sources), **self._player.recorded}
+            self._folder = EvaluationFolder(settings.out, recorded, resume=settings.resume)
         self.units = self._remaining()
 
     @property
@@ -176,7 +184,7 @@ class Evaluation:
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
         """The results of all units in order of completion."""
-        jobs, backend, player = self.settings.jobs, self.settings.backend, Player.of(self._sources, self.settings)
+        jobs, backend, player = self.settings.jobs, self.settings.backend, self._player
         here = backend == "local" and jobs == 1
         problem = None if here else self._unsendable()
         if backend == "local" and jobs is None:

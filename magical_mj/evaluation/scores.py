@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -41,6 +41,8 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """An integer that tables of scores can hold."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
+PLAIN_GIFTS: Final = ("", "sentence")
+"""What policies are given without any settings: nothing, or if they read it, the sentence."""
 GROWING: Final = ("policies", "environments", "shifts")
 """The settings that a resumed evaluation may extend. It may add seeds as well."""
 OLDER: Final = {
@@ -63,6 +65,7 @@ class PlayedPolicy(TypedDict):
     run: Natural
     sha256: NotRequired[str]
     code: NotRequired[str]
+    given: NotRequired[str]
 
 
 class Played(TypedDict):
@@ -116,6 +119,11 @@ class EpisodeResult:
         wrap: the wrapper around the environment, such as "mine:Wrapper". Empty without one.
         body: the robot's body.
         retry: how many times the episode had failed before and was played again (``retry_failed``).
+        given: what the policy was given of the task, such as "8 demonstrations in 4 scenes"; "" for nothing.
+        demonstrations: the digest of the demonstrations that it was given.
+        other: in a control, the other task that the policy was shown or told.
+        other_score: how much of the other task's intent the episode reached, in [0, 1]. None if that intent means
+            nothing in the scene or holds at the start, or the policy failed.
     """
 
     policy: str
@@ -140,6 +148,10 @@ class EpisodeResult:
     wrap: str = ""
     body: str = GRIPPER
     retry: Natural = 0
+    given: str = ""
+    demonstrations: str = ""
+    other: str = ""
+    other_score: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
@@ -177,8 +189,8 @@ class EpisodeResult:
 
     @property
     def method(self) -> str:
-        """The name of the method in reports: the policy, with the body and the wrapper if they are not the defaults."""
-        return method_name(self.policy, self.body, self.wrap)
+        """The name of the method in reports: the policy, with what `method_name` adds."""
+        return method_name(self.policy, self.body, self.wrap, self.given)
 
     def line(self) -> str:
         """The line of the file. Fields that older versions did not write are left out if they have default values."""
@@ -186,15 +198,30 @@ class EpisodeResult:
         return json.dumps(values, ensure_ascii=False) + "\n"
 
 
-def method_name(policy: str, body: str, wrap: str) -> str:
-    """The name in reports of a policy that played with this body and in this wrapper."""
+def method_name(policy: str, body: str, wrap: str, given: str = "") -> str:
+    """The name in reports of a policy that played with this body and in this wrapper, and was given this of a task.
+
+    The gripper and the sentence, which a policy that reads always gets, are not named.
+    """
     name = policy if body == GRIPPER else f"{policy} with {body}"
+    name = name if given in PLAIN_GIFTS else f"{name}, {given}"
     return f"{name} in {wrap}" if wrap else name
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
-_USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER), ("retry", 0))
+_USUAL: Final = (
+    ("split", "test"),
+    ("shift", ""),
+    ("wrap", ""),
+    ("body", GRIPPER),
+    ("retry", 0),
+    ("given", ""),
+    ("demonstrations", ""),
+    ("other", ""),
+    ("other_score", None),
+)
+
 _RETRY: Final = b'"retry": '
 """Only the line of an episode that was played again contains this."""
 _BEGINNING: Final = b'{"policy": '
@@ -289,7 +316,7 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
     import pandas as pd
 
     rows = [dataclasses.asdict(result) for result in sorted(results, key=lambda result: result.key)]
-    return pd.DataFrame(rows, columns=list(_FIELDS))
+    return pd.DataFrame(rows, columns=list(_FIELDS)).astype({"other_score": float})
 
 
 @contextmanager
@@ -391,7 +418,7 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
             "resumed evaluation may have more scenes, but must keep all of these"
         )
     free = (*GROWING, "episodes", "first_seed")
-    new = {name for name in settings if name.startswith("code of ") and name not in before}
+    new = {name for name in settings if name.startswith(("code of ", "demonstrations of ")) and name not in before}
     others = settings.keys() - new - set(free)
     check_unchanged(folder, before, {name: value for name, value in settings.items() if name in others})
 
@@ -401,7 +428,8 @@ def _named(item: Any) -> str:
     if not isinstance(item, dict):
         return str(item)
     hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if name in item]
-    return f"{item['name']} ({hashes[0]})" if hashes else item["name"]
+    facts = [*hashes[:1], *([item["given"]] if item.get("given") else [])]
+    return f"{item['name']} ({', '.join(facts)})" if facts else item["name"]
 
 
 def _identity(item: Any) -> Any:
@@ -433,9 +461,17 @@ def recorded_settings(folder: Path) -> dict[str, Any]:
         return {}
 
 
-def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
-    """Name, run and SHA-256 (empty without a file) of an evaluation's policies."""
-    return [(row["name"], row["run"], row.get("sha256", "")) for row in settings.get("policies", ())]
+def recorded_policies(settings: Mapping[str, Any]) -> list[tuple[str, str, int, str]]:
+    """Name, method, run and SHA-256 (empty without a file) of an evaluation's policies."""
+    return [
+        (
+            row["name"],
+            method_name(row["name"], settings["body"], settings["wrap"], row.get("given", "")),
+            row["run"],
+            row.get("sha256", ""),
+        )
+        for row in settings.get("policies", ())
+    ]
 
 
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:

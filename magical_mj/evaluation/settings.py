@@ -22,7 +22,7 @@ from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import SettingsError, check_name, short_repr
+from magical_mj.utils.errors import SettingsError, check_name, counted, short_repr
 from magical_mj.utils.imports import is_reference, source_digest
 from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
@@ -33,9 +33,11 @@ if TYPE_CHECKING:
 Split = Literal["test", "dev"]
 """See `magical_mj.tasks.registry.SPLITS`."""
 Simulator = Literal["mujoco", "warp"]
+Control = Literal["wrong-demonstrations", "wrong-sentence"]
 WORLDS: Final = {"mujoco": "single", "warp": "batched"}
 """Simulator -> its name in files. MuJoCo simulates single environments, MuJoCo Warp batches of them."""
 DEVICE: Final = "cuda"
+DEMONSTRATIONS_GIVEN: Final = 8
 UNOFFICIAL: Final = (
     "official scores come from MuJoCo in double precision, where replays are exact; batched environments use single "
     "precision, so their scores are approximate"
@@ -115,6 +117,23 @@ class EvaluationSettings(Settings):
     ] = ""
     body: Annotated[str, Meta(description="The robot's body. The tasks must support it. See docs/bodies.md.")] = GRIPPER
     like: Annotated[str, Meta(description="The task name that policies receive instead of the real one.")] = ""
+    demonstrations: Annotated[
+        Count | None,
+        Meta(
+            description="Demonstrations of the task that policies with uses_demonstrations = True are given; by "
+            f"default {DEMONSTRATIONS_GIVEN}."
+        ),
+    ] = None
+    scenes: Annotated[
+        Count | None,
+        Meta(description="The number of demo scenes over which these are spread, 1 to 8; by default the task's own."),
+    ] = None
+    contrasting: Annotated[
+        bool, Meta(description="Demo scenes that refute as many other readings as possible, instead of random ones.")
+    ] = False
+    control: Annotated[
+        Control | None, Meta(description="Give the demonstrations, or the sentence, of another task.")
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -139,10 +158,39 @@ class EvaluationSettings(Settings):
                 "--simulator warp"
             )
 
+        if (self.scenes or 1) > self.number_given:
+            raise SettingsError(
+                f"{counted(self.number_given, 'demonstration')} cannot be spread over {self.scenes} scenes: give more "
+                "demonstrations, or fewer scenes"
+            )
+        if self.control and (self.shifts or self.batched):
+            raise SettingsError(f"the control {self.control} is played in MuJoCo and without shifts: leave those out")
+
     @property
     def observed(self) -> str:
         """The preset of the observations. The default, if none was given and the policies are not loaded yet."""
         return DEFAULT_PRESET if self.preset is None else self.preset
+
+    @property
+    def number_given(self) -> int:
+        """The number of demonstrations that policies are given."""
+        return DEMONSTRATIONS_GIVEN if self.demonstrations is None else self.demonstrations
+
+    def given(self, *, shown: bool, reads: bool) -> str:
+        """What a policy is given of a task, as in results, such as "8 demonstrations in 4 scenes". "" for nothing.
+
+        Args:
+            shown: whether it gets demonstrations.
+            reads: whether it reads the sentence.
+        """
+        kind = "contrasting scene" if self.contrasting else "scene"
+        where = f" in {counted(self.scenes, kind)}" if self.scenes is not None else f" in {kind}s" * self.contrasting
+        parts = {
+            "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if shown else "",
+            "wrong-sentence": "sentence" if reads else "",
+        }
+        named = (f"another task's {part}" if name == self.control else part for name, part in parts.items() if part)
+        return " and ".join(named)
 
     @cached_property
     def batched(self) -> bool:
@@ -176,11 +224,32 @@ class EvaluationSettings(Settings):
         first = SPLITS[self.split] + self.first_seed
         return range(first, first + self.episodes)
 
+    def given_to(self, policy: Source) -> str:
+        """What a policy is given of a task."""
+        return self.given(shown=policy.shown, reads="sentence" not in policy.unnoticed)
+
+    def check_given(self, policies: Sequence[Source]) -> None:
+        """Raises a `SettingsError` if settings for what policies are given concern none of them, or not all."""
+        shown = [policy.name for policy in policies if policy.shown]
+        if not shown and (self.demonstrations or self.scenes or self.contrasting):
+            raise SettingsError(
+                "demonstrations, scenes and contrasting are for policies with uses_demonstrations = True, and none of "
+                f"{', '.join(policy.name for policy in policies)} has it"
+            )
+        for policy in policies:
+            if self.control and "another" not in self.given_to(policy):
+                needed = "demonstrations" if self.control == "wrong-demonstrations" else "instruction"
+                raise SettingsError(f"the control {self.control} is for policies with uses_{needed} = True")
+
+    def _described(self, policy: Source) -> dict[str, Any]:
+        given = self.given_to(policy)
+        return {**policy.described(), **({"given": given} if given else {})}
+
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
         return {
-            **({"policies": [policy.described() for policy in policies]} if policies else {}),
+            **({"policies": [self._described(policy) for policy in policies]} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
             "preset": self.observed,

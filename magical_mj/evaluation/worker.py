@@ -12,22 +12,35 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import gymnasium
 
 from magical_mj.envs.registration import env_id
+from magical_mj.evaluation.given import Watch, demonstrations_given, digest_of, other_task, with_other_score
 from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, PolicyError, policy_task, uses_instruction, uses_simulation
+from magical_mj.policies.interface import (
+    Act,
+    Episode,
+    PolicyError,
+    Transitions,
+    policy_task,
+    uses_demonstrations,
+    uses_instruction,
+    uses_simulation,
+)
 from magical_mj.policies.loading import Source
-from magical_mj.rendering.backend import drawn_by
+from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed
+
+if TYPE_CHECKING:
+    from magical_mj.demos import Demonstration
 
 T = TypeVar("T")
 Playing = Callable[[list[Episode], float], list[Outcome]]
@@ -112,16 +125,36 @@ class Player:
     """Plays units. It keeps the last environment and the last policy for the next unit.
 
     It can be sent to other processes before it has played a unit, but not afterwards.
+
+    Attributes:
+        policies: name and run -> the policy.
+        settings: the settings of the evaluation.
+        demonstrations: task -> those that policies are given, if any gets some.
     """
 
     policies: Mapping[tuple[str, int], Source]
     settings: EvaluationSettings
+    demonstrations: Mapping[str, Sequence[Demonstration]] = field(default_factory=dict)
     _kept: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, sources: Sequence[Source], settings: EvaluationSettings) -> Player:
-        """A player of these policies."""
-        return cls({(source.name, source.run): source for source in sources}, settings)
+    def of(cls, sources: Sequence[Source], settings: EvaluationSettings, watch: Watch = lambda _, __: None) -> Player:
+        """A player of these policies. `watch` is that of `demonstrations_given`.
+
+        Raises:
+            SettingsError, DemonstrationError: if there are no demonstrations for a policy that is given some.
+        """
+        shown = any(source.shown for source in sources)
+        return cls(
+            {(source.name, source.run): source for source in sources},
+            settings,
+            demonstrations_given(settings, watch) if shown else {},
+        )
+
+    @property
+    def recorded(self) -> dict[str, str]:
+        """The digests of the demonstrations, which a resumed evaluation must keep."""
+        return {f"demonstrations of {task}": digest_of(demos) for task, demos in self.demonstrations.items()}
 
     def __call__(self, unit: Unit) -> Timed[Played | Split[Unit]]:
         """Loads the policy and makes the environment. Returns the work that remains, with its time limit.
@@ -130,11 +163,11 @@ class Player:
         is split to find out which.
         """
         limit, several, playing = self.settings.time_limit, len(unit.seeds) > 1, self._playing(unit)
-        results = self._recorder(unit)
+        episodes, results = self._episodes(unit), self._recorder(unit)
         outcome = Outcome(failure=late(limit), seconds=limit)
         too_late = Split(unit.one_by_one()) if several else Played(results([outcome]))
         seconds = limit * len(unit.seeds)
-        return Timed(seconds + GRACE, partial(self._play, unit, playing, seconds, results), too_late)
+        return Timed(seconds + GRACE, partial(self._play, unit, playing, episodes, seconds, results), too_late)
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
         """Plays a unit in this process and returns its results."""
@@ -162,9 +195,37 @@ class Player:
         env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
         return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
-    def _play(self, unit: Unit, playing: Playing, seconds: float, results: Results) -> Played | Split[Unit]:
-        task = policy_task(unit.task, self.settings.like)
-        outcomes = playing([Episode(task, unit.variant, seed, unit.run) for seed in unit.seeds], seconds)
+    def _episodes(self, unit: Unit) -> list[Episode]:
+        """What the policy is told of each episode."""
+        policy, settings = self._policy(unit), self.settings
+        task, shown = policy_task(unit.task, policy, settings.like), self._shown(unit.task, policy)
+        told = settings.control == "wrong-sentence"
+        sentences = [task_spec(other).summary if told else "" for other in self._others(unit)]
+        return [
+            Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
+            for seed, sentence in zip(unit.seeds, sentences, strict=True)
+        ]
+
+    def _shown(self, task: str, policy: Act) -> tuple[Any, ...]:
+        """The demonstrations of a task as the policy gets them."""
+        if not uses_demonstrations(policy):
+            return ()
+        if uses_simulation(policy):
+            return tuple(self.demonstrations[task])
+        preset, renderer = self.settings.observed, self.settings.renderer
+        return self._keep("demonstrations", task, lambda: _observed(self.demonstrations[task], preset, renderer))
+
+    def _others(self, unit: Unit) -> list[str]:
+        """In a control, for each episode the task whose demonstrations or sentence are given instead."""
+        if self.settings.control is None:
+            return [""] * len(unit.seeds)
+        body = self.settings.body if self.settings.control == "wrong-sentence" else None
+        return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
+
+    def _play(
+        self, unit: Unit, playing: Playing, episodes: list[Episode], seconds: float, results: Results
+    ) -> Played | Split[Unit]:
+        outcomes = playing(episodes, seconds)
         if len(outcomes) > 1 and any(outcome.failure for outcome in outcomes):
             return Split(unit.one_by_one())
         return Played(results(outcomes), outcomes[-1].cause)
@@ -180,13 +241,19 @@ class Player:
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
             "retry": unit.retry,
+            "given": settings.given(shown=uses_demonstrations(policy), reads=uses_instruction(policy)),
+            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if uses_demonstrations(policy) else "",
         }
         episodes = [Episode(unit.task, unit.variant, seed, unit.run) for seed in unit.seeds]
         scenes = [start_digest(unit.task, unit.variant, seed, unit.shift, settings.body) for seed in unit.seeds]
+        others = self._others(unit)
 
         def results(outcomes: list[Outcome]) -> list[EpisodeResult]:
-            played = zip(episodes, outcomes, scenes, strict=True)
-            return [EpisodeResult.of(episode, outcome, scene=scene, **facts) for episode, outcome, scene in played]
+            played = zip(episodes, outcomes, scenes, others, strict=True)
+            return [
+                with_other_score(EpisodeResult.of(episode, outcome, scene=scene, other=other, **facts))
+                for episode, outcome, scene, other in played
+            ]
 
         return results
 
@@ -204,8 +271,20 @@ class Player:
 
     def _drop(self, what: str) -> None:
         _, dropped = self._kept.pop(what)
-        if what != "policy":  # a policy may be a user's object
+        if what in ("environment", "vector"):
             dropped.close()
+
+
+def _observed(demos: Sequence[Demonstration], preset: str, renderer: RendererName | None) -> tuple[Transitions, ...]:
+    """Demonstrations as observations and actions. The arrays are read-only, since all episodes share them."""
+    from magical_mj.demos.learning import stream  # imported late: it loads the simulator
+
+    parts = tuple(stream(demos, preset, drop_noop=False, renderer=renderer))
+    for part in parts:
+        views = part.observations.values() if isinstance(part.observations, dict) else (part.observations,)
+        for array in (*views, part.actions):
+            array.setflags(write=False)
+    return parts
 
 
 def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:

@@ -15,13 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.sets import INTENTS, SETS
 
-__all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "explain", "parse", "rivals"]
+if TYPE_CHECKING:
+    from magical_mj.demos.intents import dataset
+
+__all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
 
 EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {
@@ -39,3 +42,12 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     }
 )
 """Task -> the intent that holds exactly where the task's score is 1."""
+
+
+def __getattr__(name: str) -> Any:
+    """`dataset`, imported at first use: it needs the simulator, and this folder is imported by what is below it."""
+    if name == "dataset":
+        from magical_mj.demos.intents import dataset
+
+        return dataset
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -33,6 +33,8 @@ from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import IntentError, InvalidSceneError, short_repr
 
+PREFIX: Final = "intent:"
+"""The names of intents' tasks begin with this."""
 MOST_DEMOS: Final = 8
 LEAST_STEPS: Final = 40
 STEPS_PER_COST: Final = 2.5

@@ -120,7 +120,7 @@ class _Stored:
     def runs(self) -> dict[str, set[int]]:
         """The runs of each policy that the evaluation includes."""
         runs: dict[str, set[int]] = defaultdict(set)
-        for policy, run, _ in recorded_policies({**self.settings}):
+        for policy, _, run, _ in recorded_policies(self.settings):
             runs[policy].add(run)
         return runs
 

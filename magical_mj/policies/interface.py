@@ -5,14 +5,15 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
 from magical_mj.utils.imports import location
@@ -30,6 +31,20 @@ LETTERS: Final = "abcdefghijklmnopqr"
 """One letter for each of the 18 actions. The actions of an episode are stored as a string."""
 HISTORY: Final = 4
 """The number of state vectors in an observation. The paper's pictures contain the same number of frames."""
+NEUTRAL: Final = "intent"
+"""The task name that policies receive if demonstrations or a sentence describe the task."""
+
+Observations = NDArray[Any] | dict[str, NDArray[Any]]
+"""An array with a row for each time. For presets with the layout "dict", one such array for each name."""
+
+
+class Transitions(NamedTuple):
+    """The observation before each action, and the action."""
+
+    observations: Observations
+    """Shape (n, ...). Rows are observations of the preset, such as (96, 96, 12) uint8 for LoRes4E."""
+    actions: NDArray[Any]
+    """Action numbers, shape (n,). For SweepToTop speeds, shape (n, 2 or 3)."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +56,13 @@ class Episode:
         variant: the variant's name.
         seed: the scene's seed. The episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
-        instruction: the sentence that describes the task, including its shift. Empty before the episode starts.
+        instruction: the sentence that describes the task, including its shift. Before the episode starts, it is empty,
+            or a sentence that replaces the task's. It remains empty if the task's name is `NEUTRAL` and the policy does
+            not use instructions.
         env: the engine of the environment, for policies with `uses_simulation = True`. None for all others.
+        demonstrations: demonstrations of the task, for policies with `uses_demonstrations = True`: observations of the
+            policy's preset and actions, of all steps. If the policy also has `uses_simulation = True`, they are
+            `magical_mj.demos.Demonstration` objects, which contain the scenes.
     """
 
     task: str
@@ -51,15 +71,24 @@ class Episode:
     run: int = 0
     instruction: str = ""
     env: Engine | None = None
+    demonstrations: tuple[Transitions, ...] | tuple[Any, ...] = field(default=(), compare=False, repr=False)
 
     def rng(self) -> np.random.Generator:
         """A random generator for the policy, determined by task, variant, seed and run."""
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
 
 
-def policy_task(task: str, like: str = "") -> str:
-    """The name of a task for policies: `like`, or the task that its definition names in `like`, or its own name."""
-    return like or task_spec(task).like or task
+def policy_task(task: str, policy: object, like: str = "") -> str:
+    """The name of a task for a policy.
+
+    `like` if it is given. `NEUTRAL` if the policy uses demonstrations, or if the task is an intent that is not among
+    the policy's `tasks`. Otherwise, the task that the definition names in `like`, or the task's own name.
+    """
+    if like:
+        return like
+    tasks = getattr(policy, "tasks", None) or ()
+    is_new = in_language(task) and task not in ((tasks,) if isinstance(tasks, str) else tasks)
+    return NEUTRAL if uses_demonstrations(policy) or is_new else task_spec(task).like or task
 
 
 class Policy(Protocol):
@@ -70,6 +99,8 @@ class Policy(Protocol):
             the episode passed to `reset` contains the engine.
         uses_instruction: True if the policy reads the sentence that describes the task. Then dict observations contain
             it as "instruction", and the policy can be evaluated with the shift "words".
+        uses_demonstrations: True if demonstrations describe the task, which the episode passed to `reset` contains.
+            Then it contains neither the task's name nor, unless the policy also uses instructions, the sentence.
         preset, tasks, observation_shapes: the preset, the tasks and the observation shapes of its training. In a shape,
             None means any size. Evaluations that do not match them raise an error.
     """
@@ -137,6 +168,11 @@ def uses_simulation(policy: object) -> bool:
 def uses_instruction(policy: object) -> bool:
     """Whether the policy reads the sentence that describes the task."""
     return bool(getattr(policy, "uses_instruction", False))
+
+
+def uses_demonstrations(policy: object) -> bool:
+    """Whether demonstrations describe the task for the policy."""
+    return bool(getattr(policy, "uses_demonstrations", False))
 
 
 def policy_name(policy: object) -> str:

@@ -19,11 +19,13 @@ from typing import Any, Final
 from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, Stacks, observation_space, preset_named
 from magical_mj.policies.interface import (
     AGENTS,
+    NEUTRAL,
     Act,
     BatchPolicy,
     policy_name,
     policy_task,
     reason,
+    uses_demonstrations,
     uses_instruction,
     uses_simulation,
 )
@@ -65,9 +67,10 @@ class Source:
         trust: whether files that contain code may be loaded.
         digest: the expected hash of the policy's file ("sha256") or module ("code"). Empty without a file, or if the
             hash is not checked.
-        batches: whether it acts in batches of observations. Set by `playable`, like `preset` and `unnoticed`.
+        batches: whether it acts in batches of observations. Set by `playable`, like the attributes below.
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice.
+        shown: whether it receives demonstrations.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Source:
     batches: bool = False
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
+    shown: bool = False
 
     def load(self) -> Act:
         """The policy.
@@ -206,9 +210,9 @@ def playable(
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
                 stacklevel=4,  # the call of `evaluate`
             )
-        facts: dict[str, Any] = {"preset": preset, "unnoticed": _unnoticed(policy, preset)}
+        facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
-        checked.append(replace(source, digest=source._hash(), batches=batches, **facts))
+        checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked
 
 
@@ -356,7 +360,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
     if getattr(policy, "needs_plan", False):
         for task, _ in pairs:
             if task_spec(task).plan is None:
-                task_spec(policy_task(task, like)).check_plan()
+                task_spec(like or task_spec(task).like or task).check_plan()
     trained_on = getattr(policy, "preset", preset)
     if trained_on != preset:
         raise SettingsError(
@@ -364,7 +368,12 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         )
     tasks = getattr(policy, "tasks", None)
     tasks = (tasks,) if isinstance(tasks, str) else tasks
-    others = sorted({policy_task(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    names = {task: policy_task(task, policy, like) for task, _ in pairs}
+    others = sorted(
+        {name for task, name in names.items() if name not in tasks and (name != NEUTRAL or task not in tasks)}
+        if tasks is not None
+        else ()
+    )
     if others:
         raise SettingsError(
             f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as with one of "

@@ -33,6 +33,11 @@ def to_path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def cache_folder() -> Path:
+    """The folder of this package in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "magical_mj"
+
+
 def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode: int | None = None) -> None:
     """Writes a file completely or not at all. Text is encoded as UTF-8.
 

@@ -95,8 +95,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
         if not isinstance(value, plain):  # pyright: ignore[reportArgumentType]
             raise SettingsError(f"{name} must be of the type {plain.__name__}, not {short_repr(value)}")  # pyright: ignore[reportAttributeAccessIssue]
         return value
-    if get_origin(plain) is Literal:
-        check_name(name, value, get_args(plain))
+    _check_choice(name, value, plain)
     try:
         if isinstance(value, np.generic):
             value = value.item()
@@ -106,6 +105,13 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
         return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
     except (msgspec.ValidationError, TypeError, UnicodeError):  # not iterable, or invalid Unicode
         raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {short_repr(value)}") from None
+
+
+def _check_choice(name: str, value: Any, plain: Any) -> None:
+    """Raises an `UnknownNameError` if the type is a `Literal`, or one that may be None, and has no such name."""
+    names = next((part for part in (plain, *get_args(plain)) if get_origin(part) is Literal), None)
+    if names is not None and (value is not None or names is plain):
+        check_name(name, value, get_args(names))
 
 
 @lru_cache

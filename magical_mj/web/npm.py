@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
 import shutil
 import subprocess
 import tarfile
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.files import cache_folder
 
 
 class Package(NamedTuple):
@@ -74,7 +74,7 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
     Raises:
         MagicalError: if npm is missing or fails, or the archive has another hash.
     """
-    cache = cache or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "magical_mj" / "npm"
+    cache = cache or cache_folder() / "npm"
     folder = cache / "node_modules" / package.name
     if _is(folder, package):
         return folder

@@ -166,3 +166,27 @@ class Fatal:
 
 
 NOT_CALLABLE = 3
+
+
+class Nearest:
+    """Copies the action of the demonstrated moment whose state is nearest."""
+
+    preset = "State"
+    uses_demonstrations = True
+
+    def reset(self, episode: Episode) -> None:
+        self._states = np.concatenate([shown.observations for shown in episode.demonstrations])
+        self._actions = np.concatenate([shown.actions for shown in episode.demonstrations])
+
+    def __call__(self, observation: Any) -> int:
+        return int(self._actions[np.abs(self._states - observation).sum(axis=1).argmin()])
+
+
+class NearestOfAll(Nearest):
+    """Does so for several episodes at once."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        self.reset(episodes[0])
+
+    def act_batch(self, observations: Any) -> list[int]:
+        return [self(observation) for observation in observations]

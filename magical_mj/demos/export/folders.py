@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
-from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.demonstration import Demonstration, demonstrators, group_name
 from magical_mj.demos.export.source import source_of
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
@@ -35,6 +35,8 @@ FEATURES: Final[Mapping[str, str]] = {
     "dones": "bool: whether it is the last action of the episode",
 }
 
+EACH: Final = "`gymnasium.make(magical_mj.env_id(task, variant, preset))` with the task and variant of each episode"
+"""How to make the environments of several intents."""
 MAKERS: Final[Mapping[str, str]] = {
     "expert": "by the scripted expert of magical_mj, which knows the state",
     "human": "by people who drove the robot in magical_mj",
@@ -69,8 +71,11 @@ def to_webdataset(
     """
     folder = files.to_path(folder)
     facts = about(demos)
-    source = source_of(demos[0], preset)
-    metadata = {**facts, "preset": preset, "gymnasium": source._asdict(), "features": dict(FEATURES)}
+    made_in, gymnasium = EACH, {}
+    if "tasks" not in facts:
+        source = source_of(demos[0], preset)
+        made_in, gymnasium = f"`gymnasium.make({source})`", {"gymnasium": source._asdict()}
+    metadata = {**facts, "preset": preset, **gymnasium, "features": dict(FEATURES)}
     with files.new_folder(folder, overwrite=overwrite) as unfinished:
         unfinished.mkdir()
         with (
@@ -85,7 +90,6 @@ def to_webdataset(
                         content = io.BytesIO()
                         np.save(content, value, allow_pickle=False)
                         _add(archive, f"{number:03}-{step:04}.{name}.npy", content.getvalue())
-        made_in = f"`gymnasium.make({source})`"
         text = card(facts, demos[0].task, f"the preset {preset}", made_in, FEATURES)
         (unfinished / CARD).write_text(text, encoding="utf-8")
     return folder / ARCHIVE
@@ -94,7 +98,8 @@ def to_webdataset(
 def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
     """The metadata of demonstrations. Raises a `DemonstrationError` if they are not of one environment."""
     return {
-        "environment": only_environment(demos),
+        "environment": group_name(demos),
+        **_intents(demos),
         "demonstrators": demonstrators(demos),
         "episodes": len(demos),
         "steps": sum(len(demo.actions) for demo in demos),
@@ -108,20 +113,34 @@ def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
     }
 
 
+def _intents(demos: Sequence[Demonstration]) -> dict[str, Any]:
+    """The task, variant and sentence of each demonstration, if they are of several intents. Otherwise empty."""
+    if len({demo.task for demo in demos}) == 1:
+        return {}
+    return {
+        "tasks": [demo.task for demo in demos],
+        "variants": [demo.variant for demo in demos],
+        "sentences": [task_spec(demo.task).summary for demo in demos],
+    }
+
+
 def card(facts: Mapping[str, Any], task: str, observed: str, made_in: str, features: Mapping[str, str]) -> str:
-    """The data card of demonstrations of one environment: Markdown with the header of data set hubs.
+    """The data card of demonstrations: Markdown with the header of data set hubs.
 
     Args:
         facts: the metadata, from `about`.
-        task: the task of the environment.
+        task: the task of the environment; if it is one of several intents, it does not matter.
         observed: a description of the observations.
         made_in: the code or options that create the environment.
         features: a description of each name in the data.
     """
-    spec = task_spec(task)
     noun = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
     made = " and ".join(MAKERS[name] for name in facts["demonstrators"])
     rows = "\n".join(f"| `{name}` | {meaning} |" for name, meaning in features.items())
+    several = "tasks" in facts
+    goal = f"{len(set(facts['tasks']))} intents" if several else task_spec(task).summary
+    scenes = "each intent" if several else "this environment"
+    scenes_of_demo = "successive seeds have the intent's demo scenes in turn" if several else "all scenes are equal"
     seeds = f"{min(facts['scene_seeds'])} to {max(facts['scene_seeds'])}"
     return f"""---
 license: apache-2.0
@@ -130,7 +149,7 @@ tags: [imitation-learning, magical, mujoco]
 ---
 # {facts["environment"]}: {facts["episodes"]} {noun}
 
-{spec.summary}: {facts["episodes"]} episodes, {facts["steps"]} steps of 1/{CONTROL_RATE} s, scores \
+{goal}: {facts["episodes"]} episodes, {facts["steps"]} steps of 1/{CONTROL_RATE} s, scores \
 {min(facts["scores"]):.2f} to {max(facts["scores"]):.2f}.
 
 | Feature | Content |
@@ -141,7 +160,7 @@ tags: [imitation-learning, magical, mujoco]
 - **Environment**: {made_in}, reset with the scenes' seeds.
 - **Origin**: {made}. The actions reproduce the episodes exactly. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
 {", ".join(facts["magical_mj"])}.
-- **Scenes**: the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are equal. Test scenes are
+- **Scenes**: the seeds {seeds} of {scenes}, protocol {PROTOCOL}. In Demo {scenes_of_demo}. Test scenes are
   the seeds 0 to 99 of the other variants.
 - **Licence**: Apache-2.0. Only episodes by the demonstrator `human` record the actions of people.
 """

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.demos.export.folders import CARD, about, card
+from magical_mj.demos.export.folders import CARD, EACH, about, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene import constants as c
@@ -108,7 +108,8 @@ def to_lerobot(
         description = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
         shapes = {key: f"{part['dtype']}, shape {part['shape']}" for key, part in features.items()}
         options = " ".join(f"--env.{name}={value}" for name, value in env_options(demos[0], views, fingers).items())
-        text = card(facts, demos[0].task, description, f"`{options}`", shapes)
+        made_in = EACH if "tasks" in facts else f"`{options}`"
+        text = card(facts, demos[0].task, description, made_in, shapes)
         (unfinished / CARD).write_text(text, encoding="utf-8")
     return LeRobotDataset(name, root=folder)
 

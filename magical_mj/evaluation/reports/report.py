@@ -23,6 +23,7 @@ from magical_mj.evaluation.reports.statistics import by_shift, curve
 from magical_mj.evaluation.reports.tables import (
     APPROXIMATE,
     DAGGER,
+    control_tables,
     csv,
     markdown,
     marked,
@@ -140,6 +141,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     shifts = by_shift(data.scores)
     shifts = shifts.assign(split=data.scores["split"].iloc[0])
     tables = [*result_tables(data), *(shift_tables(shifts) if len(shifts) else [])]
+    controls = [*control_tables(data)]
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
     draw: dict[str, Callable[[], Figure]] = {"bars": lambda: bars(data), "heat_map": lambda: heat_map(data)}
@@ -161,6 +163,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
         "## Environments",
         "![Mean scores](heat_map.png)",
         marked_tables[2],
+        *(["## Controls", *map(markdown, controls)] if controls else []),
         *(["## Shifts"] if len(shifts) else []),
         *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
         *marked_tables[3:],

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
 """What identifies an episode."""
 KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
-NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl")
+NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl", "given", "other")
 """The text columns, stored as categories. One more, `folder`, holds the folder of each episode."""
 SAME: Final = [*KEY, *KINDS, "score", "actions"]
 """The columns in which two records of one episode must agree."""
@@ -84,6 +84,15 @@ class Results:
         return list(dict.fromkeys(self.environments["policy"]))
 
     @property
+    def given(self) -> dict[str, list[str]]:
+        """The methods by what they were given of each task, nothing first; the published ones were given nothing."""
+        what: dict[str, str] = dict(self.scores.drop_duplicates("policy")[["policy", "given"]].to_numpy().tolist())
+        groups: dict[str, list[str]] = {}
+        for policy in self.policies:
+            groups.setdefault(what.get(policy, ""), []).append(policy)
+        return dict(sorted(groups.items()))
+
+    @property
     def tasks(self) -> list[str]:
         """All tasks with results, in the order of tables."""
         return in_order(self.environments["task"])
@@ -98,8 +107,9 @@ def gather(
     """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
 
     Returns:
-        A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions` (a checksum). An episode that
-        is in several folders has one row. The name of a method includes its wrapper.
+        A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, `other_score`, and `actions` (a checksum).
+        An episode that is in several folders has one row. The name of a method includes its wrapper, and what it was
+        given.
 
     Raises:
         EvaluationError: if there are no folders, one is not an evaluation, two hold the same episode with different
@@ -156,6 +166,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collecti
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
     codes = {name: array("i") for name in (*NAMES, "folder")}
     numbers = {"run": array("q"), "seed": array("q"), "score": array("d"), "actions": array("q")}
+    numbers["other_score"] = array("d")
     texts_of = attrgetter(*("method" if name == "policy" else name for name in NAMES))
     columns_of_texts = [(known, codes[name].append) for name, known in categories.items()]
     for index, folder in enumerate(folders):
@@ -165,6 +176,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collecti
             numbers["actions"].append(crc32(score.actions.encode()))
             for name in ("run", "seed", "score"):
                 numbers[name].append(getattr(score, name))
+            numbers["other_score"].append(np.nan if score.other_score is None else score.other_score)
             codes["folder"].append(index)
     columns: dict[str, Any] = {name: np.asarray(column) for name, column in numbers.items()}
     for name, known in categories.items():

@@ -78,14 +78,15 @@ def result_tables(results: Results) -> list[Table]:
         "variants",
         f"Mean score over {over}, ± standard deviation of the run means over tasks and runs",
         header,
-        (("", _rows(results, results.variants, _mean_and_std)),),
+        _by_given(results, lambda rows: _rows(results, rows, _mean_and_std), results.variants),
         tuple(notes(results)),
     )
+    own = results.variants[~results.variants["published"]]
     robust = Table(
         "interquartile",
         f"Interquartile mean of the run means over {over}, with its 95 % interval (stratified bootstrap)",
         header,
-        (("", _iqm_rows(results)),),
+        _by_given(results, lambda rows: _iqm_rows(results, rows), own),
     )
     by_task = results.environments.groupby("task")
     every = Table(
@@ -95,6 +96,26 @@ def result_tables(results: Results) -> list[Table]:
         tuple((task, _rows(results, by_task.get_group(task), _mean_and_std, task)) for task in results.tasks),
     )
     return [spread, robust, every]
+
+
+def control_tables(results: Results) -> Iterator[Table]:
+    """What was reached of the task, and of the other task whose demonstrations or sentence were given instead."""
+    scores = results.scores[results.scores["other"] != ""]
+    rows = []
+    for policy, group in scores.groupby("policy", sort=False, observed=True):
+        known = group.dropna(subset=["other_score"])
+        switched = (known["other_score"] == 1.0) & (known["score"] < 1.0)
+        cells = (group["score"].mean(), known["other_score"].mean(), switched.mean())
+        rows.append((str(policy), *(NONE if math.isnan(cell) else f"{cell:.2f}" for cell in cells), str(len(known))))
+    if rows:
+        yield Table(
+            "controls",
+            "Controls, where policies were given what belongs to another task: the mean score, the mean score of the "
+            "other task's intent, and the share of episodes that switched, which reached the other intent and not "
+            "their own. The last three columns are of the episodes in which the other intent could be pursued",
+            ("Method", "score", "other's score", "switched", "episodes"),
+            (("", tuple(rows)),),
+        )
 
 
 def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], task: str | None = None) -> Rows:
@@ -111,9 +132,18 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
     return tuple(rows)
 
 
-def _iqm_rows(results: Results) -> Rows:
+def _by_given(results: Results, rows: Callable[[pd.DataFrame], Rows], frame: pd.DataFrame) -> tuple[Group, ...]:
+    """Groups of methods by what they were given of each task, if any was given something, made by `rows`."""
+    given = results.given
+    groups = [
+        (f"Given {what or 'nothing'}" if any(given) else "", rows(frame[frame["policy"].isin(policies)]))
+        for what, policies in given.items()
+    ]
+    return tuple((heading, cells) for heading, cells in groups if cells)
+
+
+def _iqm_rows(results: Results, own: pd.DataFrame) -> Rows:
     """Two rows for each method: the interquartile means, and below them their intervals."""
-    own = results.variants[~results.variants["published"]]
     means = _rows(results, own, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
     intervals = _rows(results, own, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
     return tuple(row for mean, interval in zip(means, intervals, strict=True) for row in (mean, ("", *interval[1:])))

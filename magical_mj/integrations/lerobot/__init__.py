@@ -42,7 +42,7 @@ from magical_mj.demos.export.lerobot import (
 )
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import STATE_BOUND
-from magical_mj.policies.interface import Episode
+from magical_mj.policies.interface import NEUTRAL, Episode
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_discrete
@@ -213,7 +213,8 @@ class LeRobotPolicy:
         """Discards the action chunk of the last episode, and seeds the policy's noise with the episode's seed."""
         self._noise = torch.Generator().manual_seed(int(episode.rng().integers(2**63))).get_state()
         self._policy.reset()
-        self._sentence = episode.instruction or task_spec(episode.task).summary
+        own = "" if episode.task == NEUTRAL else task_spec(episode.task).summary
+        self._sentence = episode.instruction or own
 
     def __call__(self, observation: Any) -> int:
         """The action for an observation of the preset."""

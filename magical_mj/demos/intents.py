@@ -1,0 +1,136 @@
+"""Data sets of many intents: demonstrations by the expert, with the intent of each.
+
+The expert's actions are kept in a file, so a data set is made once, and continues if it was interrupted. States and
+observations are made from the actions when a demonstration is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple, overload
+
+from numpy.typing import NDArray
+
+from magical_mj.demos import stored
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.learning import stream
+from magical_mj.demos.stored import Stored, Watch
+from magical_mj.envs.presets import preset_named
+from magical_mj.intents.intent import Intent
+from magical_mj.intents.sets import SETS
+from magical_mj.intents.tasks import PREFIX, task_of
+from magical_mj.policies.interface import Observations
+from magical_mj.tasks.languages import canonical_name
+from magical_mj.tasks.registry import SPLITS, VARIANTS, Names, listed, listed_tasks, variant_name
+from magical_mj.utils import files
+from magical_mj.utils.settings import Count, fitting
+
+FILE: Final = "demonstrations.jsonl"
+"""The name of the file in a user's folder."""
+
+
+class Example(NamedTuple):
+    """A demonstration of an intent."""
+
+    intent: Intent
+    demonstration: Demonstration
+    observations: Observations
+    """The preset's observation before each action: shape (steps, ...)."""
+    actions: NDArray[Any]
+    """Numbers, shape (steps,)."""
+
+
+@dataclass(frozen=True)
+class Dataset(Sequence[Example]):
+    """Demonstrations of intents, in the order of the intents; each is replayed when it is read.
+
+    Attributes:
+        stored: the actions.
+        path: the file that holds them.
+        preset: the preset of the observations.
+        renderer: what draws pictures, as in `magical_mj.Engine`.
+    """
+
+    stored: tuple[Stored, ...]
+    path: Path
+    preset: str
+    renderer: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.stored)
+
+    @overload
+    def __getitem__(self, index: int) -> Example: ...
+    @overload
+    def __getitem__(self, index: slice) -> Dataset: ...
+    def __getitem__(self, index: int | slice) -> Example | Dataset:
+        """A demonstration, or the data set of some of them.
+
+        Raises:
+            DemonstrationError: if it was made by another version of this package.
+        """
+        if isinstance(index, slice):
+            return Dataset(self.stored[index], self.path, self.preset, self.renderer)
+        demo = self.demonstration(index)
+        (played,) = stream([demo], self.preset, drop_noop=False, renderer=self.renderer)
+        return Example(task_of(demo.task.removeprefix(PREFIX)).intent, demo, *played)
+
+    def demonstration(self, index: int) -> Demonstration:
+        """A demonstration without observations, which take longer."""
+        return stored.replay(self.stored[index], self.path)
+
+
+def dataset(
+    intents: Names = "train",
+    per_intent: int = 5,
+    preset: str = "State",
+    *,
+    scenes: int = 1,
+    variants: Names = "Demo",
+    folder: Path | str | None = None,
+    jobs: int | None = None,
+    renderer: str | None = None,
+    watch: Watch = lambda _, __: None,
+) -> Dataset:
+    """The demonstrations of a set of intents, made by the expert if they are not there yet.
+
+    They are the same on every machine. Their scenes are of the split dev, except for the demo scenes.
+
+    Args:
+        intents: the name of a set of `magical_mj.intents.SETS`, or intents; several as a list or separated by commas.
+        per_intent: the number of demonstrations of each intent in each variant.
+        preset: the observations; a Gymnasium preset.
+        scenes: the number of demo scenes over which those of the variant Demo are spread.
+        variants: the variants.
+        folder: where the actions are kept; None: in the user's cache folder. A larger data set adds to them.
+        jobs: the number of processes that play; None: one per core.
+        renderer: what draws pictures, as in `magical_mj.Engine`.
+        watch: called with the numbers of finished demonstrations and of all.
+
+    Raises:
+        IntentError: if a text is no intent.
+        UnknownNameError: if there is no such variant or preset.
+        SettingsError: if a number is out of range.
+        DemonstrationError: if the expert did not solve some of the scenes; all other demonstrations are kept.
+    """
+    preset_named(preset)
+    number, first = fitting("per_intent", per_intent, Count), SPLITS["dev"]
+    chosen = [variant_name(variant) for variant in listed(variants, VARIANTS)]
+    tasks = listed_tasks([f"{PREFIX}{name}" for name in listed(intents, SETS)])
+    path = stored.default_path() if folder is None else files.to_path(folder) / FILE
+    names = [with_scenes(task, fitting("scenes", scenes, Count)) for task in tasks]
+    keys = [(name, variant, first + k) for name in names for variant in chosen for k in range(number)]
+    return Dataset(tuple(stored.complete(keys, path, jobs=jobs, watch=watch)), path, preset, renderer)
+
+
+def with_scenes(task: str, scenes: int | None = None, *, contrasting: bool = False) -> str:
+    """The name of an intent's task with this number of demo scenes; None: its own.
+
+    Raises:
+        IntentError: if it cannot have so many.
+    """
+    own = task_of(task.removeprefix(PREFIX))
+    changed = replace(own, demos=scenes or own.demos, contrasting=contrasting or own.contrasting)
+    return canonical_name(f"{PREFIX}{changed}")

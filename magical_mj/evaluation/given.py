@@ -1,0 +1,155 @@
+"""What policies are given of a task at test time: its demonstrations, or in controls those or the sentence of another.
+
+Controls show whether a policy uses what it is given. With the demonstrations of another task, a policy that scores the
+same ignores them. With the sentence of another task in the same scenes, a policy that reads pursues that one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.intents import EIGHT, SETS, Intent
+from magical_mj.intents.selectors import UngroundedError
+from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.tasks import PREFIX, task_of
+from magical_mj.scene import Scene
+from magical_mj.tasks.languages import in_language
+from magical_mj.tasks.registry import sample_scene
+from magical_mj.utils.errors import DemonstrationError, SettingsError, counted
+
+if TYPE_CHECKING:
+    from magical_mj.demos import Demonstration
+
+Watch = Callable[[int, int], object]
+"""Called with the number of demonstrations that are there, and the number of all."""
+
+
+def demonstrations_given(
+    settings: EvaluationSettings, watch: Watch = lambda _, __: None
+) -> dict[str, tuple[Demonstration, ...]]:
+    """The demonstrations that policies are given, by the task that is played.
+
+    Those of intents are by the expert, and made if they are not in the user's cache; `watch` is called with the number
+    of those that are there, and of all.
+
+    Raises:
+        DemonstrationError: if a task has too few, or the expert fails.
+        SettingsError: if it has too few demo scenes, or a control needs an intent and it has none.
+        IntentError: if an intent has too few demo scenes.
+    """
+    from magical_mj.demos import stored  # imported late: it loads the simulator
+    from magical_mj.demos.intents import with_scenes
+
+    wrong, number = settings.control == "wrong-demonstrations", settings.number_given
+    tasks = list(dict.fromkeys(task for task, _ in settings.environments))
+    shown = {task: other_tasks(task)[0] if wrong else task for task in tasks}
+    names = {
+        task: with_scenes(other, settings.scenes, contrasting=settings.contrasting)
+        for task, other in shown.items()
+        if in_language(other)
+    }
+    keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
+    path = stored.default_path()
+    made = iter(stored.complete([key for group in keys.values() for key in group], path, watch=watch))
+    return {
+        task: tuple(stored.replay(next(made), path) for _ in keys[task]) if task in keys else _shipped(other, settings)
+        for task, other in shown.items()
+    }
+
+
+def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ...]:
+    """The first demonstrations that come with a task."""
+    from magical_mj import demos  # imported late: it loads the simulator
+
+    if (settings.scenes or 1) > 1 or settings.contrasting:
+        raise SettingsError(f"{task} has one demo scene: leave out scenes and contrasting, which are for intents")
+    known = demos.load(task)
+    if len(known) < settings.number_given:
+        count = counted(len(known), "demonstration")
+        raise DemonstrationError(f"{task} has {count}, and {settings.number_given} are to be given")
+    return tuple(known[: settings.number_given])
+
+
+def digest_of(demos: Sequence[Demonstration]) -> str:
+    """The SHA-256 digest of the scenes and the actions."""
+    digest = hashlib.sha256()
+    for demo in demos:
+        digest.update(f"{demo.scene.digest()} {demo.actions.dtype.str} {demo.actions.shape}".encode())
+        digest.update(demo.actions.tobytes())
+    return digest.hexdigest()
+
+
+def intent_of(task: str) -> Intent:
+    """The intent that says what is to be done in a task.
+
+    Raises:
+        SettingsError: if there is none.
+    """
+    if task in EIGHT:
+        return EIGHT[task]
+    if task.startswith(PREFIX):
+        return task_of(task.removeprefix(PREFIX)).intent
+    raise SettingsError(f"controls are for intents and for tasks that have some, {', '.join(EIGHT)}, not for {task}")
+
+
+def other_tasks(task: str) -> list[str]:
+    """The other tasks of the benchmark, from the next one on. Of an intent, the others of its set, or the eight's."""
+    intent = intent_of(task)
+    names = list(EIGHT)
+    if task not in EIGHT:
+        names = next(
+            (list(each) for each in map(_names, SETS) if task in each), [f"{PREFIX}{e}" for e in EIGHT.values()]
+        )
+    after = names.index(task) + 1 if task in names else 0
+    return [name for name in (*names[after:], *names[:after]) if intent_of(name) != intent]
+
+
+def _names(name: str) -> tuple[str, ...]:
+    """The names of the tasks in a set of intents."""
+    return tuple(f"{PREFIX}{task}" for task in tasks_in(name))
+
+
+def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
+    """The task whose demonstrations or sentence are given instead of this one's.
+
+    With a body, it is the next one that can be pursued in the scene of this seed.
+
+    Raises:
+        SettingsError: if there is none.
+    """
+    others = other_tasks(task)
+    if body is None:
+        return others[0]
+    scene = sample_scene(task, variant, seed, body)
+    for other in others:
+        if _can_be_pursued(intent_of(other), scene):
+            return other
+    raise SettingsError(f"no other task can be pursued in {task} {variant}, seed {seed}: leave out {task}")
+
+
+def _can_be_pursued(intent: Intent, scene: Scene) -> bool:
+    """Whether an intent is about something in a scene, and does not hold yet."""
+    try:
+        return intent.grounded(scene) and not intent.holds(scene, scene)
+    except UngroundedError:
+        return False
+
+
+def with_other_score(episode: EpisodeResult) -> EpisodeResult:
+    """The episode, in a control with the score of the other task's intent at its end."""
+    if not episode.other or episode.failure is not None:
+        return episode
+    from magical_mj.evaluation.attribution import engine_for, replay_problem  # imported late: it loads the simulator
+
+    intent = intent_of(episode.other)
+    with closing(engine_for(episode)) as engine:
+        if not _can_be_pursued(intent, initial := engine.initial_scene):
+            return episode
+        replay_problem(episode, engine)
+        return replace(episode, other_score=intent.score(initial, engine.scene))
