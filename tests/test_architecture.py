@@ -14,7 +14,6 @@ LAYERS = (
     "scene",
     "variants",
     "tasks",
-    "intents",
     "assets",
     "rendering",
     "shifts",
@@ -23,6 +22,7 @@ LAYERS = (
     "batched",
     "policies",
     "demos",
+    "intents",
     "evaluation",
     "leaderboard",
     "learners",
@@ -40,12 +40,12 @@ PUBLIC = {
     "wrappers": "envs",
 }
 """The public modules, which re-export names of one folder each."""
-FACES = {"intents": "demos"}
-"""The folders whose ``__init__.py`` is a public module: the highest folder whose content it may use."""
 OUTSIDE = {"__init__": "integrations", "__main__": "cli", "_version": "utils", **PUBLIC}
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
-PURE_LAYERS = ("utils", "scene", "variants", "tasks", "intents")
+PURE_LAYERS = ("utils", "scene", "variants", "tasks")
+EXPERT_DATA = "intents.expert_data"
+"""The only module of `intents` that needs the simulator."""
 OPTIONAL = {"cloudpickle", "distributed", "filelock", "msgspec"}
 """Libraries that `utils` wraps for all layers."""
 TOP = {"learners", "web", "integrations", "cli"}
@@ -95,7 +95,7 @@ def test_layers_import_only_from_lower_ones() -> None:
         for other in inner(module)
         if layer(other) != layer(name(module)) and other != "_version"
         if name(module) != "__init__" or layer(other) not in PUBLIC
-        if rank[layer(other)] > rank[FACES.get(name(module), layer(name(module)))]
+        if rank[layer(other)] > rank[layer(name(module))]
         or (layer(other) in TOP and layer(name(module)) not in {"cli", "__main__"})
     ]
     assert not wrong
@@ -110,7 +110,7 @@ def test_tasks_and_variants_need_no_simulator_and_the_engine_neither_dm_control_
     allowed = PURE | OPTIONAL
     for module in MODULES:
         used = {path.partition(".")[0] for path in imports(module)} - {PACKAGE.name}
-        if layer(name(module)) in PURE_LAYERS:
+        if layer(name(module)) in PURE_LAYERS or (layer(name(module)) == "intents" and name(module) != EXPERT_DATA):
             assert used <= allowed, name(module)
         assert "dm_control" not in used or name(module).startswith("envs.composer"), name(module)
         if layer(name(module)) in LAYERS[: LAYERS.index("envs")]:

@@ -50,7 +50,7 @@ def intents(
 ) -> None:
     """Make demonstrations of intents by the expert, and write them for learners. Called again, it continues."""
     from magical_mj.demos.export import SUFFIXES, default_target, make_data_set
-    from magical_mj.demos.intents import dataset
+    from magical_mj.intents.expert_data import dataset
 
     screen, start = console(), time.monotonic()
     target = None if to is None else out or Path(default_target(to, f"intents-{chosen}", [], preset))

@@ -44,7 +44,7 @@ def demonstrations_given(
         IntentError: if an intent has too few demo scenes.
     """
     from magical_mj.demos import stored  # imported late: it loads the simulator
-    from magical_mj.demos.intents import with_scenes
+    from magical_mj.intents.expert_data import with_scenes
 
     wrong, number = settings.control == "wrong-demonstrations", settings.number_given
     tasks = list(dict.fromkeys(task for task, _ in settings.environments))

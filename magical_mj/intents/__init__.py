@@ -15,14 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 from magical_mj.intents.ambiguity import explain, rivals
+from magical_mj.intents.expert_data import dataset
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.sets import INTENTS, SETS
-
-if TYPE_CHECKING:
-    from magical_mj.demos.intents import dataset
 
 __all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
 
@@ -42,12 +40,3 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     }
 )
 """Task -> the intent that holds exactly where the task's score is 1."""
-
-
-def __getattr__(name: str) -> Any:
-    """`dataset`, imported at first use: it needs the simulator, and this folder is imported by what is below it."""
-    if name == "dataset":
-        from magical_mj.demos.intents import dataset
-
-        return dataset
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,8 +15,8 @@ import pytest
 
 import magical_mj
 from magical_mj.demos import stored
-from magical_mj.demos.intents import FILE
 from magical_mj.intents import dataset, parse
+from magical_mj.intents.expert_data import FILE
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, IntentError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
