@@ -54,7 +54,7 @@ class Task:
     contrasting: bool = False
 
     def __str__(self) -> str:
-        """The canonical text, in which settings are left out that have their defaults."""
+        """The canonical text. It omits settings with their default values."""
         settings = [f"seed={self.seed}"] * (self.seed != 0) + [f"demos={self.demos}"] * (self.demos != 1)
         settings += ["contrasting"] * self.contrasting
         return f"{self.intent} [{', '.join(settings)}]" if settings else str(self.intent)
