@@ -4,9 +4,9 @@
     python -m tools.intents show 200         prints random intents with their sentences
     python -m tools.intents expert OUT       plays the test sets with the expert; called again, it continues
 
-An intent is accepted if scenes are found for it, each of its relations adds something to the others, and random actions
-solve it in at most a fifth of the episodes. No test intent has the meaning of a training intent: they differ in one of
-1,000 pairs of a start and an end in which one of the test intents holds.
+An intent is accepted if it has scenes, each of its relations adds something to the others, and random actions solve it
+in at most a fifth of the episodes. No test intent has the same meaning as a training intent: meanings are compared in
+the starts and ends of plans of all test intents.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ SELECTORS: Final[dict[str, tuple[float, Callable[[Rng], Selector]]]] = {
 }
 """Kind of selector -> its weight, and what draws one."""
 ARRANGEMENTS: Final = ("clustered", "line", "apart")
-"""Relations of which an intent has one at most."""
+"""An intent has at most one of these relations."""
 ONE: Final = ("nearest", "farthest", "odd")
 """The kinds that select one block."""
 RELATIONS_DRAWN: Final = {
@@ -231,7 +231,7 @@ def has_scenes(task: Task) -> bool:
 
 
 def ends(intent: Intent) -> list[tuple[Scene, Scene]]:
-    """Starts of an intent, and ends in which it holds."""
+    """Starts of an intent, and ends that satisfy it."""
     spec = spec_of(Task(intent))
     starts = [spec.demo, *(vary(spec, variant, 0) for variant in ("Layout", "CountPlus", "All"))]
     return [(scene, solved(intent, scene) or scene) for scene in starts]

@@ -25,7 +25,7 @@ from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks.registry import VARIANTS
+from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, short_repr
 from magical_mj.utils.settings import check_unchanged
@@ -239,7 +239,7 @@ def parse(line: str | bytes) -> EpisodeResult:
         raise ValueError("its lists are nested too deeply") from None
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from None
-    check_name("variant", result.variant, VARIANTS)
+    check_name("variant", result.variant, EVERY_VARIANT)
     texts = {name: value for name, value in values.items() if isinstance(value, str) and name != "failure"}
     if not "".join(texts.values()).isprintable():
         name = next(name for name, text in texts.items() if not text.isprintable())

@@ -18,7 +18,7 @@ BITS: Final = 22.0
 SIMPLEST: Final = 500
 """The number of the simplest remaining rivals that count in a choice."""
 CANDIDATES: Final = 12
-"""The number of scenes from which each is chosen."""
+"""The number of scenes that are compared for each choice."""
 
 
 def demo_scenes(intent: Intent, rng: np.random.Generator, number: int, *, contrasting: bool) -> tuple[Scene, ...]:

@@ -1,7 +1,7 @@
-"""Places: by how much a relation holds for a block, or for the robot, at each of some positions.
+"""Slack: by how much a relation holds for a block, or for the robot, at each of some positions.
 
-The slack is the distance (world units) by which the relation holds there; below 0 it does not hold. Plans use it to
-choose positions with a margin. Relations of several blocks, `line` and `clustered`, have none.
+The slack is a distance (world units). Below 0, the relation does not hold. Plans use it to choose positions with a
+margin. The relations `line` and `clustered` have no slack, since they depend on the positions of several blocks.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def slack_of(conjunct: Conjunct, initial: Scene, block: int | None, chosen: Sequ
 
     Args:
         conjunct: one with a slack.
-        initial: the scene in which the episode began.
+        initial: the initial scene of the episode.
         block: the block's index; None for the robot.
         chosen: the blocks that the conjunct is about.
     """
@@ -87,4 +87,4 @@ def _depth(region: GoalRegion, places: Floats) -> Floats:
 
 
 ARRANGED: Final = ("line", "clustered")
-"""The relations without a slack, for which a plan arranges several blocks at once."""
+"""The relations without a slack. A plan arranges their blocks together."""

@@ -1,8 +1,8 @@
-"""Plans of intents: positions of blocks and of the robot at which every relation holds with a margin.
+"""Plans of intents: positions of blocks and of the robot that satisfy all relations with a margin.
 
-Each block that has to move gets the cheapest free position at which all relations about it hold. Where a choice exists,
-as with "any" and "exactly", the cheapest block is chosen. Lines and clusters follow, with the blocks that other
-relations are about left in place if possible. The robot moves last.
+Each block that has to move gets the cheapest free position that satisfies all relations about it. If any of several
+blocks may move, as with "any" and "exactly", the cheapest does. Lines and clusters follow. They leave blocks in place
+that are also part of other relations, if possible. The robot moves last.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from magical_mj.tasks.planning import (
 )
 
 MARGINS: Final = (0.09, 0.06, 0.03)
-"""The slack of a position (world units): the largest for which there is one."""
+"""The wanted slacks of positions (world units), the best first."""
 TOLERANCE: Final = 0.07
 """A block this near to its position (world units) has reached it; or nearer, if the margin is smaller."""
 ROBOT_MARGIN: Final = 0.04
@@ -50,7 +50,7 @@ CLEAR: Final = 0.34
 ROBOT_LIMIT: Final = 0.78
 """The robot drives to positions within this square (half side)."""
 TRIES: Final = 4
-"""The number of plans from which the first that satisfies the intent is taken."""
+"""The number of attempts to find a plan that satisfies the intent."""
 TOUCHING: Final = 0.25
 """Moved blocks whose centres are nearer would overlap."""
 
@@ -134,7 +134,7 @@ class _Attempt:
         return [(conjunct, blocks) for conjunct, blocks in self._conjuncts if conjunct.relation in relations]
 
     def _about(self, conjunct: Conjunct, blocks: Sequence[int]) -> list[int]:
-        """The blocks for which the conjunct says something."""
+        """The blocks that the conjunct can judge."""
         each = RELATIONS[conjunct.relation].each
         if each is None:
             return list(blocks)
@@ -146,7 +146,7 @@ class _Attempt:
             self._wants[index].append(slack_of(conjunct, self._initial, index, blocks))
 
     def _cheapest(self, conjunct: Conjunct, blocks: Sequence[int], number: int) -> list[int]:
-        """The blocks for which the conjunct is satisfied at the least cost."""
+        """The blocks that satisfy the conjunct at the least cost."""
         costs = {
             index: self._cost(index, [*self._wants[index], slack_of(conjunct, self._initial, index, blocks)])
             for index in blocks
@@ -160,7 +160,7 @@ class _Attempt:
         return math.inf if choice is None else FETCHING + choice.cost
 
     def _place(self) -> None:
-        """Moves the blocks whose relations do not hold, first those to which others are near."""
+        """Moves each block with a relation that does not hold. The references of `near` come first."""
         for index in self._order:
             wants = self._wants[index]
             if not wants or _slack(wants, self._after, _point(self._after, index)) >= 0:
@@ -174,7 +174,7 @@ class _Attempt:
         self._after = scene_after(self._now, self._targets.values())
 
     def _choice(self, index: int, wants: Sequence[Slack]) -> _Choice | None:
-        """The cheapest position of a block at which its relations hold, with the largest possible margin."""
+        """The cheapest position of a block that satisfies its relations, with the largest possible margin."""
         places = np.concatenate([_places(self._now.regions), [self._initial.blocks[index].pose[:2]]])
         slack = _slack(wants, self._after, places)
         for margin in MARGINS:

@@ -1,4 +1,4 @@
-"""Scenes of intents: demo scenes, the rules by which variants vary them, and which scenes an episode can start in.
+"""Scenes of intents: demo scenes, the rules that variants use, and the conditions on initial scenes.
 
 A demo scene is proposed with the blocks that the intent names, and others, until an episode can start there: each
 relation is about something, the intent is not satisfied or nearly so, and its plan satisfies it. Variants draw
@@ -32,7 +32,7 @@ Rule = Callable[[Intent, np.random.Generator, Scene], Scene]
 PROPOSALS: Final = 2_000
 """The number of demo scenes that are proposed for an intent."""
 PLANS: Final = 100
-"""The number of them in which plans may fail."""
+"""The number of proposals after which the search ends, if no plan satisfies the intent in them."""
 NEARLY: Final = 0.5
 """An episode does not start in a scene with this share of the intent or more."""
 REDRAWS: Final = 2_000
@@ -42,13 +42,13 @@ LAYOUTS: Final = 300
 BLOCKS: Final = (3, 6)
 """The least and greatest number of blocks in demo scenes; one more of each for clusters."""
 MORE: Final = 2
-"""The number of blocks by which other scenes exceed the demo scene at most."""
+"""The most blocks that `count_rule` adds."""
 REGIONS: Final = (2, 3)
 """The numbers of regions for intents about several regions."""
 INNER_MARGIN: Final = 0.06
 """See `VariationRules.inner_margin`."""
 OUTSIDE: Final = tuple(itertools.product((-0.85, -0.3, 0.3, 0.85), (-0.85, 0.85)))
-"""Where blocks are proposed outside the regions; placement moves them."""
+"""Proposed positions of blocks outside the regions. Placement moves the blocks."""
 
 
 def size_of(number: int) -> tuple[float, float]:
@@ -236,6 +236,6 @@ def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule
 
 
 def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:
-    """The first drawn scene in which the intent means something, or the scene itself."""
+    """The first draw that gives every relation something to be about. Without one, the scene itself."""
     draws = (draw(number / REDRAWS) for number in range(REDRAWS))
     return next((drawn for drawn in draws if intent.grounded(drawn)), scene)

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj.intents.contrast import demo_scenes
+from magical_mj.intents.diagnose import diagnosis
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
 from magical_mj.intents.scenes import (
@@ -54,7 +55,7 @@ class Task:
     contrasting: bool = False
 
     def __str__(self) -> str:
-        """The canonical text, in which settings are left out that have their defaults."""
+        """The canonical text. It omits settings with their default values."""
         settings = [f"seed={self.seed}"] * (self.seed != 0) + [f"demos={self.demos}"] * (self.demos != 1)
         settings += ["contrasting"] * self.contrasting
         return f"{self.intent} [{', '.join(settings)}]" if settings else str(self.intent)
@@ -120,6 +121,7 @@ def spec_of(task: Task) -> TaskSpec:
         colour=partial(colours_rule, intent),
         shape=partial(shapes_rule, intent),
         count=partial(count_rule, intent),
+        diagnose=partial(diagnosis, intent),
         region_size=size_of(regions),
         inner_margin=INNER_MARGIN if regions else 0.0,
     )

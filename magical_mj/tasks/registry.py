@@ -42,8 +42,8 @@ from magical_mj.utils.imports import (
     with_location,
 )
 from magical_mj.utils.plugins import announced, imported, reference_of
+from magical_mj.variants import OTHER_VARIANTS, Axis, variants_of, varied_axes, vary
 from magical_mj.variants import VARIANTS as _VARIANTS
-from magical_mj.variants import Axis, variants_of, varied_axes, vary
 from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
 
@@ -55,6 +55,9 @@ TASKS: Final[tuple[str, ...]] = tuple(SPECS)
 
 VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
 """The variants: Demo, then the paper's test variants in its order."""
+
+EVERY_VARIANT: Final[tuple[str, ...]] = (*VARIANTS, *OTHER_VARIANTS)
+"""The variants, and those beyond the paper's, which some tasks have."""
 
 Pair = tuple[str, str]
 """A task and a variant, which name an environment."""
@@ -148,8 +151,8 @@ def variant_name(variant: str) -> str:
         UnknownNameError: if the variant does not exist.
     """
     name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else ""
-    if name not in VARIANTS:
-        raise unknown_name("variant", variant, VARIANTS)
+    if name not in EVERY_VARIANT:
+        raise unknown_name("variant", variant, EVERY_VARIANT)
     return name
 
 

@@ -1,6 +1,7 @@
 """Variants: the axes that each one varies, and the functions that make its scenes from the demo scene."""
 
 from magical_mj.variants.rules import (
+    OTHER_VARIANTS,
     VARIANTS,
     Axis,
     VariationRules,
@@ -11,6 +12,7 @@ from magical_mj.variants.rules import (
 )
 
 __all__ = [
+    "OTHER_VARIANTS",
     "VARIANTS",
     "Axis",
     "VariationRules",

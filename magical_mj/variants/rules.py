@@ -26,7 +26,7 @@ from magical_mj.utils.errors import (
 )
 from magical_mj.variants.placement import contact, jitter, layout
 
-Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
+Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics", "diagnose"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
 """An axis's index in this tuple selects its random generator: append new axes, never insert or reorder any."""
 
@@ -43,6 +43,9 @@ VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
     }
 )
 """The axes of each variant. In All, a task leaves out axes that it does not support, and jitter if it has layout."""
+
+OTHER_VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType({"Diagnose": ("diagnose",)})
+"""Variants beyond the paper's. They must be named, since "all" means those of `VARIANTS`."""
 
 AxisRule = Callable[[np.random.Generator, Scene], Scene]
 """Draws one attribute of a scene: its colours, its shapes or its counts.
@@ -95,6 +98,8 @@ class VariationRules:
     colour: AxisRule | None = None
     shape: AxisRule | None = None
     count: AxisRule | None = None
+    diagnose: AxisRule | None = None
+    """Draws a whole scene of the variant Diagnose, in which other readings of the demonstrations are wrong."""
     jitter: bool = True
     """Whether poses may change a little."""
     layout: bool | AxisRule = True
@@ -120,7 +125,7 @@ class VariationRules:
         forces = isinstance(self.drive_forces, tuple) and len(self.drive_forces) == 2
         self._require("drive_forces", forces and 0 < self.drive_forces[0] <= self.drive_forces[1], "a range above 0")
         self._require("check", callable(self.check), "a function")
-        for axis in ("colour", "shape", "count"):
+        for axis in ("colour", "shape", "count", "diagnose"):
             rule = getattr(self, axis)
             self._require(axis, rule is None or callable(rule), "a function, or None")
         if self.count is not None and not self.layout:
@@ -171,9 +176,10 @@ def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
 
 
 def variants_of(rules: VariationRules) -> tuple[str, ...]:
-    """The variants of a task: All, and those with only axes that the task supports."""
+    """The variants of a task: All, those with only axes that the task supports, and then `OTHER_VARIANTS`."""
     supported = set(supported_axes(rules))
-    return tuple(name for name, axes in VARIANTS.items() if name == "All" or supported.issuperset(axes))
+    every = (VARIANTS | OTHER_VARIANTS).items()
+    return tuple(name for name, axes in every if name == "All" or supported.issuperset(axes))
 
 
 def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
@@ -182,18 +188,19 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
     Raises:
         UnknownNameError: if the variant is unknown, or this task does not have it.
     """
-    check_name("variant", variant, VARIANTS)
+    every = VARIANTS | OTHER_VARIANTS
+    check_name("variant", variant, every)
     supported = supported_axes(rules)
     if variant == "All":
         left_out = "jitter" if "layout" in supported else None
         return tuple(axis for axis in VARIANTS["All"] if axis in supported and axis != left_out)
-    missing = [axis for axis in VARIANTS[variant] if axis not in supported]
+    missing = [axis for axis in every[variant] if axis not in supported]
     if missing:
         raise UnknownNameError(
             f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "
             f"It has: {', '.join(variants_of(rules))}"
         )
-    return VARIANTS[variant]
+    return every[variant]
 
 
 def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
@@ -238,6 +245,8 @@ def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.G
         scene = draw_shapes(rules, "shape", rngs["shape"], scene)
     if dynamics is not None and scene.dynamics == rules.demo.dynamics:
         scene = replace(scene, dynamics=dynamics)  # lost if a rule made a new scene instead of changing its argument
+    if "diagnose" in rngs:
+        return _draw(rules, "diagnose", rngs["diagnose"], scene)
     if "jitter" in rngs:
         scene = jitter(scene, rngs["jitter"], rules.region_size)
     if "layout" in rngs:

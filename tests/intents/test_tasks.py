@@ -10,11 +10,12 @@ import pytest
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.intents import parse, rivals
+from magical_mj.intents.diagnose import refutes, simplest_rivals
 from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
 from magical_mj.policies.expert import Expert
 from magical_mj.tasks.registry import code_digest, environments, sample_scene, task_name, task_spec
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import IntentError, UnknownNameError
 from magical_mj.variants import variants_of
 
 NAME = "intent:in(colour=red, region)"
@@ -77,7 +78,7 @@ def test_an_intent_that_no_scene_satisfies_says_why() -> None:
 def test_scenes_of_all_variants_are_unsatisfied_and_solvable_and_an_expert_solves_them(text: str) -> None:
     intent = parse(text)
     spec = intent.spec()
-    assert variants_of(spec) == magical_mj.VARIANTS
+    assert variants_of(spec) == (*magical_mj.VARIANTS, "Diagnose")
     for variant in magical_mj.VARIANTS:
         scene = sample_scene(f"intent:{text}", variant, 0)
         assert accepts(intent, scene), variant
@@ -101,6 +102,24 @@ def test_contrasting_demo_scenes_refute_more_rivals_than_others(text: str) -> No
         assert intent in found
         left.append(len(found))
     assert left[1] < left[0] / 3
+
+
+def test_scenes_of_diagnose_refute_the_simplest_rivals() -> None:
+    """In each scene, a plan of one of the rivals satisfies the rival and not the intent; a plan of the intent does."""
+    intent = parse("in(colour=red, region)")
+    name, spec = f"intent:{intent}", intent.spec()
+    simplest = simplest_rivals(intent, spec.demo)
+    assert len(simplest) == 10
+    assert set(simplest) <= set(rivals([(spec.demo, solved(intent, spec.demo) or spec.demo)]))
+    scenes = [sample_scene(name, "Diagnose", seed) for seed in range(30)]
+    refuted = [[refutes(intent, rival, scene) for rival in simplest] for scene in scenes]
+    assert all(any(flags) for flags in refuted)
+    assert all(any(flags[number] for flags in refuted) for number in range(10))
+    assert all(accepts(intent, scene) for scene in scenes)
+    assert environments(name, "Diagnose,All") == [(name, "All"), (name, "Diagnose")]
+    assert "Diagnose" not in dict(environments(name)).values()
+    with pytest.raises(UnknownNameError, match="its diagnose cannot vary"):
+        sample_scene("FindDupe", "Diagnose", 0)
 
 
 def test_colours_and_shapes_vary_where_the_sentence_keeps_its_meaning() -> None:

@@ -33,7 +33,7 @@ from magical_mj.evaluation.reports.tables import (
 )
 from magical_mj.evaluation.scores import EpisodeResult, folders_of
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
+from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import EvaluationError, counted
@@ -259,17 +259,18 @@ def heat_map(results: Results) -> Figure:
 
 def _panel(axes: Axes, results: Results, policy: str) -> Any:
     environments, tasks = results.environments[results.environments["policy"] == policy], results.tasks
-    scores = np.full((len(tasks), len(VARIANTS)), np.nan)
+    variants = results.shown_variants
+    scores = np.full((len(tasks), len(variants)), np.nan)
     for row in environments.itertuples():
-        scores[tasks.index(str(row.task)), VARIANTS.index(str(row.variant))] = row.mean
+        scores[tasks.index(str(row.task)), variants.index(str(row.variant))] = row.mean
     image = axes.imshow(scores, vmin=0, vmax=1, cmap="Blues", aspect="auto")
     for (y, x), score in np.ndenumerate(scores):
         if not np.isnan(score):
             text, colour = f"{score:.2f}", "white" if score > DARK else "black"
         else:
-            text, colour = "?" if (tasks[y], VARIANTS[x]) in ENVIRONMENTS else "", "black"
+            text, colour = "?" if (tasks[y], variants[x]) in ENVIRONMENTS else "", "black"
         axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour)
-    axes.set_xticks(range(len(VARIANTS)), VARIANTS, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
+    axes.set_xticks(range(len(variants)), variants, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
     axes.set_yticks(range(len(tasks)), map(escape.mathtext, tasks), fontsize=9)
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
@@ -311,13 +312,14 @@ def _write_below(figure: Figure, *lines: str) -> None:
 def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) -> None:
     from matplotlib import colormaps
 
-    colours = [DEMO_COLOUR, *colormaps["YlGnBu"](np.linspace(0.75, 0.25, len(VARIANTS) - 1))]
-    width = 0.85 / len(VARIANTS)
-    for index, (variant, colour) in enumerate(zip(VARIANTS, colours, strict=True)):
+    variants = results.shown_variants
+    colours = [DEMO_COLOUR, *colormaps["YlGnBu"](np.linspace(0.75, 0.25, len(variants) - 1))]
+    width = 0.85 / len(variants)
+    for index, (variant, colour) in enumerate(zip(variants, colours, strict=True)):
         rows = results.variants[results.variants["variant"] == variant].set_index("policy").reindex(policies)
         means, low, high = (rows[name].to_numpy(float) for name in ("mean", "low", "high"))
         ends = np.stack([means - low, high - means]).clip(min=0)
-        centres = np.arange(len(policies)) + (index - (len(VARIANTS) - 1) / 2) * width
+        centres = np.arange(len(policies)) + (index - (len(variants) - 1) / 2) * width
         drawn = axes.bar(centres, means, width * 0.92, color=colour, label=variant)
         for bar, end, row in zip(drawn, ends[1], rows.itertuples(), strict=True):
             if isinstance(row.missing, str) and row.missing:

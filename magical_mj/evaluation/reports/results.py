@@ -21,7 +21,7 @@ from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.provenance import Provenance, provenance
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in, recorded_settings
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, in_order
+from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS, VARIANTS, Pair, in_order
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from magical_mj.utils.extras import check_extra
@@ -91,6 +91,12 @@ class Results:
         for policy in self.policies:
             groups.setdefault(what.get(policy, ""), []).append(policy)
         return dict(sorted(groups.items()))
+
+    @property
+    def shown_variants(self) -> tuple[str, ...]:
+        """The variants in tables and figures: the paper's, and others with results."""
+        played = set(self.environments["variant"])
+        return tuple(name for name in EVERY_VARIANT if name in VARIANTS or name in played)
 
     @property
     def tasks(self) -> list[str]:
@@ -280,7 +286,8 @@ def expected_environments(environments: pd.DataFrame) -> list[Pair]:
 
 def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
     """In the order of policies, tasks and variants."""
-    ranks = {"policy": policies, "task": in_order(table["task"]) if "task" in table else (), "variant": VARIANTS}
+    ranks = {"policy": policies, "task": in_order(table["task"]) if "task" in table else ()}
+    ranks["variant"] = EVERY_VARIANT
     keys = [name for name in ranks if name in table]
     return table.sort_values(keys, key=lambda column: column.map(list(ranks[column.name]).index), ignore_index=True)
 
@@ -381,7 +388,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     if paired.empty:
         raise EvaluationError(f"{first} and {second} have no scene in common")
     groups = sorted(
-        set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", VARIANTS.index(pair[0]), pair[1])
+        set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", EVERY_VARIANT.index(pair[0]), pair[1])
     )
     rows = [_comparison(" ".join(filter(None, pair)), both.loc[pair], paired.loc[pair]) for pair in groups]
     if "" in paired.index.get_level_values("shift"):

@@ -20,7 +20,7 @@ from magical_mj.evaluation.reports.results import (
 from magical_mj.evaluation.reports.statistics import area, curve, half_lost
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.utils import escape
 from magical_mj.utils.errors import counted
 
@@ -73,7 +73,7 @@ def result_tables(results: Results) -> list[Table]:
     """The paper's Table 1, the interquartile means, and the table of all environments."""
     tasks = counted_tasks(results.scores["task"].cat.categories)
     over = "all tasks" if len(tasks) > 1 and set(tasks) & set(TASKS) else " and ".join(tasks)
-    header = ("Method", *VARIANTS)
+    header = ("Method", *results.shown_variants)
     spread = Table(
         "variants",
         f"Mean score over {over}, ± standard deviation of the run means over tasks and runs",
@@ -127,7 +127,7 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
     for policy in (policy for policy in results.policies if policy in cells):
         by_variant = cells[policy]
         method = marked(policy, next(iter(by_variant.values())).published)
-        gaps = {variant: "missing" if (task, variant) in ENVIRONMENTS else NONE for variant in VARIANTS}
+        gaps = {variant: "missing" if (task, variant) in ENVIRONMENTS else NONE for variant in results.shown_variants}
         rows.append((method, *(text(by_variant[name]) if name in by_variant else gap for name, gap in gaps.items())))
     return tuple(rows)
 
@@ -177,7 +177,7 @@ def notes(results: Results) -> Iterator[str]:
     if own := [task for task in results.tasks if task not in counted_tasks(played)]:
         yield f"Tasks from outside the benchmark, which the means over tasks do not include: {', '.join(own)}."
     expected = {variant for _, variant in expected_environments(results.environments)}
-    existing = [variant for variant in VARIANTS if variant in expected]
+    existing = [variant for variant in results.shown_variants if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
         yield from (f"{policy}: {gap}." for gap in _gaps(variants, existing))
     yield from _unfinished(results.provenance.gaps)

@@ -1,0 +1,74 @@
+"""The variant Diagnose: scenes in which to pursue a rival of the intent does not satisfy the intent.
+
+The rivals are the simplest ones that the first demo scene leaves. A plan of the rival proves each scene: its end
+satisfies the rival, but not the intent. So a policy that learnt the rival fails there.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import islice
+from typing import Final
+
+import numpy as np
+
+from magical_mj.intents.ambiguity import rivals
+from magical_mj.intents.intent import Intent
+from magical_mj.intents.plans import solved
+from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
+from magical_mj.scene import Scene
+from magical_mj.tasks.rules import shuffled
+from magical_mj.utils.errors import PlacementError
+
+BITS: Final = 24.0
+"""The longest rivals."""
+RIVALS: Final = 10
+"""The number of rivals."""
+CHECKED: Final = 60
+"""The number of the simplest rivals among which they are, if so many can be refuted."""
+SCENES: Final = 10
+"""The number of scenes that show whether a rival can be refuted."""
+DRAWS: Final = 100
+"""The number of scenes that are drawn for a rival before another one is tried."""
+
+
+def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene) -> Scene:
+    """A scene that refutes one of the simplest rivals, all equally likely.
+
+    Args:
+        intent: the intent.
+        rng: the random generator.
+        demo: the first demo scene, perhaps with another body of the robot.
+
+    Raises:
+        PlacementError: if no rival is refuted.
+    """
+    for rival in shuffled(rng, simplest_rivals(intent, demo)):
+        for _ in range(DRAWS):
+            scene = _redrawn(intent, rng, demo)
+            if refutes(intent, rival, scene):
+                return scene
+    raise PlacementError(f"found no scene that refutes a rival of the intent {intent}")
+
+
+@lru_cache(maxsize=512)
+def simplest_rivals(intent: Intent, demo: Scene) -> tuple[Intent, ...]:
+    """The simplest rivals that a demonstration in the demo scene leaves, as far as scenes can refute them."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    scenes = [_redrawn(intent, rng, demo) for _ in range(SCENES)]
+    found = rivals([(demo, solved(intent, demo) or demo)], BITS)[:CHECKED]
+    refuted = (rival for rival in found if any(refutes(intent, rival, scene) for scene in scenes))
+    return tuple(islice(refuted, RIVALS))
+
+
+def refutes(intent: Intent, rival: Intent, scene: Scene) -> bool:
+    """Whether a plan of the rival satisfies it in a scene, but not the intent."""
+    if not rival.grounded(scene) or rival.holds(scene, scene):
+        return False
+    end = solved(rival, scene)
+    return end is not None and not intent.holds(scene, end)
+
+
+def _redrawn(intent: Intent, rng: np.random.Generator, demo: Scene) -> Scene:
+    """A scene with other blocks, colours, shapes and poses."""
+    return redrawn(intent, rng, demo, count_rule, colours_rule, shapes_rule)
