@@ -25,7 +25,9 @@ from magical_mj.leaderboard.standings import own_standings
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
-PAGES = "".join((ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in ("environments", "demonstrations"))
+PAGES = "".join(
+    (ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in ("environments", "demonstrations", "rewards")
+)
 LEARNERS = TEXT.partition("\n## Learners\n")[2].partition("\n## ")[0]
 PYTHON = re.findall(r"```python\n(.*?)```", LEARNERS + PAGES, re.DOTALL)
 

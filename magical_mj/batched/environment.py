@@ -79,6 +79,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             names = " or ".join(f"gymnasium.vector.{mode}" for mode in MODES)
             raise SettingsError(f"autoreset_mode must be {names}, not {short_repr(autoreset_mode)}")
         check_name("reward", reward, REWARDS)
+        if reward == "dense":
+            raise SettingsError(
+                "batched worlds have no dense rewards, which need every world's scene at every step: use "
+                'reward="score" here, or gymnasium.make_vec'
+            )
         seed = check_seed(seed)
         self._rules: Rules = check_rules(rules)
         observed = preset_named(preset)

@@ -108,7 +108,7 @@ def generate(
 
     pairs = environments(tasks, variants)
     for task, _ in pairs:
-        task_spec(task).check_body(body)
+        task_spec(task).check_expert_body(body)
         check_physical(shift_label(parse_shifts(shifts, task)))
     label = shift_label(parse_shifts(shifts))
     parts = ("" if body == GRIPPER else body.rpartition(":")[2], label.replace(":", ""))

@@ -49,11 +49,12 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
     Raises:
         UnknownNameError: for an unknown task.
         DemonstrationError: if no demonstrations are found, or a file is damaged.
-        SettingsError: if the task does not offer the body.
+        SettingsError: without a folder, if the expert cannot solve the task with the body.
     """
     task, spec = task_name(task), task_spec(task)
+    if folder is None:
+        spec.check_expert_body(body)
     folder = spec.demonstrations if folder is None else folder
-    spec.check_body(body)
     if folder is None and (demos := load_shipped(task, spec.name if body == GRIPPER else f"{spec.name}-{body}")):
         return demos
     paths = [] if folder is None else files_in(folder, f"{spec.name}-")

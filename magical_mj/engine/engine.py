@@ -15,11 +15,12 @@ from magical_mj.engine.simulation import Simulation, State, check_state
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
-from magical_mj.shifts.registry import Shifts, split_body
+from magical_mj.shifts.registry import Shifts, shift_class, split_body
+from magical_mj.shifts.shift import Shift
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
@@ -44,24 +45,22 @@ class Setup:
     variant: str = "Demo"
     rules: Rules = "paper"
     body: str = GRIPPER
+    speeds: bool = False
+    """Whether vectors of x-magical's speeds are actions, too. They always are in its own task."""
 
     def __post_init__(self) -> None:
         """Checks the names."""
         if self.task is not None:
             object.__setattr__(self, "variant", variant_name(self.variant))
             environment_axes(self.task, self.variant)
-            task_spec(self.task).check_body(self.body)
+            check_body_name(self.body)
+            object.__setattr__(self, "speeds", self.speeds or task_spec(self.task).speeds)
         check_rules(self.rules)
 
     @property
     def horizon(self) -> int | None:
         """The number of actions of an episode; None if it never ends."""
         return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
-
-    @property
-    def speeds(self) -> bool:
-        """Whether actions are x-magical's speeds."""
-        return self.task is not None and task_spec(self.task).speeds
 
     @property
     def trajectory(self) -> bool:
@@ -136,6 +135,18 @@ class Setup:
             raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
         return task_spec(self.task).checked_score(scenes, self.rules)
 
+    @np.errstate(all="ignore")
+    def remaining(self, scenes: Sequence[Scene]) -> float:
+        """What remains to be done in an episode with these scenes, in world units; 0 exactly if its score is 1.
+
+        Raises:
+            InvalidSceneError: without a task.
+            TaskError: if the task has no formula for it.
+        """
+        if self.task is None:
+            raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
+        return task_spec(self.task).remaining(scenes, self.rules)
+
     def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
         """Checks the arguments of a reset.
 
@@ -192,6 +203,7 @@ class Engine:
             (docs/pictures.md).
         shifts: shifts and their strengths, such as ``"camera:3,latency:1"`` or ``{"camera": 3}``; see docs/shifts.md.
         body: the robot's body, see docs/bodies.md.
+        speeds: whether vectors of x-magical's speeds are actions, too (`magical_mj.assets.robot.speed_signal`).
 
     Attributes:
         setup: task, variant, rules and body, and the properties that follow from them.
@@ -208,7 +220,7 @@ class Engine:
         TaskError: if the task of another package is invalid.
         InvalidSceneError: if the scene is illegal or does not belong to the task.
         InvalidSeedError: if the seed is negative or not an integer.
-        SettingsError: if both a scene and a seed are given, or if the task does not support the shifts or the body.
+        SettingsError: if both a scene and a seed are given, or if the task or its actions do not support the shifts.
         ShiftError: if a shift of another package is invalid.
     """
 
@@ -223,10 +235,13 @@ class Engine:
         renderer: str | None = None,
         shifts: Shifts = None,
         body: str = GRIPPER,
+        speeds: bool = False,
     ) -> None:
         task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
         strengths, body = split_body(shifts, task, body)
-        setup = Setup(task, variant, rules, body)
+        setup = Setup(task, variant, rules, body, speeds)
+        if unable := [name for name in strengths if setup.speeds and shift_class(name).action is not Shift.action]:
+            raise SettingsError(f"the shift {unable[0]!r} changes which of the 18 actions is taken, and not speeds")
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
@@ -378,6 +393,15 @@ class Engine:
             InvalidSceneError: without a task.
         """
         return self.setup.score(self.scored_scenes)
+
+    def remaining(self) -> float:
+        """What remains to be done, in world units: 0 exactly if the score is 1. See the task's module.
+
+        Raises:
+            InvalidSceneError: without a task.
+            TaskError: if the task has no formula for it.
+        """
+        return self.setup.remaining(self.scored_scenes)
 
     def state_vector(self) -> NDArray[np.float32]:
         """The state vector, in a fresh array of shape (len(STATE_NAMES),).

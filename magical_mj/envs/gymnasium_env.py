@@ -18,23 +18,24 @@ from numpy.typing import NDArray
 from magical_mj.engine import Engine, State
 from magical_mj.engine.engine import check_goes_on
 from magical_mj.engine.simulation import check_state
+from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
-from magical_mj.envs.wrappers import check_limit, continuous_space
+from magical_mj.envs.wrappers import check_limit, vectors
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, to_discrete
+from magical_mj.scene.actions import ACTIONS, as_speeds, to_discrete
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
 from magical_mj.shifts.episode import Draws
 from magical_mj.shifts.registry import Shifts
-from magical_mj.tasks.registry import TASKS
+from magical_mj.tasks.registry import TASKS, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
 from magical_mj.variants import check_seed
 
-ActionForm = Literal["discrete", "continuous"]
+ActionForm = Literal["discrete", "continuous", "speeds"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
@@ -51,6 +52,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     ## Actions
     `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.scene.actions`. One action lasts 1/8 s. With
     `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.envs.wrappers.ContinuousActions`.
+    With `action="speeds"`, x-magical's vectors: see `magical_mj.envs.xmagical.XMagicalEnv`.
 
     ## Observations
     They depend on the preset (`magical_mj.envs.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
@@ -60,7 +62,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
     `reset(options={"scene": scene})` in this `Scene`, which may be given as JSON. `reset(options={"state": state})`
     continues from a result of `get_state()`. An episode is truncated at the task's horizon and never terminates. The
-    reward is 0. At the last step, `info["eval_score"]` is the score in [0, 1], and `info["is_success"]` is whether it
+    reward is 0, unless `reward` says otherwise. At the last step, `info["eval_score"]` is the score in [0, 1], and `info["is_success"]` is whether it
     is 1. Before, `eval_score` is 0.0.
 
     Args:
@@ -68,13 +70,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         variant: one of `magical_mj.VARIANTS`.
         preset: one of `magical_mj.envs.presets.PRESETS`.
         image_size: side of the pictures in pixels, instead of the preset's.
-        reward: "none", or "score" for the score as reward at the last step.
+        reward: "none"; "score", the score at the last step; or "dense", at each step the decrease of the remaining
+            distance, and the score at the last step (docs/rewards.md).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
-        action: "discrete" or "continuous".
+        action: "discrete", "continuous" or "speeds".
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or the first that works
             (docs/pictures.md).
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
-        body: the robot's body, one that the task supports; see docs/bodies.md.
+        body: the robot's body; see docs/bodies.md.
         instruction: adds the sentence that describes the task to infos, as `info["instruction"]`, and to observations
             that are dicts. If a shift changes the sentence, infos contain it in any case.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
@@ -87,6 +90,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
 
+    @with_old_names
     def __init__(
         self,
         task: str,
@@ -118,13 +122,17 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         size = self._preset.image_size if image_size is None else check_size(image_size)
         self._stacks = Stacks(self._preset, size)
         check_name("reward", reward, REWARDS)
+        task_spec(task).check_reward(reward)
         self.reward: Reward = reward
-        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts, body=body)
+        self._remaining = 0.0  # before the last step, for dense rewards
+        world: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
+        self._engine = Engine(task, variant, seed=0, speeds=action == "speeds", **world)
         self._limit = self._engine.setup.horizon or 0
         if limit is not None:
             self.limit = limit
-        self._continuous = action == "continuous"
-        self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
+        self._action: ActionForm = action
+        self._action_size = 3 if action == "continuous" or self._engine.simulation.scene_model.has_fingers else 2
+        self.action_space = spaces.Discrete(len(ACTIONS)) if action == "discrete" else vectors(self._action_size)
         self._instruction = instruction
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
@@ -176,6 +184,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now."""
         return self._engine.score()
+
+    def score_on_end_of_traj(self) -> float:
+        """The original's and x-magical's name of `score`, deprecated."""
+        warnings.warn("score_on_end_of_traj() is deprecated: call score()", FutureWarning, stacklevel=2)
+        return self.score()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -279,13 +292,17 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return observation, *self.outcome(last=last)
 
     def to_action(self, action: Any) -> Any:
-        """Converts an action for the engine. Raises `InvalidActionError` if continuous actions are invalid."""
-        return to_discrete(action) if self._continuous else action
+        """Converts an action for the engine. Raises `InvalidActionError` if vectors are invalid."""
+        if self._action == "speeds":
+            return as_speeds(action, self._action_size)
+        return to_discrete(action) if self._action == "continuous" else action
 
     def advance(self, action: Any) -> bool:
         """Simulates a step and updates the frames; see `step`. Returns whether the episode has ended."""
         if not self._begun or self.over:
             raise ResetNeeded("the episode has ended: call reset() before the next step")
+        if self.reward == "dense":
+            self._remaining = self._engine.remaining()
         over = self._engine.step(action)
         self._fresh_seed = None
         self._stacks.push(self._draw)
@@ -299,7 +316,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated (always False), truncated and info of a step."""
         info = self._info(last=last)
-        return float(info["eval_score"]) if self.reward == "score" else 0.0, False, last, info
+        reward = 0.0 if self.reward == "none" else float(info["eval_score"])
+        if self.reward == "dense":
+            reward += self._remaining - self._engine.remaining()
+        return reward, False, last, info
 
     def render(self) -> Images | None:
         """The picture of `render_view`, shape (size, size, 3), "both": twice as wide; None without a `render_mode`."""

@@ -3,6 +3,8 @@
 Tasks of installed plug-ins have ids of the same form. Their modules import this package, so registration cannot import
 them. Therefore all eight variants get ids, and making a variant that the task does not have raises an error. The ids of
 a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
+
+With x-magical's bodies: ``magical_mj/<Task>-<Body>-<State|Pixels>-<Allo|Ego>-<Demo|TestX>-v0``; see `suite_id`.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ import gymnasium
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.tasks import SUITES
+from magical_mj.scene.bodies import BODIES
+from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import (
     ENVIRONMENTS,
     VARIANTS,
@@ -71,29 +74,33 @@ def register_all() -> None:
     _register_xmagical()
 
 
-def suite_id(body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo") -> str:
-    """The id of SweepToTop in the suite xmagical. The arguments are those of `magical_mj.envs.xmagical.XMagicalEnv`."""
+def suite_id(
+    body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo", task: str = "SweepToTop"
+) -> str:
+    """The id of a task with one of x-magical's bodies. The arguments are those of `magical_mj.envs.xmagical.SpeedsEnv`."""
     test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
-    return f"magical_mj/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
+    return f"magical_mj/{task}-{body.capitalize()}-{observation}-{view}-{test}-v0"
 
 
 def suite_ids(variant: str) -> list[str]:
     """The ids of SweepToTop in the suite xmagical with this variant."""
-    bodies = SUITES["xmagical"]["SweepToTop"].bodies
-    return [suite_id(*parts) for parts in itertools.product(bodies, (variant,), ("State", "Pixels"), ("Allo", "Ego"))]
+    return [suite_id(*parts) for parts in itertools.product(BODIES, (variant,), ("State", "Pixels"), ("Allo", "Ego"))]
 
 
 def _register_xmagical() -> None:
-    """Registers the 96 ids of the suite xmagical."""
-    spec = SUITES["xmagical"]["SweepToTop"]
-    for body, observation, view in itertools.product(spec.bodies, ("State", "Pixels"), ("Allo", "Ego")):
+    """Registers the 96 ids of the suite xmagical, and the ids of all other tasks with its bodies."""
+    for spec, body, observation, view in itertools.product(
+        KNOWN.values(), BODIES, ("State", "Pixels"), ("Allo", "Ego")
+    ):
+        own = spec.speeds
         for variant in variants_of(spec):
-            id_ = suite_id(body, variant, observation, view)
+            id_ = suite_id(body, variant, observation, view, spec.name)
+            kwargs = {"body": body, "variant": variant, "observation": observation, "view": view}
             gymnasium.registry[id_] = EnvSpec(
                 id_,
-                entry_point="magical_mj.envs.xmagical:XMagicalEnv",
-                vector_entry_point="magical_mj.envs.xmagical:make_suite_worlds",
-                kwargs={"body": body, "variant": variant, "observation": observation, "view": view},
+                entry_point=f"magical_mj.envs.xmagical:{'XMagicalEnv' if own else 'SpeedsEnv'}",
+                vector_entry_point=f"magical_mj.envs.xmagical:make_{'suite' if own else 'speed'}_worlds",
+                kwargs=kwargs if own else {"task": spec.name, **kwargs},
                 max_episode_steps=spec.horizon("paper", body),
                 additional_wrappers=AT_THE_END,
             )

@@ -18,9 +18,9 @@ from magical_mj.utils.errors import InvalidActionError, SettingsError, as_intege
 __all__ = ["ContinuousActions", "ScoreAtTheEnd"]
 
 
-def continuous_space() -> spaces.Space[NDArray[np.float32]]:
-    """A new space of the vectors (drive, turn, grip). Spaces have a random generator, so they are not shared."""
-    return spaces.Box(-1.0, 1.0, (3,), np.float32)
+def vectors(size: int = 3) -> spaces.Space[NDArray[np.float32]]:
+    """A new space of actions as vectors. Spaces have a random generator, so they are not shared."""
+    return spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 
 class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], gymnasium.utils.RecordConstructorArgs):
@@ -45,7 +45,7 @@ class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], 
                 f"ContinuousActions wraps environments with the {len(ACTIONS)} discrete actions, not {env.action_space}"
             )
         super().__init__(env)
-        self.action_space = continuous_space()
+        self.action_space = vectors()
 
     def action(self, action: ArrayLike) -> int:
         """The number of the discrete action for a vector."""
@@ -102,8 +102,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if (terminated or truncated) and not self._base.over:  # a wrapper has ended the episode
             score = np.float64(self._base.score())
             info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
-            if getattr(self._base, "reward", "none") == "score":
-                reward = float(score)
+            if getattr(self._base, "reward", "none") != "none":
+                reward = float(reward) + float(score)
         return observation, reward, terminated, truncated, info
 
 

@@ -1,4 +1,4 @@
-"""The suite xmagical: SweepToTop with x-magical's observations, actions and rewards, in Gymnasium's API."""
+"""x-magical's task SweepToTop in Gymnasium's API, and all other tasks with x-magical's bodies and actions."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, Observation
+from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import Preset
 from magical_mj.envs.vector import make_worlds
-from magical_mj.scene.actions import as_speeds
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.spec import Rules
 from magical_mj.tasks.sweep_to_top import REWARDS, SPEC, RewardKind, arrived, dense_reward, original_scene, state_vector
@@ -30,7 +30,66 @@ MAX_SEEDS: Final = 2**32
 """The number of seeds of numpy's `RandomState`, the original's random generator."""
 
 
-class XMagicalEnv(MagicalEnv):
+class SpeedsEnv(MagicalEnv):
+    """A task with one of x-magical's bodies; make it with `gymnasium.make("magical_mj/MatchRegions-Longstick-...")`.
+
+    ## Actions
+    Vectors of speeds, as in `XMagicalEnv`.
+
+    ## Observations
+    "State": the state vector (`magical_mj.observations.STATE_NAMES`). "Pixels": a picture.
+
+    ## Episodes
+    As in `magical_mj.MagicalEnv`.
+
+    Args:
+        task: one of `magical_mj.TASKS`.
+        body: one of `magical_mj.scene.bodies.BODIES`.
+        variant: one of the task's variants.
+        observation: "State" or "Pixels".
+        view: "Allo" or "Ego": of pictures, and of what `render` draws.
+        reward: "sparse", at every step the score if the episode ended now, or "dense", as in `magical_mj.MagicalEnv`.
+        render_view: the view of `render` instead: "ego", "allo", "both" or "scene".
+        settings: others of `magical_mj.MagicalEnv`, such as `image_size`, `rules`, `renderer` and `shifts`.
+    """
+
+    @with_old_names
+    def __init__(
+        self,
+        task: str,
+        body: str = GRIPPER,
+        variant: str = "Demo",
+        observation: ObservationKind = "State",
+        view: View = "Allo",
+        *,
+        reward: RewardKind = "sparse",
+        render_view: str = "",
+        **settings: Any,
+    ) -> None:
+        check_name("kind of observation", observation, OBSERVATIONS)
+        check_name("view", view, get_args(View))
+        check_name("reward", reward, REWARDS)
+        camera = view.lower()
+        super().__init__(
+            task,
+            variant,
+            "State" if observation == "State" else Preset(((camera, 1),), "hwc", IMAGE_SIZE, "one picture"),
+            body=body,
+            reward="none" if reward == "sparse" or task == SPEC.name else "dense",
+            action="speeds",
+            render_view=render_view or camera,
+            **settings,
+        )
+        self.rewards: RewardKind = reward
+
+    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The reward of a step, whether it was the last (never by termination), and the info."""
+        if self.rewards == "dense":
+            return super().outcome(last=last)
+        return self.score(), False, last, self._info(last=last)
+
+
+class XMagicalEnv(SpeedsEnv):
     """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/SweepToTop-...")`.
 
     ## Actions
@@ -63,6 +122,7 @@ class XMagicalEnv(MagicalEnv):
         limit: the number of steps of an episode, if fewer than the horizon.
     """
 
+    @with_old_names
     def __init__(
         self,
         body: str = GRIPPER,
@@ -80,28 +140,23 @@ class XMagicalEnv(MagicalEnv):
         render_size: int = IMAGE_SIZE,
         limit: int | None = None,
     ) -> None:
-        check_name("kind of observation", observation, OBSERVATIONS)
-        check_name("view", view, get_args(View))
-        check_name("reward", reward, REWARDS)
         check_name("kind of seeds", seeds, SEEDS)
-        camera = view.lower()
         super().__init__(
             SPEC.name,
+            body,
             variant,
-            "State" if observation == "State" else Preset(((camera, 1),), "hwc", IMAGE_SIZE, "one picture"),
+            observation,
+            view,
+            reward=reward,
             image_size=image_size,
             rules=rules,
             renderer=renderer,
-            body=body,
             render_mode=render_mode,
-            render_view=render_view or camera,
+            render_view=render_view,
             render_size=render_size,
             limit=limit,
         )
-        self.rewards: RewardKind = reward
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
-        self._size = 3 if self.engine.simulation.scene_model.has_fingers else 2
-        self.action_space = spaces.Box(-1.0, 1.0, (self._size,), np.float32)
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND
             self.observation_space = spaces.Box(-bound, bound, self.state().shape, np.float32)
@@ -128,10 +183,6 @@ class XMagicalEnv(MagicalEnv):
         scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)
         return super().reset(seed=seed, options={**(options or {}), "scene": scene})
 
-    def to_action(self, action: Any) -> NDArray[np.float64]:
-        """The action as an array. Raises `InvalidActionError` if it does not fit this body."""
-        return as_speeds(action, self._size)
-
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated (always False), truncated and info of a step."""
         info = self._info(last=last)
@@ -149,4 +200,5 @@ class XMagicalEnv(MagicalEnv):
 
 
 make_suite_worlds: Final = partial(make_worlds, XMagicalEnv)
-"""The vector entry point of the ids, which `gymnasium.make_vec` calls."""
+make_speed_worlds: Final = partial(make_worlds, SpeedsEnv)
+"""The vector entry points of the ids, which `gymnasium.make_vec` calls."""

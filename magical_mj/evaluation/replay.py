@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
+from magical_mj.scene.bodies import check_body_name
 from magical_mj.shifts.registry import SHIFT_PROTOCOL, named_in, split_body
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.protocol import PROTOCOL
@@ -72,7 +73,8 @@ def obstacle(
         check_named(name, "an episode", trusted)
     try:
         check_rules(episode.rules)
-        task_spec(episode.task).check_body(split_body(episode.shift, episode.task, episode.body)[1])
+        task_spec(episode.task)
+        check_body_name(split_body(episode.shift, episode.task, episode.body)[1])
         code = recorded.get(f"code of {episode.task}")
         if episode.task not in KNOWN and code not in (None, code_digest(episode.task)):
             return f"the code of {episode.task} has changed since it was played"

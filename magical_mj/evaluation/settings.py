@@ -15,7 +15,7 @@ from msgspec import Meta
 from magical_mj._version import __version__
 from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed
 from magical_mj.tasks import KNOWN
@@ -115,7 +115,7 @@ class EvaluationSettings(Settings):
     wrap: Annotated[
         str, Meta(description="A Gymnasium wrapper around the environment, package.module:NAME. Not for batches.")
     ] = ""
-    body: Annotated[str, Meta(description="The robot's body. The tasks must support it. See docs/bodies.md.")] = GRIPPER
+    body: Annotated[str, Meta(description="The robot's body. See docs/bodies.md.")] = GRIPPER
     like: Annotated[str, Meta(description="The task name that policies receive instead of the real one.")] = ""
     demonstrations: Annotated[
         Count | None,
@@ -137,9 +137,9 @@ class EvaluationSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_body_name(self.body)
         for task, _ in self.environments:
             self.shift_labels(task)
-            task_spec(task).check_body(self.body)
         preset_named(self.observed)
         check_backend(self.backend, self.address)
         if self.resume and self.out is None:
@@ -209,12 +209,16 @@ class EvaluationSettings(Settings):
         does not have.
 
         Raises:
-            SettingsError: if an axis is named that one of the policies does not notice.
+            SettingsError: if an axis is named that one of the policies does not notice, or the expert plays with a body
+                with which it cannot solve the task.
         """
         unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
         settings = expand_shifts(self.shifts, task, unnoticed)
         for policy, setting in product(policies, settings):
             check_noticed(setting, policy.name, policy.unnoticed)
+        if any(policy.needs_plan for policy in policies):
+            for body in (self.body, *(str(setting[BODY]) for setting in settings if BODY in setting)):
+                task_spec(task).check_expert_body(body)
         labels = dict.fromkeys(["", *map(shift_label, settings)])
         return [label for label in labels if label != shift_label({BODY: self.body})]
 

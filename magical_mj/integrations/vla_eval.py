@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
 from magical_mj.scene.actions import to_discrete
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import environments, task_spec
@@ -72,7 +72,7 @@ class MagicalBenchmark(StepBenchmark):
         self._size = image_size
         self._shifts, self._body = shifts, body
         for task, _ in self._pairs:
-            task_spec(task).check_body(split_body(shifts, task, body)[1])
+            check_body_name(split_body(shifts, task, body)[1])
         self._env: Engine | None = None
 
     @classmethod

@@ -71,6 +71,7 @@ class Source:
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice.
         shown: whether it receives demonstrations.
+        needs_plan: whether it is an expert, which follows the task's plan.
     """
 
     name: str
@@ -82,6 +83,7 @@ class Source:
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
     shown: bool = False
+    needs_plan: bool = False
 
     def load(self) -> Act:
         """The policy.
@@ -211,6 +213,7 @@ def playable(
                 stacklevel=4,  # the call of `evaluate`
             )
         facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
+        facts["needs_plan"] = getattr(policy, "needs_plan", False)
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
         checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked

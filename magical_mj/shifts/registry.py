@@ -154,10 +154,8 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
     names = (BODY, *SHIFTS, *sorted(strengths.keys() - SHIFTS - {BODY}))
     ordered = {name: strengths[name] for name in names if strengths.get(name)}
     if task is not None:
-        for name, level in ordered.items():
-            if name == BODY:
-                task_spec(task).check_body(str(level))
-            elif problem := shift_class(name).supports(task):
+        for name in ordered:
+            if name != BODY and (problem := shift_class(name).supports(task)):
                 raise SettingsError(f"{task_spec(task).name} cannot have the shift {name!r}: {problem}")
     return ordered
 
@@ -207,7 +205,7 @@ def expand_shifts(
     Args:
         shifts: dicts, or text such as ``"camera:1-5,light,camera:2+latency:1"``. Each item is a shift with a strength,
             with a range of strengths, or alone for the strengths 1 to 5. "+" combines shifts with one strength each.
-            "all" means all built-in shifts at strengths 1 to 5, and "body" all bodies that the task offers.
+            "all" means all built-in shifts at strengths 1 to 5, and "body" all bodies that the expert can use.
         task: the task that gets them. "all" leaves out shifts that it does not support. None: any task.
         unnoticed: effects that a policy cannot notice. "all" leaves out shifts that have no other effect.
 

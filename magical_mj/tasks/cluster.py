@@ -8,6 +8,10 @@ Score
     With this rule, a policy can score without acting: in the ClusterShape demo, 5 of 8 blocks are right at the
     start, a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
 
+Remaining distance
+    The sum over the blocks that are not right of sqrt(3) d - D, plus 0.3, with d and D the distances to the own and to
+    the nearest other centroid. By the released code's rules, of d + 2 d^2 - D. At most 5.2 (19.1) for each block.
+
 Differences from the original
     The released code has its own rule, ramp and horizon (rules="released"). A block is right if d < D - 2 d^2,
     with d and D the distances (not squared) to the own and to the nearest other centroid. The score is 0 up to three
@@ -17,7 +21,7 @@ Differences from the original
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -28,7 +32,16 @@ import numpy as np
 from magical_mj.scene import Block, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, cluster_targets, each_to
-from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
+from magical_mj.tasks.rules import (
+    WRONG,
+    coloured,
+    pick_each,
+    require,
+    require_regions,
+    shaped,
+    shuffled,
+    uniform_integer,
+)
 from magical_mj.tasks.spec import Rules, ScoreFunction, TaskSpec
 
 Attribute = Literal["colour", "shape"]
@@ -82,19 +95,20 @@ def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, flo
     }
 
 
-def right_blocks(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> list[bool]:
-    """For each block whether it is right: see the module's docstring."""
+def _squares(scene: Scene, attribute: Attribute) -> Iterator[tuple[float, float]]:
+    """Each block's squared distances to its own centroid and to the nearest other one."""
     centroids = _centroids(scene, attribute)
-    right = []
     for block in scene.blocks:
         squares = {value: (block.x - x) ** 2 + (block.y - y) ** 2 for value, (x, y) in centroids.items()}
         own = squares.pop(getattr(block, attribute))
-        nearest = min(squares.values())
-        if rules == "released":
-            right.append(math.sqrt(own) < math.sqrt(nearest) - 2 * own)
-        else:
-            right.append(own < nearest / NEARER)
-    return right
+        yield own, min(squares.values())
+
+
+def right_blocks(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> list[bool]:
+    """For each block whether it is right: see the module's docstring."""
+    if rules == "released":
+        return [math.sqrt(own) < math.sqrt(other) - 2 * own for own, other in _squares(scene, attribute)]
+    return [own < other / NEARER for own, other in _squares(scene, attribute)]
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
@@ -102,6 +116,16 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     share = sum(right_blocks(final, attribute, rules)) / len(final.blocks)
     nothing = ZERO_SCORE_SHARE[rules]
     return max(0.0, (share - nothing) / (1 - nothing))
+
+
+def distance(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
+    """By how much blocks that are not right are nearer to another centroid than allowed."""
+    left = 0.0
+    for (own, other), right in zip(_squares(final, attribute), right_blocks(final, attribute, rules), strict=True):
+        if not right:
+            way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
+            left += WRONG + max(way - math.sqrt(other), 0.0)  # rounding could make it negative
+    return left
 
 
 def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:
@@ -120,6 +144,7 @@ def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> 
         steps=STEPS,
         released_steps=RELEASED_STEPS,
         score=score,
+        distance=partial(distance, attribute=attribute),
         check=partial(check, attribute=attribute, task=name),
         plan=partial(plan, attribute=attribute),
         colour=colour,

@@ -14,6 +14,11 @@ Score
     [query in region] x [another block of its shape and colour in region]
     x (1 - distractors in region / blocks in region), where the query counts as a block in the region.
 
+Remaining distance
+    The sum of the ways, from centres to the nearest side (out: one with room between it and the wall), with 0.3 for
+    each term above 0: the query's into the region, the nearest duplicate's into it, and the distractors' out of it.
+    By the released code's rules, those of the two nearest blocks like the query instead. At most 3.1 for each block.
+
 Differences from the original
     The released code accepts any two blocks with the query's attributes, including or without the query
     (rules="released"). This differs only if there are several duplicates. Its Jitter first moves the
@@ -30,7 +35,18 @@ import numpy as np
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, SHAPES
 from magical_mj.tasks.planning import CHOICE, Noise, Subgoal, bring, places_inside, places_outside
-from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, uniform_integer
+from magical_mj.tasks.rules import (
+    coloured,
+    inside,
+    pick,
+    pick_each,
+    require,
+    require_regions,
+    shaped,
+    uniform_integer,
+    way_in,
+    way_out,
+)
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # five distractors, the duplicate, and the query; the rules keep this order
@@ -95,6 +111,17 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return len(alike) / len(inner) if satisfied else 0.0
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The ways of the query and the nearest duplicate into the region, and of distractors out of it."""
+    (region,) = final.regions
+    (query,) = inside(initial.regions[0], initial.blocks)
+    alike = _alike(final, query)
+    ways = sorted(way_in(region, final.blocks[number]) for number in alike - ({query} if rules == "paper" else set()))
+    pair = way_in(region, final.blocks[query]) + ways[0] if rules == "paper" else ways[0] + ways[1]
+    others = (block for number, block in enumerate(final.blocks) if number not in alike)
+    return pair + sum(way_out(region, block, final.half_width) for block in others)
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """Distractors leave the region, the query returns to it if necessary, and a duplicate moves into it."""
     (region,) = now.regions
@@ -119,6 +146,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=100,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     colour=colour,

@@ -12,6 +12,11 @@ What varies
 Score
     1 if the mismatched block is in no region and every other region contains exactly its own block, else 0.
 
+Remaining distance
+    The sum over the blocks, with 0.3 for each term above 0: for the mismatched block, its way out of the region that it
+    is in; for the others, their way into their own region, and out of another one. A way leads from the block's centre
+    to the nearest side; a way out, to one with room between it and the wall. At most 3.1 for each block.
+
 Differences from the original
     The mismatched block's colour is uniform over the three others. The released code never makes it yellow
     in a red or green region, and its draws are also uneven otherwise. Its Jitter first moves the blocks to the middle
@@ -28,7 +33,17 @@ import numpy as np
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside, scene_after
-from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, uniform_integer
+from magical_mj.tasks.rules import (
+    any_shapes,
+    coloured,
+    inside,
+    pick,
+    pick_each,
+    require,
+    uniform_integer,
+    way_in,
+    way_out,
+)
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # block i is that of region i; the third is mismatched
@@ -99,6 +114,19 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return float(odd_block not in now.pop(odd) and now == homes)
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The way of the mismatched block out of all regions, and of the others into their own one."""
+    left = 0.0
+    for region, (home,) in zip(final.regions, _homes(initial), strict=True):
+        odd = initial.blocks[home].colour != region.colour
+        for number, block in enumerate(final.blocks):
+            if number == home and not odd:
+                left += way_in(region, block)
+            elif number == home or not odd:
+                left += way_out(region, block, final.half_width)
+    return left
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The mismatched block leaves all regions, and the others return to their initial positions."""
     todo: list[Subgoal] = []
@@ -120,6 +148,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=60,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     bodies=("gripper", "shortstick", "mediumstick"),

@@ -11,6 +11,11 @@ Score
     it. Split them into runs at gaps of more than 0.42, measured along the line. With m the size of
     the largest run over all pairs and n the number of blocks: 1 if m = n, 0.5 if m = n - 1, else 0.
 
+Remaining distance
+    For the line through a pair of blocks, the sum of how much the others are more than 0.18 off it and the gaps between
+    neighbours are wider than 0.42, with 0.3 for each term above 0. Of all pairs, the least such sum; at most 3.4 for
+    each block.
+
 Differences from the original
     With three blocks, the paper's m = n - 1 = 2 gives 0.5 for any two blocks near each other. The released
     code gives 0 in this case (rules="released"). With four blocks, both agree.
@@ -29,7 +34,7 @@ from numpy.typing import NDArray
 
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks.planning import Noise, Point, Subgoal, each_to, line_targets
-from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
+from magical_mj.tasks.rules import WRONG, any_colours, any_shapes, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -94,6 +99,22 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return 0.5 if in_line == total - 1 else 0.0
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """How far the blocks are from the nearest line through two of them."""
+    points = [(block.x, block.y) for block in final.blocks]
+    least = math.inf
+    for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
+        length = math.hypot(other_x - x, other_y - y)
+        if length > 0.0:
+            along_x, along_y = (other_x - x) / length, (other_y - y) / length
+            offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
+            excess = [abs(along_x * v - along_y * u) - INLIER_DISTANCE for u, v in offsets]
+            along = sorted(along_x * u + along_y * v for u, v in offsets)
+            excess += [there - here - MAX_GAP for here, there in itertools.pairwise(along)]
+            least = min(least, sum(WRONG + each for each in excess if each > 0.0))
+    return least
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """One of the blocks stays, and the others move to positions in a line through it."""
     return each_to(line_targets([(block.x, block.y) for block in now.blocks], are_lines, noise), tolerance=0.07)
@@ -105,6 +126,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=180,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     colour=any_colours,

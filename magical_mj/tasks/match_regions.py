@@ -12,6 +12,10 @@ What varies
 Score
     (targets in region / targets) x (1 - distractors in region / blocks in region); 0 if the region is empty.
 
+Remaining distance
+    The sum of the targets' ways into the region and the distractors' ways out of it, from their centres to the nearest
+    side (out: one with room between it and the wall), with 0.3 for each term above 0. At most 3.1 for each block.
+
 Differences from the original
     None.
 """
@@ -26,7 +30,17 @@ import numpy as np
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, Colour
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside, scene_after
-from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, uniform_integer
+from magical_mj.tasks.rules import (
+    any_shapes,
+    coloured,
+    inside,
+    pick,
+    require,
+    require_regions,
+    uniform_integer,
+    way_in,
+    way_out,
+)
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -90,6 +104,15 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return (inner_targets / sum(is_target)) * (inner_targets / len(inner))
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The ways of targets into the region, and of distractors out of it."""
+    (region,) = final.regions
+    return sum(
+        way_in(region, block) if block.colour == region.colour else way_out(region, block, final.half_width)
+        for block in final.blocks
+    )
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """Targets move into the region and distractors out of it, each to a position that is then free."""
     (region,) = now.regions
@@ -110,6 +133,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=120,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     colour=colour,

@@ -12,6 +12,9 @@ Score
     With d the distance of the block's centre from the corner: 1 for d <= sqrt(2)/2, 0 for d >= sqrt(2),
     linear in between.
 
+Remaining distance
+    With d as above: d - sqrt(2)/2, plus 0.3; 0 for d <= sqrt(2)/2. At most 2.4.
+
 Differences from the original
     None. (The paper's main text mentions the "top left eighth". Its appendix and the released code use the
     quarter disc, as here.)
@@ -24,7 +27,7 @@ from typing import Final
 
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks.planning import TOLERANCE, Noise, Subgoal, bring, places_anywhere
-from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
+from magical_mj.tasks.rules import WRONG, any_colours, any_shapes, require, require_regions
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -50,6 +53,13 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return min(1.0, max(0.0, (ZERO_SCORE_DISTANCE - distance) / (ZERO_SCORE_DISTANCE - FULL_SCORE_DISTANCE)))
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """How much too far the block is from the corner."""
+    (block,) = final.blocks
+    excess = math.hypot(block.x - CORNER[0], block.y - CORNER[1]) - FULL_SCORE_DISTANCE
+    return WRONG + excess if excess > 0.0 else 0.0
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The block moves to the nearest position within the full-score distance of the corner, less a margin."""
     near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
@@ -63,6 +73,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=80,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     colour=any_colours,

@@ -10,6 +10,9 @@ What varies
 Score
     1 if the robot's centre is in the region, borders included, else 0.
 
+Remaining distance
+    That of the robot's centre from the region, plus 0.3; 0 in the region. At most 3.1.
+
 Differences from the original
     None.
 """
@@ -24,7 +27,7 @@ import numpy as np
 from magical_mj.scene import GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, drive, places_inside
-from magical_mj.tasks.rules import pick, require, require_regions
+from magical_mj.tasks.rules import pick, require, require_regions, way_in
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -49,6 +52,11 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return float(final.regions[0].contains(final.robot))
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The robot's way into the region."""
+    return way_in(final.regions[0], final.robot)
+
+
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The robot drives to the nearest position in the region."""
     return [drive(now, places_inside(now.regions[0]), noise, tolerance=0.1)]
@@ -60,6 +68,7 @@ SPEC: Final = TaskSpec(
     demo=DEMO,
     steps=40,
     score=score,
+    distance=distance,
     check=check,
     plan=plan,
     colour=colour,

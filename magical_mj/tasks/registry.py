@@ -18,7 +18,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from magical_mj.scene import Scene, check_scene_type
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import KNOWN, RULES, SPECS, Rules, TaskSpec
 from magical_mj.tasks.languages import canonical_name, in_language, language_spec, languages, members
@@ -247,17 +247,17 @@ def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Sce
     """The initial scene of an episode with this seed. It is the same on every machine and in every process.
 
     Environments are evaluated on the scenes of seeds 0 to 99. For another body of the robot, poses are drawn from the
-    same generators until the body fits.
+    same generators until the body fits; where a variant keeps the demo's poses, the robot is moved aside if necessary.
 
     Raises:
-        SettingsError: if the task does not support this body.
+        InvalidSceneError: if the body does not exist.
         UnknownNameError: if the task or variant does not exist, or the task does not have this variant.
         InvalidSeedError: if the seed is not an integer, or negative. It may have any size.
         PlacementError: if no legal placement was found (not known to happen in the benchmark).
         TaskError: if the task of another package draws an invalid scene, or its code raises an error.
     """
     spec, variant = task_spec(task), variant_name(variant)
-    spec.check_body(body)
+    check_body_name(body)
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
     with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):

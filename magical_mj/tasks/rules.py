@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.scene import Block, GoalRegion, Scene
-from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.constants import ARENA_HALF_WIDTH, BLOCK_SIZE, COLOURS, SHAPES, Colour, Shape
 from magical_mj.utils.errors import InvalidSceneError
 
 _T = TypeVar("_T")
@@ -65,6 +66,36 @@ def any_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
 def inside(region: GoalRegion, blocks: Iterable[Block]) -> list[int]:
     """Indices of the blocks whose centre is in the region, borders included."""
     return [index for index, block in enumerate(blocks) if region.contains(block)]
+
+
+WRONG: Final = 0.3
+"""What everything that is wrong adds to the remaining distance, so that a step over a border counts."""
+
+
+def way_in(region: GoalRegion, item: Robot | Block) -> float:
+    """The distance of a centre from the region, plus `WRONG`; 0 if it is in the region."""
+    if region.contains(item):
+        return 0.0
+    dx = max(region.x_min - item.x, item.x - region.x_max, 0.0)
+    dy = max(region.y_min - item.y, item.y - region.y_max, 0.0)
+    return WRONG + math.hypot(dx, dy)
+
+
+def way_out(region: GoalRegion, item: Robot | Block, half_width: float = ARENA_HALF_WIDTH) -> float:
+    """The distance of a block's centre from the region's nearest side, plus `WRONG`; 0 if it is not in the region.
+
+    Sides count if there is room for a block between them and the wall, at `half_width`.
+    """
+    if not region.contains(item):
+        return 0.0
+    room = half_width - BLOCK_SIZE
+    ways = {
+        item.x - region.x_min: -region.x_min,
+        region.x_max - item.x: region.x_max,
+        item.y - region.y_min: -region.y_min,
+        region.y_max - item.y: region.y_max,
+    }
+    return WRONG + min([way for way, side in ways.items() if side < room] or ways)
 
 
 def require(condition: bool, task: str, need: str) -> None:

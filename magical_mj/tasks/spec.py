@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +21,9 @@ Rules = Literal["paper", "released"]
 """The set of rules for scores and horizons: the paper's appendix, or the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
-Reward = Literal["none", "score"]
-"""The reward of the last step: 0, like all other steps, since the benchmark has no reward; or the score."""
+Reward = Literal["none", "score", "dense"]
+"""0 at all steps, since the benchmark has no reward; the score at the last step; or at every step also the decrease of
+the remaining distance (`TaskSpec.distance`)."""
 REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 _ROUNDING: Final = 1e-9
@@ -34,6 +36,12 @@ PlanOfTrajectory = Callable[[tuple[Scene, ...], Noise], Iterable[Subgoal]]
 
 ScoreFunction = Callable[[Scene, Scene, Rules], float]
 """(initial scene, final scene, rules) -> score in [0, 1]. Both scenes have the same blocks and regions."""
+DistanceFunction = Callable[[Scene, Scene, Rules], float]
+"""(initial scene, current scene, rules) -> what remains to be done, in world units: the sum over everything that is
+wrong of its distance from where it would be right. It is 0 exactly if the score is 1."""
+DistanceOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
+"""The same for tasks with `trajectory=True`: (scenes so far, rules) -> what remains to be done."""
+
 ScoreOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
 """(scenes, rules) -> score in [0, 1], for tasks with `trajectory=True`: the initial scene and those after each step."""
 
@@ -51,10 +59,13 @@ class TaskSpec(VariationRules):
     score: ScoreFunction | ScoreOfTrajectory
     """The score in [0, 1], of the final scene, or of the scenes of all steps."""
     trajectory: bool = False
-    """Whether `score` and `plan` receive the scenes of all steps, instead of the initial and the current one."""
+    """Whether `score`, `distance` and `plan` receive the scenes of all steps, instead of the first and the current."""
+    distance: DistanceFunction | DistanceOfTrajectory | None = None
+    """What remains to be done, for `reward="dense"`. Without it, the task has no dense rewards."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
-    """The bodies of `magical_mj.scene.bodies.BODIES` that can solve the task."""
+    """The bodies of `magical_mj.scene.bodies.BODIES` with which the scripted expert solves the task. Environments take
+    every body."""
     steps_of: tuple[tuple[str, int], ...] = ()
     """Pairs of a body and its horizon, for bodies with other horizons."""
     speeds: bool = False
@@ -75,6 +86,7 @@ class TaskSpec(VariationRules):
         self._require("like", isinstance(self.like, str), "the name of a task")
         self._require("score", callable(self.score), "a function")
         self._require("trajectory", isinstance(self.trajectory, bool), "a bool")
+        self._require("distance", self.distance is None or callable(self.distance), "a function, or None")
         self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
         self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")
         released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
@@ -88,16 +100,16 @@ class TaskSpec(VariationRules):
             return self.released_steps
         return self.steps
 
-    def check_body(self, body: str) -> None:
-        """Raises a `SettingsError` unless the task supports this body. References to users' bodies are not checked.
+    def check_expert_body(self, body: str) -> None:
+        """Raises a `SettingsError` unless the expert solves the task with this body. Users' bodies are not checked.
 
         Raises:
             InvalidSceneError: if the body does not exist.
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"{self.name} is not offered with the body {body!r}, which cannot solve it; it supports "
-                f"{', '.join(self.bodies)} (docs/bodies.md)"
+                f"the expert cannot solve {self.name} with the body {body!r}, so there are no demonstrations; it can "
+                f"with {', '.join(self.bodies)} (docs/bodies.md). Environments take every body, for policies that learn"
             )
 
     def checked_score(self, scenes: Sequence[Scene], rules: Rules) -> float:
@@ -116,6 +128,29 @@ class TaskSpec(VariationRules):
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], but returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
+
+    def check_reward(self, reward: str) -> None:
+        """Raises a `TaskError` if the reward is "dense", for which the task has no formula."""
+        if reward == "dense" and self.distance is None:
+            raise TaskError(
+                f"{self.name} has no dense rewards, which need a formula: add a function `distance` to its TaskSpec "
+                '(docs/adding-a-task.md), or use reward="score"'
+            )
+
+    def remaining(self, scenes: Sequence[Scene], rules: Rules) -> float:
+        """The result of `distance`, which must be a finite number of at least 0. The scenes are those of `score`.
+
+        Raises:
+            TaskError: if the result is not such a number, or `distance` raises an error that is not one of this
+                package's; if there is no such function.
+        """
+        self.check_reward("dense")
+        with errors_of_task(f"{self.name}.distance failed"):
+            function: Any = self.distance
+            left = function(*self._seen(scenes), rules)
+        if not isinstance(left, int | float | np.number) or not 0.0 <= left < math.inf:
+            raise TaskError(f"{self.name}.distance must return a finite number >= 0, but returned {short_repr(left)}")
+        return float(left)
 
     def _seen(self, scenes: Sequence[Scene]) -> tuple[Any, ...]:
         """The scenes as arguments of the task's functions."""

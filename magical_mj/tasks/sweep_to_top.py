@@ -12,6 +12,10 @@ Score
     The share of the debris whose bounding box is in the zone. As a reward, each step has this value ("sparse"), or
     minus the mean distance of the debris to y = 1, where debris above y = 0.88 counts as 0 ("dense").
 
+Remaining distance
+    In environments with the 60 tasks' rewards: the sum over the debris outside the zone of 0.3 and its distance to
+    y = 0.88. At most 2.3 for each piece.
+
 Differences from the original
     None of these. With ``seeds="original"``, environments draw the original's scenes. Ours draw each axis separately.
 """
@@ -31,7 +35,17 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.geometry import block_outline, placed
-from magical_mj.tasks.rules import any_shapes, coloured, pick, pick_each, require, require_regions, shaped, shuffled
+from magical_mj.tasks.rules import (
+    WRONG,
+    any_shapes,
+    coloured,
+    pick,
+    pick_each,
+    require,
+    require_regions,
+    shaped,
+    shuffled,
+)
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 SUITE_PROTOCOL: Final = 1
@@ -100,6 +114,14 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return float(arrived(final).mean())
 
 
+def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The ways of the debris into the zone."""
+    return sum(
+        0.0 if there else WRONG + max(ARRIVED - block.y, 0.0)
+        for block, there in zip(final.blocks, arrived(final), strict=True)
+    )
+
+
 def dense_reward(scene: Scene) -> float:
     """Minus the mean distance of the debris to y = 1, where debris above y = 0.88 counts as 0."""
     ys = np.array([block.y for block in scene.blocks])
@@ -163,6 +185,7 @@ SPEC: Final = TaskSpec(
     steps=100,
     steps_of=(("longstick", 50),),
     score=score,
+    distance=distance,
     check=check,
     jitter=False,
     layout=layout,

@@ -13,6 +13,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -146,6 +147,27 @@ def along(scene: Scene, other: Scene, fraction: float, rng: np.random.Generator)
     poses: dict[Object, Pose] = {region: (*region.centre, 0.0) for region in regions}
     poses |= dict(zip((scene.robot, *scene.blocks), (robot, *blocks), strict=True))
     return _place(scene, regions, lambda item, home: Near(poses[item], home), rng)
+
+
+@lru_cache(maxsize=100)
+def with_room(scene: Scene) -> Scene:
+    """The scene with the robot moved aside if it touches a wall, a block or a region, as a longer body may.
+
+    It is moved by about the smallest distance, which a random search finds that is the same for all seeds.
+
+    Raises:
+        PlacementError: if there is no room for it.
+    """
+    if contact(scene) is None:
+        return scene
+    areas = [region_solid(region) for region in scene.regions if region.border == "dashed"]
+    others = list(solids(scene).values())[1:]
+    rng = np.random.Generator(np.random.PCG64(0))
+    try:
+        pose, _ = _find(scene.robot, Near(scene.robot.pose, None), areas + others, scene.half_width, rng)
+    except _NoRoomError as error:
+        raise PlacementError(f"found no room for {error} in the demo scene: move blocks and regions apart") from None
+    return scene.moved(robot=pose)
 
 
 def contact(scene: Scene, regions: bool = True) -> str | None:

@@ -24,7 +24,7 @@ from magical_mj.utils.errors import (
     check_name,
     short_repr,
 )
-from magical_mj.variants.placement import contact, jitter, layout
+from magical_mj.variants.placement import contact, jitter, layout, with_room
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics", "diagnose"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
@@ -221,6 +221,7 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
     demo = rules.demo if rngs else rules.demos[seed % len(rules.demos)]
     if body != demo.robot.body:
         demo = replace(demo, robot=replace(demo.robot, body=body))
+        demo = demo if "layout" in rngs else with_room(demo)
     for _ in range(MAX_REDRAWS):
         scene = _varied(rules, demo, rngs)
         if not rngs or rules.accepts is None or rules.accepts(scene):

@@ -32,6 +32,7 @@ from magical_mj.utils.errors import (
     SettingsError,
     UntrustedNameError,
 )
+from tests.helpers.commands import Shell
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/SweepToTop-"))
 LONG = "magical_mj/SweepToTop-Longstick-State-Allo-TestLayout-v0"
@@ -138,11 +139,57 @@ def test_what_stores_no_speeds_says_so_of_the_expert() -> None:
         magical_mj.evaluate("expert", tasks="SweepToTop", variants="Demo", episodes=1)
 
 
-def test_every_body_that_is_offered_starts_in_legal_scenes() -> None:
+def test_every_body_starts_in_legal_scenes_of_every_environment() -> None:
+    """Where the demo's poses leave no room for a longer body, it starts in the same pose nearby for all seeds."""
     for task, variant in magical_mj.ENVIRONMENTS:
-        for body in task_spec(task).bodies:
-            for seed in range(3):
-                check_scene(magical_mj.sample_scene(task, variant, seed, body=body))
+        for body in BODIES:
+            scenes = [magical_mj.sample_scene(task, variant, seed, body=body) for seed in range(2)]
+            for scene in scenes:
+                check_scene(scene)
+            demo = task_spec(task).demo
+            if variant in ("Demo", "Colour", "Shape", "Dynamics"):
+                assert scenes[0].robot == scenes[1].robot
+                assert math.dist(scenes[0].robot.pose[:2], demo.robot.pose[:2]) < (0.7 if body == "longstick" else 0.01)
+                assert [block.pose for block in scenes[0].blocks] == [block.pose for block in demo.blocks]
+
+
+@pytest.mark.parametrize(
+    ("task", "body", "variant"), [("MatchRegions", "longstick", "Demo"), ("ClusterShape", "gripper", "All")]
+)
+def test_all_tasks_have_ids_with_bodies_whose_actions_are_speeds(task: str, body: str, variant: str) -> None:
+    test = "Demo" if variant == "Demo" else f"Test{variant}"
+    name = f"magical_mj/{task}-{body.capitalize()}-State-Allo-{test}-v0"
+    env, dense = gymnasium.make(name), gymnasium.make(name, reward="dense")
+    check_env(env.unwrapped, skip_render_check=True)
+    envs = gymnasium.make_vec(name, num_envs=2, vectorization_mode="vector_entry_point")
+    observation, _ = env.reset(seed=4)
+    dense.reset(seed=4)
+    np.testing.assert_array_equal(envs.reset(seed=3)[0][1], observation)
+    scene = magical_mj.sample_scene(task, variant, 4, body)
+    assert env.unwrapped.initial_scene == scene  # type: ignore[attr-defined]
+    engine = magical_mj.Engine(task, variant, scene=scene, body=body, speeds=True)
+    action = np.array([0.4, 0.01, 0.2][: 3 if body == "gripper" else 2], np.float32)
+    for _ in range(20):
+        left = engine.remaining()
+        engine.step(action)
+        observation, reward, *_ = env.step(action)
+        assert reward == engine.score()  # at every step, as x-magical's
+        assert dense.step(action)[1] == pytest.approx(left - engine.remaining())
+    np.testing.assert_array_equal(observation, engine.state_vector())
+    pixels = gymnasium.make(name.replace("State-Allo", "Pixels-Ego"), image_size=48, renderer="software")
+    assert pixels.reset(seed=4)[0].shape == (48, 48, 3)
+
+
+def test_speeds_are_actions_of_any_environment_without_shifts_of_actions() -> None:
+    env = gymnasium.make("magical_mj/MatchRegions-Demo-State-v0", body="longstick", action="speeds", shifts="camera:1")
+    env.reset(seed=0)
+    before = env.unwrapped.scene.robot  # type: ignore[attr-defined]
+    for _ in range(8):
+        env.step(np.array([0.1, 0.0], np.float32))  # slower than any of the 18
+    after = env.unwrapped.scene.robot  # type: ignore[attr-defined]
+    assert math.dist(before.pose[:2], after.pose[:2]) == pytest.approx(0.1, abs=0.02)
+    with pytest.raises(SettingsError, match="'latency' changes which of the 18 actions is taken"):
+        gymnasium.make("magical_mj/MatchRegions-Demo-State-v0", action="speeds", shifts="latency:1")
 
 
 def test_videos_words_and_archives_take_speeds(tmp_path: Path) -> None:
@@ -159,9 +206,24 @@ def test_videos_words_and_archives_take_speeds(tmp_path: Path) -> None:
         to_robomimic([demo], tmp_path / "one.hdf5")
 
 
-def test_bodies_that_a_task_does_not_offer_are_refused() -> None:
-    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
-        magical_mj.Engine("FindDupe", body="longstick")
+def test_bodies_that_the_expert_cannot_use_are_refused_where_it_acts(shell: Shell) -> None:
+    engine = magical_mj.Engine("FindDupe", body="longstick", seed=0)
+    engine.step(1)
+    message = "the expert cannot solve FindDupe with the body 'longstick'.* it can with gripper, shortstick"
+    for refused in (
+        lambda: magical_mj.demos.demonstrate("FindDupe", "Demo", 0, body="longstick"),
+        lambda: magical_mj.demos.load("FindDupe", body="longstick"),
+        lambda: magical_mj.experts.Expert(engine, "FindDupe"),
+        lambda: magical_mj.evaluate("expert", tasks="FindDupe", variants="Demo", episodes=1, body="longstick"),
+        lambda: magical_mj.evaluate("expert", tasks="FindDupe", variants="Demo", episodes=1, shifts="body:longstick"),
+    ):
+        with pytest.raises(SettingsError, match=message):
+            refused()
+    assert "the expert cannot solve FindDupe with" in shell.fails(
+        2, "demos", "generate", "--tasks", "FindDupe", "--body", "longstick", "--out", "made"
+    )
+    frame = magical_mj.evaluate("noop", tasks="FindDupe", variants="Demo", episodes=1, body="longstick", jobs=1)
+    assert frame["score"].item() == 0.0
     with pytest.raises(InvalidSceneError, match="gripper, shortstick"):
         magical_mj.Engine("SweepToTop", body="snake")
     engine = magical_mj.Engine("SweepToTop", body="shortstick", seed=0)

@@ -350,8 +350,8 @@ def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
     assert "| expert with shortstick |" in report([tmp_path / "stick"], tmp_path / "out").read_text()
     with pytest.raises(EvaluationError, match="with the body shortstick"):
         submit([tmp_path / "stick"], tmp_path / "entry.json.xz")
-    with pytest.raises(SettingsError, match="FindDupe is not offered with the body"):
-        magical_mj.evaluate("noop", tasks="FindDupe", **{**settings, "body": "longstick"})
+    with pytest.raises(SettingsError, match="the expert cannot solve FindDupe with the body"):
+        magical_mj.evaluate("expert,noop", tasks="FindDupe", **{**settings, "body": "longstick"})
 
 
 @pytest.mark.parametrize(

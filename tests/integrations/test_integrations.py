@@ -13,7 +13,13 @@ from gymnasium.error import ResetNeeded
 import magical_mj
 from magical_mj.scene.actions import to_vector
 from magical_mj.shifts import SHIFTS
-from magical_mj.utils.errors import InvalidActionError, MissingExtraError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import (
+    InvalidActionError,
+    InvalidSceneError,
+    MissingExtraError,
+    SettingsError,
+    UnknownNameError,
+)
 from tests.shifts import test_received as received
 
 pytestmark = pytest.mark.filterwarnings("default")  # theirs are not ours to mend
@@ -135,8 +141,8 @@ def test_bodies_in_vla_eval(benchmark: Any) -> None:
     made.reset({"task": "MoveToRegion", "variant": "Demo", "episode_idx": 0})
     assert made._env.scene.robot.body == "shortstick"
     made.cleanup()
-    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
-        benchmark("MoveToRegion", body="longstick")
+    with pytest.raises(InvalidSceneError, match="unknown body 'snake'"):
+        benchmark("MoveToRegion", body="snake")
     with pytest.raises(SettingsError, match="MoveToCorner cannot have the shift 'pose'"):
         benchmark("MoveToCorner", shifts="pose:1")
 

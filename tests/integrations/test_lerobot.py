@@ -21,7 +21,7 @@ from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.export.lerobot import to_lerobot
 from magical_mj.scene.actions import to_vector
 from magical_mj.shifts import SHIFTS
-from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, MagicalError, UnknownNameError
 from tests.shifts import test_received as received
 
 ROOT = Path(__file__).parents[2]
@@ -182,8 +182,8 @@ def test_bodies_in_lerobot(plugin: Any) -> None:
     env = plugin.LeRobotEnv("MoveToRegion", "Demo", body="shortstick")
     env.reset(seed=0)
     assert env.unwrapped.scene.robot.body == "shortstick"
-    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
-        plugin.MagicalConfig(body="longstick").create_envs(1)
+    with pytest.raises(InvalidSceneError, match="unknown body 'snake'"):
+        plugin.MagicalConfig(body="snake").create_envs(1)
 
 
 @needs_lerobot

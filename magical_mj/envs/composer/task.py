@@ -27,6 +27,7 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import OBSERVATIONS, STATE_NAMES, StateEncoder
 from magical_mj.shifts.episode import EpisodeShifts
+from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward
 from magical_mj.utils import errors
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
@@ -51,6 +52,7 @@ class Settings:
 
     Raises:
         UnknownNameError: for an unknown observation or reward.
+        TaskError: for dense rewards of a task that has no formula for them.
         SettingsError: if the observations are not a list or tuple.
     """
 
@@ -69,6 +71,8 @@ class Settings:
         for name in names:
             check_name("observation", name, OBSERVATIONS)
         check_name("reward", self.reward, REWARDS)
+        if self.setup.task is not None:
+            task_spec(self.setup.task).check_reward(self.reward)
 
 
 class SceneTask(composer.Task):
@@ -93,6 +97,7 @@ class SceneTask(composer.Task):
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
         self.settings, self.setup = settings, settings.setup
         self.steps, self._trajectory = 0, list[Scene]()
+        self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
@@ -247,6 +252,8 @@ class SceneTask(composer.Task):
         del random_state
         for stack in self._stacks():
             stack.catch_up(physics)
+        if self.settings.reward == "dense":
+            self._remaining = self.remaining(physics)
         self.simulation(physics).command(action)
         self.steps += 1
 
@@ -275,13 +282,21 @@ class SceneTask(composer.Task):
         return horizon is not None and self.steps >= horizon
 
     def get_reward(self, physics: Any) -> float:
-        """0, or with `reward="score"` the score at the last step."""
-        rewarded = self.settings.reward == "score" and self.should_terminate_episode(physics)
-        return self.score(physics) if rewarded else 0.0
+        """0, the score at the last step, or also the decrease of the remaining distance: see `magical_mj.load`."""
+        kind = self.settings.reward
+        reward = self.score(physics) if kind != "none" and self.should_terminate_episode(physics) else 0.0
+        return reward + self._remaining - self.remaining(physics) if kind == "dense" else reward
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self._trajectory or (self.scene_model.scene, self.simulation(physics).scene))
+        return self.setup.score(self._scored_scenes(physics))
+
+    def remaining(self, physics: Any) -> float:
+        """What remains to be done, as `magical_mj.Engine.remaining`."""
+        return self.setup.remaining(self._scored_scenes(physics))
+
+    def _scored_scenes(self, physics: Any) -> Sequence[Scene]:
+        return self._trajectory or (self.scene_model.scene, self.simulation(physics).scene)
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The spec of the 18 actions."""

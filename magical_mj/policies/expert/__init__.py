@@ -35,6 +35,7 @@ def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
 
     Raises:
         TaskError: if the task has no expert.
+        SettingsError: if it cannot solve the task with the engine's body.
     """
     return Sweeper(env, seed) if task_spec(task).speeds else Expert(env, task, seed)
 

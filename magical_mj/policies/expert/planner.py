@@ -217,7 +217,7 @@ class Expert(PlanFollower):
         TaskError: if the task has no plan.
         InvalidSceneError: if the engine's scene is not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if `env` is not an engine.
+        SettingsError: if `env` is not an engine, or the expert cannot solve the task with its body.
     """
 
     def __init__(self, env: Engine, task: str, seed: int = 0) -> None:
@@ -228,6 +228,7 @@ class Expert(PlanFollower):
             )
         spec = task_spec(task)
         spec.check_plan()
+        spec.check_expert_body(env.initial_scene.robot.body)
         spec.check(env.initial_scene)
         if spec.trajectory and not env.setup.trajectory:
             raise SettingsError(f"the score of {task} depends on the scenes of all steps: use an engine of this task")

@@ -1,0 +1,60 @@
+"""The arguments of the original and of x-magical, which our environments accept with a warning that names ours."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any, Final, TypeVar
+
+from magical_mj.utils.errors import SettingsError, closest, short_repr, unknown_name
+
+_Init = TypeVar("_Init", bound=Callable[..., None])
+
+
+def _dense(wanted: Any) -> str | None:
+    return "dense" if wanted else None
+
+
+def _size(sides: Any) -> Any:
+    if not isinstance(sides, tuple | list) or len(sides) != 2 or sides[0] != sides[1]:
+        raise SettingsError(f"res_hw is (height, width), and pictures here are square, not {short_repr(sides)}")
+    return sides[0]
+
+
+OLD_NAMES: Final[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {
+    "debug_reward": ("reward", _dense),  # the original's
+    "use_dense_reward": ("reward", _dense),  # x-magical's
+    "res_hw": ("image_size", _size),  # of both
+}
+"""Argument of another package -> ours, and the function from its value to ours; None leaves ours out."""
+
+
+def with_old_names(init: _Init) -> _Init:
+    """An `__init__` of an environment that also accepts the `OLD_NAMES`, with a warning.
+
+    Raises:
+        UnknownNameError: for any other unknown argument.
+        SettingsError: if an argument is given by both names.
+    """
+    known = [name for name in inspect.signature(init).parameters if name != "self"]
+
+    @wraps(init)
+    def accepting(self: Any, *arguments: Any, **settings: Any) -> None:
+        for name in settings.keys() - known:
+            if name in OLD_NAMES:
+                ours, converted = OLD_NAMES[name]
+                value = converted(settings.pop(name))
+                if value is not None and ours in settings:
+                    raise SettingsError(f"{name} is the old name of {ours}: give only {ours}")
+                if value is not None:
+                    settings[ours] = value
+                    warnings.warn(f"{name} is deprecated: give {ours}={value!r}", FutureWarning, stacklevel=3)
+            elif "settings" not in known:  # which go to another `__init__`
+                meant = closest(name, (*known, *OLD_NAMES))
+                meant = OLD_NAMES[meant][0] if meant in OLD_NAMES else meant
+                raise unknown_name("argument of the environment", name, known, meant)
+        init(self, *arguments, **settings)
+
+    return accepting  # type: ignore[return-value]

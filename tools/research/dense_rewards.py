@@ -1,0 +1,130 @@
+"""SAC and PPO of Stable-Baselines3 from states, with dense rewards and with the score: the curves in docs/rewards.md.
+
+    nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 10000] [--ppo 50000]
+    python -m tools.research.dense_rewards --out FOLDER --plot docs/rewards.png
+
+Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
+actions. Both have two layers of 64 units and otherwise the library's settings, except for those below. A stopped run
+is continued. FOLDER/LEARNER-TASK-REWARD/curve.csv holds the steps, the mean score of the training episodes since the
+line before, and the seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+import magical_mj
+
+TASKS: Final = ("MoveToRegion", "MoveToCorner", "FixColour")
+REWARDS: Final = ("dense", "score")
+POINTS: Final = 20
+"""The number of lines of a curve."""
+WORLDS: Final = 8  # of PPO
+NETWORK: Final = {"net_arch": [64, 64]}
+SAC_SETTINGS: Final[dict[str, Any]] = {
+    "learning_rate": 1e-3,
+    "learning_starts": 1_000,
+    "batch_size": 128,
+    "train_freq": 2,
+    "ent_coef": "auto_0.1",
+}
+PPO_SETTINGS: Final[dict[str, Any]] = {"n_steps": 256, "batch_size": 256, "ent_coef": 0.01}
+
+
+class Scores(BaseCallback):
+    """Collects the scores of training episodes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scores: list[float] = []
+
+    def _on_step(self) -> bool:
+        ended = zip(self.locals["infos"], self.locals["dones"], strict=True)
+        self.scores += [float(info["eval_score"]) for info, done in ended if done]
+        return True
+
+
+def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> None:
+    """Trains one policy, or the rest of it, and adds a line to the curve after every part of the steps."""
+    folder.mkdir(parents=True, exist_ok=True)
+    curve, saved, buffer = (folder / name for name in ("curve.csv", "model.zip", "buffer.pkl"))
+    kind, count, settings = (SAC, 1, SAC_SETTINGS) if learner == "sac" else (PPO, WORLDS, PPO_SETTINGS)
+    action = "speeds" if learner == "sac" else "discrete"
+
+    def make() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(magical_mj.env_id(task, "Demo", "State"), reward=reward, action=action)
+
+    worlds = make_vec_env(make, count, seed=0)
+    if saved.exists():
+        model = kind.load(saved, env=worlds)
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(buffer)
+    else:
+        size: dict[str, Any] = {"buffer_size": steps} if learner == "sac" else {}
+        model = kind("MlpPolicy", worlds, seed=0, policy_kwargs={**NETWORK}, device="cpu", **settings, **size)
+        curve.write_text("steps,score,seconds\n")
+    while model.num_timesteps < steps:
+        scores, start = Scores(), time.process_time()
+        model.learn(steps // POINTS, scores, reset_num_timesteps=False)
+        seconds = time.process_time() - start
+        model.save(saved)
+        if isinstance(model, OffPolicyAlgorithm):
+            model.save_replay_buffer(buffer)
+        with curve.open("a") as file:
+            file.write(f"{model.num_timesteps},{np.mean(scores.scores):.4f},{seconds:.1f}\n")
+    buffer.unlink(missing_ok=True)
+    worlds.close()
+
+
+def plot(picture: Path, runs: Path) -> None:
+    """Draws the mean scores over the steps, with a panel for each learner and task."""
+    figure = Figure((9.0, 4.5), layout="constrained", dpi=100)
+    panels = figure.subplots(2, len(TASKS), sharey=True)
+    for row, learner in zip(panels, ("sac", "ppo"), strict=True):
+        for axes, task in zip(row, TASKS, strict=True):
+            for reward in REWARDS:
+                path = runs / f"{learner}-{task}-{reward}" / "curve.csv"
+                steps, scores, _ = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).T
+                axes.plot(steps / 1000, scores, label=f'reward="{reward}"')
+            axes.set(title=f"{learner.upper()}, {task}", ylim=(-0.03, 1.03))
+            axes.grid(alpha=0.3)
+        row[0].set_ylabel("mean score")
+    for axes in panels[-1]:
+        axes.set_xlabel("thousands of steps")
+    panels[0, 0].legend()
+    figure.savefig(picture)
+
+
+def main() -> None:
+    """Trains all policies one after the other, or draws their curves."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--sac", type=int, default=10_000)
+    parser.add_argument("--ppo", type=int, default=50_000)
+    parser.add_argument("--tasks", default=",".join(TASKS))
+    parser.add_argument("--plot", type=Path)
+    options = parser.parse_args()
+    if options.plot:
+        plot(options.plot, options.out)
+        return
+    torch.set_num_threads(1)
+    for learner in ("ppo", "sac"):
+        for task in options.tasks.split(","):
+            for reward in REWARDS:
+                train(learner, task, reward, getattr(options, learner), options.out / f"{learner}-{task}-{reward}")
+
+
+if __name__ == "__main__":
+    main()
