@@ -36,7 +36,7 @@ from magical_mj.utils.parallel import map_unordered
 from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
-    from magical_mj.demos import Demonstration, Imported, Verdict
+    from magical_mj.demos import Demonstration, Verdict
     from magical_mj.evaluation.worker import Player
 
 Key = tuple[str, str, int]
@@ -46,7 +46,10 @@ Paths = Annotated[
     list[Path] | None,
     typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
 ]
-Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
+Recordings = Annotated[
+    list[Path],
+    typer.Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.", show_default=False),
+]
 Count = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
 ]
@@ -230,23 +233,31 @@ def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str
 
 @app.command(name="import")
 def import_recordings(recordings: Recordings, out: Folder) -> None:
-    """Import episodes that were saved in the browser. They are replayed and scored in MuJoCo."""
-    episodes: list[tuple[Path, Imported]] = []
-    for file in recordings:  # all are replayed before any is written
-        text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
-        try:
-            episodes.append((file, magical_mj.demos.from_recording(text)))
-        except MagicalError as error:
-            raise DemonstrationError(f"{file}: {error}") from None
+    """Import episodes that were saved in the browser, or released with the original, and replay them in MuJoCo."""
+    episodes = [(file, *imported(file)) for file in recordings]  # all are replayed before any is written
     make_writable_folder(out)
     screen = console()
-    for file, (demo, deviation, suspect) in episodes:
+    for file, demo, remark in episodes:
         path, is_new = magical_mj.demos.keep(demo, out)
         if not is_new:
             screen.print(f"{file} was imported already: {path}", soft_wrap=True)
             continue
-        warning = f", but its end differs by {deviation:.3f} from what the player saw" if suspect else ""
-        screen.print(f"{path}: score {demo.score:.2f}{warning}", soft_wrap=True)
+        screen.print(f"{path}: score {demo.score:.2f}{remark}", soft_wrap=True)
+    scoring = sum(demo.score == 1.0 for _, demo, _ in episodes)
+    screen.print(f"{scoring} of {counted(len(episodes), 'episode')} have score 1")
+
+
+def imported(file: Path) -> tuple[Demonstration, str]:
+    """The demonstration in a file, and how its replay differs from what was recorded."""
+    if file.name.endswith(".pkl.gz"):
+        demo, score = magical_mj.demos.from_original(file)
+        return demo, "" if score is None else f", in the original's simulation {score:.2f}"
+    text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
+    try:
+        demo, deviation, suspect = magical_mj.demos.from_recording(text)
+    except MagicalError as error:
+        raise DemonstrationError(f"{file}: {error}") from None
+    return demo, f", but its end differs by {deviation:.3f} from what the player saw" if suspect else ""
 
 
 @app.command()

@@ -11,6 +11,7 @@ from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, 
 from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
+from magical_mj.demos.original import from_original
 from magical_mj.demos.recording import (
     MAX_BYTES,
     Diversity,
@@ -37,6 +38,7 @@ __all__ = [
     "demonstrate",
     "diversity",
     "files_in",
+    "from_original",
     "from_recording",
     "keep",
     "load",
