@@ -189,7 +189,7 @@ X_MAGICAL: dict[str, Callable[[Path], Any]] = {
     ),
     "setting poses by hand": lambda _: moved(),
     "a subclass with other scores and rewards": lambda _: (example("sweep_in_order") / "sweep_in_order.py").exists(),
-    "XIRL's folders train/BODY/VIDEO/FRAME.png": lambda out: xirl(out),
+    "XIRL's folders train/BODY/VIDEO/FRAME.png": xirl,
 }
 EIRLI: dict[str, Callable[[Path], Any]] = {
     'task_name="MatchRegions-Demo-v0", magical_preproc="LoResCHW4E"': lambda _: (

@@ -46,6 +46,10 @@ Paths = Annotated[
     list[Path] | None,
     typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
 ]
+Set = Annotated[
+    Literal["expert", "graded"],
+    typer.Option("--set", help="Of those that come with the tasks: expert (score 1) or graded (all scores)."),
+]
 Recordings = Annotated[
     list[Path],
     typer.Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.", show_default=False),
@@ -261,9 +265,11 @@ def imported(file: Path) -> tuple[Demonstration, str]:
 
 
 @app.command()
-def info(paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all") -> None:
+def info(
+    paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", which: Set = "expert"
+) -> None:
     """Summarise demonstrations: scores, lengths, and their diversity."""
-    describe(read_chosen(paths, tasks, variants))
+    describe(read_chosen(paths, tasks, variants, which))
 
 
 def describe(demos: Sequence[Demonstration]) -> None:
@@ -293,7 +299,11 @@ def describe(demos: Sequence[Demonstration]) -> None:
 
 @app.command(name="verify")
 def verify_all(
-    paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", jobs: option.Jobs = None
+    paths: Paths = None,
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "all",
+    which: Set = "expert",
+    jobs: option.Jobs = None,
 ) -> None:
     """Check digests, replay all actions, and count those that reproduce their score, states and pictures.
 
@@ -301,7 +311,7 @@ def verify_all(
     differ between machines and versions.
     """
     screen = console()
-    chosen = sources_of(paths, tasks, variants)
+    chosen = sources_of(paths, tasks, variants, which)
     work = map_unordered(partial(check, asked_for(tasks, variants)), chosen, jobs)
     outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome is not None]
     if not outcomes:
@@ -357,6 +367,7 @@ def video(
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
+    which: Set = "expert",
     count: Filmed = 1,
     size: option.Size = 384,
     speed: Speed = 1,
@@ -365,7 +376,7 @@ def video(
 ) -> None:
     """Make a video of demonstrations, with both views side by side."""
     check_suffix(out, ".mp4")
-    demos = read_chosen(paths, tasks, variants)[:count]
+    demos = read_chosen(paths, tasks, variants, which)[:count]
     check_writable(out, force)
     with film(out, size, speed, overwrite=force) as movie:
         for demo in demos:
@@ -388,6 +399,7 @@ def export(
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
+    which: Set = "expert",
     to: Target = "npz",
     out: Name = None,
     preset: ExportPreset = None,
@@ -403,7 +415,7 @@ def export(
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
     check_fits(context, to != "lerobot", "with other formats: LeRobot data sets need a new folder", "force")
-    demos = read_chosen(paths, tasks, variants)
+    demos = read_chosen(paths, tasks, variants, which)
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"
     groups: dict[str, list[Demonstration]] = defaultdict(list)
@@ -411,12 +423,14 @@ def export(
         groups[demo.name].append(demo)
     if to in ("npz", "xirl"):  # these can hold several environments
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
+    if which == "graded":
+        groups = {f"{name}-graded": group for name, group in groups.items()}
     elif out is not None and len(groups) > 1:
         raise typer.BadParameter(
             f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
         )
     targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
-    sources = sources_of(paths, tasks, variants)
+    sources = sources_of(paths, tasks, variants) if paths else ()
     folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
     for target in targets.values():  # all, before the first one is made
         _check_target(to, target, folders, force)
@@ -448,14 +462,18 @@ def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None
         raise FileExistsError(f"the data set {path} exists already; give {other}")
 
 
-def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Sequence[Path | Demonstration]:
+def sources_of(
+    paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "expert"
+) -> Sequence[Path | Demonstration]:
     """The demonstration files without repetitions, even if a file has several paths. Default: the shipped ones."""
     pairs = environments(tasks, variants)
+    if paths and which == "graded":
+        raise typer.BadParameter("--set chooses among those that come with the tasks: leave out the files.")
     if not paths:
         specs = {task: task_spec(task) for task, _ in pairs}
         bodies = {task: spec.bodies if spec.speeds else (GRIPPER,) for task, spec in specs.items()}
         shipped = [(task, body) for task in specs for body in bodies[task]]
-        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body)]
+        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body, set=which)]
     chosen: dict[Path, Path] = {}
     for path in paths:
         if path.is_dir():
@@ -472,10 +490,10 @@ def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Seque
     return list(chosen.values())
 
 
-def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
+def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "expert") -> list[Demonstration]:
     """The demonstrations of these tasks and variants in files and folders, or by default the shipped ones."""
     wanted = asked_for(tasks, variants)
-    demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants)]
+    demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants, which)]
     chosen = [demo for demo in demos_and_names if not isinstance(demo, str)]
     if not chosen:
         others = sorted({name for name in demos_and_names if isinstance(name, str)})

@@ -20,6 +20,7 @@ from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.export import default_target, make_data_set
 from magical_mj.demos.learning import observations
+from magical_mj.demos.shipped import DemonstrationSet
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
@@ -32,7 +33,14 @@ VALIDATED: Final = 5
 """One of this number of demonstrations is used for validation."""
 
 
-def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, preset: str | None = None) -> Any:
+def load(
+    task: str,
+    to: Format = "npz",
+    folder: Path | str = "datasets",
+    *,
+    preset: str | None = None,
+    set: DemonstrationSet = "expert",  # noqa: A002 - as `magical_mj.demos.load`
+) -> Any:
     """The data set of a task's demonstrations. It is written if it does not exist.
 
     For other demonstrations and more options, use `magical-mj demos export`.
@@ -42,6 +50,7 @@ def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, pres
         to: the format: "npz" (without no-op actions), "minari", "lerobot" or "webdataset".
         folder: the folder of data sets. Minari uses its own folder instead.
         preset: the preset of the observations. None: "State" for Minari, otherwise "LoRes4E".
+        set: "expert" or "graded"; see `magical_mj.demos.load`.
 
     Returns:
         For npz the arrays by name, for minari and lerobot the library's data set, for webdataset the archive's path.
@@ -53,8 +62,8 @@ def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, pres
     """
     check_name("format of data sets", to, FORMATS)
     preset = preset if preset is not None else "State" if to == "minari" else "LoRes4E"
-    demos = demonstrations.load(task)
-    target = default_target(to, only_environment(demos), demos, preset)
+    demos = demonstrations.load(task, set=set)
+    target = default_target(to, only_environment(demos) + "-graded" * (set == "graded"), demos, preset)
     if to != "minari":
         target = str(files.to_path(folder) / target)
     with contextlib.suppress(FileExistsError):

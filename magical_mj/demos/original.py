@@ -18,7 +18,6 @@ import pickle
 import pickletools
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -26,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.demos.recording import Recorder
-from magical_mj.engine import Engine
+from magical_mj.demos.recording import replayed
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks import SPECS
 from magical_mj.utils import files
@@ -80,17 +78,10 @@ def from_original(path: Path | str) -> Original:
         )
     score = content.get("score")
     score = float(score) if isinstance(score, float | int) and math.isfinite(score) else None
-    return Original(_replayed(path, task, _actions(path, content["trajectory"])), score)
-
-
-def _replayed(path: Path, task: str, actions: list[int]) -> Demonstration:
-    with closing(Engine(task, seed=0)) as engine:
-        if len(actions) > (engine.horizon or 0):
-            raise DemonstrationError(f"{path} has {len(actions)} actions, and episodes of {task} have {engine.horizon}")
-        recorder = Recorder(engine)
-        for action in actions:
-            recorder.step(action)
-        return recorder.demonstration("human")
+    actions, steps = _actions(path, content["trajectory"]), SPECS[task].horizon()
+    if len(actions) > steps:
+        raise DemonstrationError(f"{path} has {len(actions)} actions, and episodes of {task} have {steps}")
+    return Original(replayed(task, variant, 0, actions, "human"), score)
 
 
 def _actions(path: Path, trajectory: Any) -> list[int]:

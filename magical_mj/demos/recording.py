@@ -205,12 +205,13 @@ def replayed(
     task: str,
     variant: str,
     seed: int,
-    actions: Iterable[int],
+    actions: Iterable[Any],
     demonstrator: Demonstrator,
     expert: int | None = None,
+    body: str = GRIPPER,
 ) -> Demonstration:
     """The demonstration of actions in the scene of a seed; `expert` is the demonstrator's seed, if it has one."""
-    with closing(Engine(task, variant, seed=seed)) as env:
+    with closing(Engine(task, variant, seed=seed, body=body)) as env:
         recorder = Recorder(env)
         for action in actions:
             recorder.step(action)

@@ -7,6 +7,9 @@ a separate file. `actions`, `offsets` and `qvel` contain the arrays of all demon
 the previous one and from the velocities before and after the action. Its offset is the deviation from that prediction,
 in units of the last place. Arrays are stored column by column, because successive numbers in a column are similar.
 tools/pack_demonstrations.py writes these files.
+
+The graded demonstrations of all tasks are in one file, as JSON with actions and without states: loading them plays the
+actions again. tools/graded_demonstrations.py writes it.
 """
 
 from __future__ import annotations
@@ -15,20 +18,36 @@ import io
 import json
 import lzma
 import shlex
+import warnings
+from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import Demonstration, files_in, header_and_arrays, read, unpacked
+from magical_mj.demos.demonstration import (
+    Demonstration,
+    Demonstrator,
+    files_in,
+    header_and_arrays,
+    read,
+    unpacked,
+)
+from magical_mj.demos.recording import replayed
+from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.errors import DemonstrationError, SettingsError, check_name
 
 FOLDER: Final = Path(__file__).parent / "data"
+GRADED: Final = FOLDER / "graded.json.xz"
+DemonstrationSet = Literal["expert", "graded"]
+SETS: Final[tuple[DemonstrationSet, ...]] = get_args(DemonstrationSet)
+SAME_SCORE: Final = 0.01
 SUFFIX: Final = ".npz.xz"
 FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3},)
 """Settings of xz for numbers of eight bytes."""
@@ -37,7 +56,13 @@ LEAST: Final = 1e-290
 """Smaller numbers become 0 in predictions, because some processes flush subnormal numbers to 0."""
 
 
-def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> list[Demonstration]:
+def load(
+    task: str,
+    folder: Path | str | None = None,
+    body: str = GRIPPER,
+    *,
+    set: DemonstrationSet = "expert",  # noqa: A002 - what users say
+) -> list[Demonstration]:
     """The demonstrations of a task by one body: the shipped ones, or those in a folder.
 
     Args:
@@ -45,13 +70,18 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
         folder: the folder with files ``<Task>-<anything>.npz``. Files in its subfolders, such as one for each player,
             follow them. None: the folder that the task defines, otherwise the shipped demonstrations.
         body: the robot's body in the demonstrations.
+        set: "expert" for the shipped demonstrations with score 1; "graded" for those with all scores, in ascending
+            order. The latter are played again, which takes up to some seconds.
 
     Raises:
-        UnknownNameError: for an unknown task.
+        UnknownNameError: for an unknown task or set.
         DemonstrationError: if no demonstrations are found, or a file is damaged.
-        SettingsError: without a folder, if the expert cannot solve the task with the body.
+        SettingsError: without a folder, if the expert cannot solve the task with the body; with one, for "graded".
     """
     task, spec = task_name(task), task_spec(task)
+    check_name("set of demonstrations", set, SETS)
+    if set == "graded":
+        return _graded(task, folder, body)
     if folder is None:
         spec.check_expert_body(body)
     folder = spec.demonstrations if folder is None else folder
@@ -71,6 +101,60 @@ def load(task: str, folder: Path | str | None = None, body: str = GRIPPER) -> li
         )
     by = "" if body == GRIPPER else f" with the body {body!r}"
     raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
+
+
+class GradedRow(msgspec.Struct, frozen=True):
+    """A graded demonstration in its file."""
+
+    task: str
+    variant: str
+    body: str
+    seed: int
+    demonstrator: Demonstrator
+    actions: str
+    """Letters; speeds in float32, as base64."""
+    score: float
+
+
+def graded_rows() -> list[GradedRow]:
+    """The graded demonstrations of all tasks, as they are stored."""
+    return msgspec.json.decode(lzma.decompress(GRADED.read_bytes()), type=list[GradedRow])
+
+
+def _graded(task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
+    if folder is not None:
+        raise SettingsError("the graded demonstrations come with the package: leave out the folder")
+    rows = [row for row in graded_rows() if (row.task, row.body) == (task, body)]
+    if not rows:
+        raise DemonstrationError(
+            f"there are no graded demonstrations of {task} with the body {body!r}: there are 25 of each task with the "
+            "gripper, and of SweepToTop with each of its bodies"
+        )
+    demos, speeds = [], task_spec(task).speeds
+    for row in rows:
+        actions: Any = actions_of(row.actions) if not speeds else np.frombuffer(b64decode(row.actions), np.float32)
+        actions = actions if not speeds else actions.reshape(task_spec(task).horizon(body=body), -1)
+        demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, body=body))
+    if changed := sum(abs(demo.score - row.score) > SAME_SCORE for demo, row in zip(demos, rows, strict=True)):
+        warnings.warn(
+            f"{changed} of {len(demos)} graded demonstrations of {task} have other scores here than where they were "
+            "made: MuJoCo's version or the machine differs",
+            stacklevel=3,
+        )
+    return demos
+
+
+def pack_graded(kept: Sequence[GradedRow], demos: Sequence[Demonstration]) -> None:
+    """Writes the file of graded demonstrations: rows of the present one, and others that are added."""
+    rows = list(kept)
+    for demo in demos:
+        speeds = demo.actions.ndim == 2
+        actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions)
+        where = demo.task, demo.variant, demo.scene.robot.body, demo.scene_seed
+        rows.append(GradedRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
+    rows.sort(key=lambda row: (row.task, row.body))  # those of a task stay in their order
+    content = msgspec.json.format(msgspec.json.encode(rows), indent=0)
+    files.write(GRADED, lzma.compress(content, preset=9), overwrite=True)
 
 
 def load_shipped(task: str, name: str) -> list[Demonstration]:

@@ -1,6 +1,6 @@
 """SAC and PPO of Stable-Baselines3 from states, with dense rewards and with the score: the curves in docs/rewards.md.
 
-    nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 10000] [--ppo 50000]
+    nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000]
     python -m tools.research.dense_rewards --out FOLDER --plot docs/rewards.png
 
 Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
@@ -111,8 +111,8 @@ def main() -> None:
     """Trains all policies one after the other, or draws their curves."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--sac", type=int, default=10_000)
-    parser.add_argument("--ppo", type=int, default=50_000)
+    parser.add_argument("--sac", type=int, default=8_000)
+    parser.add_argument("--ppo", type=int, default=30_000)
     parser.add_argument("--tasks", default=",".join(TASKS))
     parser.add_argument("--plot", type=Path)
     options = parser.parse_args()

@@ -42,6 +42,9 @@ MAKERS: Final[Mapping[str, str]] = {
     "human": "by people who drove the robot in magical_mj",
     "random": "by actions drawn independently and uniformly",
     "policy": "by a policy",
+    "stopped": "by the expert, stopped at a random step",
+    "disturbed": "by the expert, with random actions in between",
+    "mistaken": "by the expert, with a wrong goal",
 }
 """Demonstrator -> the origin of the episodes."""
 XIRL_SIZE: Final = 384
