@@ -18,7 +18,7 @@ from magical_mj import demos
 from magical_mj.assets.robot import speed_signal
 from magical_mj.cli import main
 from magical_mj.demos.export.folders import to_xirl
-from magical_mj.scene import Block, Dynamics, Scene
+from magical_mj.scene import Scene
 from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.demos.test_original import episode, packed
@@ -27,6 +27,7 @@ from tests.helpers.commands import example
 PAGE = (Path(__file__).parents[1] / "docs" / "moving.md").read_text("utf-8")
 SWEEP = "magical_mj/SweepToTop-Longstick-State-Allo-TestLayout-v0"
 REGION = "magical_mj/MoveToRegion-Demo-State-v0"
+PICTURES = "magical_mj/MoveToRegion-Demo-LoRes4E-v0"
 
 
 def rows(origin: str) -> list[str]:
@@ -71,10 +72,20 @@ def scored(name: str, action: Any) -> None:
         assert env.score_on_end_of_traj() == env.score()
 
 
-def seeded() -> None:
-    env: Any = made(SWEEP, seeds="original").unwrapped
+def seeded(name: str, scene: Scene, **settings: Any) -> None:
+    env: Any = made(name, **settings).unwrapped
     env.reset(seed=7)
-    assert env.initial_scene == original_scene("Layout", np.random.RandomState(7), "longstick")
+    assert env.initial_scene == scene
+
+
+def observations() -> None:
+    assert shape(PICTURES) == (96, 96, 12)
+    assert shape(PICTURES.replace("4E", "CHW4E")) == (12, 96, 96)
+    views = made("magical_mj/MoveToRegion-Demo-v0").reset(seed=0)[0]
+    assert {view: (part.shape, part.dtype) for view, part in views.items()} == dict.fromkeys(
+        ("ego", "allo"), ((384, 384, 3), np.uint8)
+    )
+    assert made(REGION).action_space == gymnasium.spaces.Discrete(18)
 
 
 def imported(out: Path) -> None:
@@ -118,25 +129,20 @@ DEMONSTRATIONS = demos.load("MatchRegions")[:1]
 FORWARD = np.array([0.5, 0.0], np.float32)
 ORIGINAL: dict[str, Callable[[Path], Any]] = {
     "import gym, magical; magical.register_envs()": lambda _: REGION in gymnasium.registry,
-    "FindDupe-Demo-v0": lambda _: "magical_mj/FindDupe-Demo-v0" in gymnasium.registry,
-    "FindDupe-TestShape-LoRes4E-v0": lambda _: "magical_mj/FindDupe-TestShape-LoRes4E-v0" in gymnasium.registry,
-    "FixColour-TestCountPlus-v0, -TestAll-v0": lambda _: "magical_mj/FixColour-TestAll-v0" in gymnasium.registry,
-    "env.seed(7); env.reset()": lambda _: made(REGION).reset(seed=7)[0][0] == made(REGION).reset(seed=7)[0][0],
-    "obs = env.reset()": lambda _: len(made(REGION).reset()) == 2,
+    "FindDupe-TestShape-LoRes4E-v0 and all other ids": lambda _: all(
+        f"magical_mj/{task}-{'Demo' if variant == 'Demo' else f'Test{variant}'}{preset}-v0" in gymnasium.registry
+        for task, variant in magical_mj.ENVIRONMENTS
+        for preset in ("", "-LoRes4E", "-LoRes4A", "-LoRes3EA", "-LoResStack", "-LoResCHW4E")
+    ),
+    "env.seed(7); obs = env.reset()": lambda _: seeded(REGION, magical_mj.sample_scene("MoveToRegion", "Demo", 7)),
     "obs, reward, done, info = env.step(action)": lambda _: whole(made(REGION))[2] == 40,
     'info["eval_score"] at the last step': lambda _: {"eval_score", "is_success"} <= whole(made(REGION))[1].keys(),
     "env.score_on_end_of_traj()": lambda _: scored(REGION, 1),
     "gym.make(id, debug_reward=True)": lambda _: old(REGION, debug_reward=True).reward == "dense",
     "gym.make(id, res_hw=(128, 128))": lambda _: (
-        old("magical_mj/MoveToRegion-Demo-LoRes4E-v0", res_hw=(128, 128)).observation_space.shape == (128, 128, 12)
+        old(PICTURES, res_hw=(128, 128)).observation_space.shape == (128, 128, 12)
     ),
-    "LoRes4E: frames of 96 x 96 x 12": lambda _: shape("magical_mj/MoveToRegion-Demo-LoRes4E-v0") == (96, 96, 12),
-    "LoResCHW4E: 12 x 96 x 96": lambda _: shape("magical_mj/MoveToRegion-Demo-LoResCHW4E-v0") == (12, 96, 96),
-    "the base ids: a dict of ego and allo, 384 x 384 x 3": lambda _: (
-        {view: part.shape for view, part in made("magical_mj/MoveToRegion-Demo-v0").reset(seed=0)[0].items()}
-        == dict.fromkeys(("ego", "allo"), (384, 384, 3))
-    ),
-    "action = 0 .. 17 in Discrete(18)": lambda _: made(REGION).action_space == gymnasium.spaces.Discrete(18),
+    "observations, and the 18 actions": lambda _: observations(),
     "magical.EvaluationProtocol, 100 rollouts": lambda _: (
         magical_mj.evaluate("noop", tasks="MoveToRegion", variants="Demo", episodes=2, jobs=1)["seed"].tolist()
         == [0, 1]
@@ -144,7 +150,7 @@ ORIGINAL: dict[str, Callable[[Path], Any]] = {
     "magical.try_download_demos(...), magical.load_demos(paths)": lambda _: len(demos.load("FindDupe")) == 25,
     "the released demonstrations, demo-*.pkl.gz": imported,
     "python -m magical --env-name FindDupe-Demo-v0": lambda _: main(["play", "--help"]) == 0,
-    'env.render(mode="human")': lambda _: "rgb_array" in magical_mj.MagicalEnv.metadata["render_modes"],
+    'env.render(mode="human")': lambda _: made(REGION, render_mode="rgb_array").render_mode == "rgb_array",
     "Cluster* of 240 steps with the code's scores": lambda _: (
         [magical_mj.Engine("ClusterShape", seed=0, rules=rules).horizon for rules in ("paper", "released")]
         == [320, 240]
@@ -152,7 +158,25 @@ ORIGINAL: dict[str, Callable[[Path], Any]] = {
 }
 X_MAGICAL: dict[str, Callable[[Path], Any]] = {
     "import xmagical; xmagical.register_envs()": lambda _: SWEEP in gymnasium.registry,
-    "SweepToTop-Longstick-State-Allo-TestLayout-v0": lambda _: shape(SWEEP) == (16,),
+    "SweepToTop-Longstick-State-Allo-TestLayout-v0 and all other ids": lambda _: (
+        sum(name.startswith("magical_mj/SweepToTop-") for name in gymnasium.registry) == 96
+    ),
+    "gym.make(id, use_dense_reward=True)": lambda _: old(SWEEP, use_dense_reward=True).rewards == "dense",
+    "gym.make(id, res_hw=(112, 112))": lambda _: (
+        old(SWEEP.replace("State", "Pixels"), res_hw=(112, 112)).observation_space.shape == (112, 112, 3)
+    ),
+    "env.score_on_end_of_traj()": lambda _: scored(SWEEP, FORWARD),
+    "env.seed(7); obs = env.reset()": lambda _: seeded(
+        SWEEP, original_scene("Layout", np.random.RandomState(7), "longstick"), seeds="original"
+    ),
+    'done, info["TimeLimit.truncated"]': lambda _: whole(made(SWEEP), FORWARD)[2] == 50,
+    "actions, the state vector, pictures of 384 x 384": lambda _: (
+        speed_signal(FORWARD, None, np.zeros(4))[0] == 0.5
+        and [len(state_vector(DEMO)), shape(SWEEP)] == [17, (16,)]
+        and shape(SWEEP.replace("State", "Pixels")) == (384, 384, 3)
+    ),
+    "setting poses by hand": lambda _: moved(),
+    "XIRL's folders train/BODY/VIDEO/FRAME.png": xirl,
     "MatchRegions and others with these bodies": lambda _: (
         len(
             [
@@ -163,33 +187,7 @@ X_MAGICAL: dict[str, Callable[[Path], Any]] = {
         )
         == len(magical_mj.ENVIRONMENTS) * 4 * 4
     ),
-    "gym.make(id, use_dense_reward=True)": lambda _: old(SWEEP, use_dense_reward=True).rewards == "dense",
-    "gym.make(id, res_hw=(112, 112))": lambda _: (
-        old(SWEEP.replace("State", "Pixels"), res_hw=(112, 112)).observation_space.shape == (112, 112, 3)
-    ),
-    "env.score_on_end_of_traj()": lambda _: scored(SWEEP, FORWARD),
-    "env.seed(7); obs = env.reset()": lambda _: seeded(),
-    "obs, reward, done, info = env.step(action)": lambda _: whole(made(SWEEP), FORWARD)[2] == 50,
-    'info["TimeLimit.truncated"]': lambda _: whole(made(SWEEP), FORWARD)[2] == 50,
-    'info["eval_score"]': lambda _: {"eval_score", "is_success", "in_zone"} <= whole(made(SWEEP), FORWARD)[1].keys(),
-    "Box(-1, 1) of 2 or 3 actions: speed, turn, grip": lambda _: speed_signal(FORWARD, None, np.zeros(4))[0] == 0.5,
-    "the state vector of 16 or 17 entries in Box(-1, 1)": lambda _: (
-        [len(state_vector(DEMO)), shape(SWEEP)] == [17, (16,)]
-    ),
-    "pictures of 384 x 384": lambda _: shape(SWEEP.replace("State", "Pixels")) == (384, 384, 3),
-    "a fixed arena of half width 1.1, debris of mass 0.01, a drive of 5": lambda _: (
-        Scene(
-            DEMO.robot,
-            tuple(Block("square", "red", x, 0.0, 0.0, mass=0.01) for x in (-0.5, 0.0, 0.5)),
-            DEMO.regions,
-            Dynamics(drive_force=5.0),
-            half_width=1.1,
-        )
-        == DEMO
-    ),
-    "setting poses by hand": lambda _: moved(),
     "a subclass with other scores and rewards": lambda _: (example("sweep_in_order") / "sweep_in_order.py").exists(),
-    "XIRL's folders train/BODY/VIDEO/FRAME.png": xirl,
 }
 EIRLI: dict[str, Callable[[Path], Any]] = {
     'task_name="MatchRegions-Demo-v0", magical_preproc="LoResCHW4E"': lambda _: (
@@ -241,4 +239,4 @@ def test_old_and_unknown_arguments_say_what_to_give() -> None:
             made(name, use_dense_reward=True, reward="dense")
     for sides in ((96, 48), 96, "96"):
         with pytest.raises(SettingsError, match=r"res_hw is \(height, width\), and pictures here are square"):
-            made("magical_mj/MoveToRegion-Demo-LoRes4E-v0", res_hw=sides)
+            made(PICTURES, res_hw=sides)
