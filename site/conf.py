@@ -4,6 +4,8 @@ import os
 import re
 from typing import Any
 
+from home import PAPER, REPOSITORY
+
 from magical_mj import __version__
 
 project = "magical_mj"
@@ -20,7 +22,14 @@ autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 default_role = "code"  # docstrings mark `names` as in Markdown
 html_theme = "furo"
-html_title = "magical_mj"
+html_title = f"magical_mj {version}"
+html_theme_options = {
+    "footer_icons": [
+        {"name": name, "url": url, "html": name, "class": ""}
+        for name, url in {"Paper": PAPER, "Code": REPOSITORY}.items()
+        if url
+    ]
+}
 html_logo = "logo.svg"
 html_favicon = "logo.svg"
 html_static_path = ["style"]

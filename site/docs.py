@@ -1,6 +1,7 @@
 """Writes the documentation site, out/site, from README.md, docs/ and site/pages.
 
-If SITE_URL contains the site's address, a sitemap is written as well, and pages have preview pictures.
+If SITE_URL contains the site's address, a sitemap is written as well, and pages have preview pictures. If
+SITE_REPOSITORY contains the repository's address, pages link to it and to its files.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gallery import gallery
-from home import home
+from home import REPOSITORY, home
 from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
@@ -35,11 +36,22 @@ BELOW: Final = {
     "integrations": ("moving",),
 }
 """Pages of docs/ that are below another one in the list of pages."""
-MISSING: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>No such page · magical_mj</title>
+MISSING: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>No such page · magical_mj</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
-<body style="font: 1.1rem/1.5 system-ui, sans-serif; max-width: 30rem; margin: 15vh auto; padding: 0 1rem">
-<h1>This page does not exist</h1><p>It may have been renamed: see the <a href="{home}">home page</a>.</p></body></html>
+<style>body {{ font: 1.1rem/1.5 system-ui, sans-serif; max-width: 32rem; margin: 12vh auto; padding: 0 1rem }}
+svg {{ width: 7rem }} nav {{ display: flex; flex-wrap: wrap; gap: .6rem }} a {{ color: inherit; padding: .3rem .9rem;
+border: 2px solid #2f6f92; border-radius: .5rem }}</style>{base}</head><body>{logo}<h1>This page does not exist</h1>
+<p>It may have been renamed. These pages exist:</p><nav><a href="index.html">Home</a> <a href="tasks.html">Tasks</a>
+<a href="standings.html">Leaderboard</a> <a href="play/">Play</a> <a href="search.html">Search</a></nav></body></html>
 """
+"""The page that web hosts show, under any address, instead of a page that does not exist."""
+FIND_BASE: Final = """<script type="module">  // without a known address, the site's folder is the one with objects.inv
+for (let folder = new URL(".", location); ; folder = new URL("..", folder)) {
+  const reply = await fetch(new URL("objects.inv", folder), { method: "HEAD" }).catch(() => null);
+  if (reply?.ok) document.head.append(Object.assign(document.createElement("base"), { href: folder }));
+  if (reply?.ok || folder.pathname === "/") break;
+}
+</script>"""
 FIXES: Final = {
     '<p class="caption" role="heading">': '<p class="caption" role="heading" aria-level="2">',
     '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="All pages">',
@@ -101,7 +113,8 @@ def _finish(folder: Path) -> None:
             text = text.replace(found, fixed)
         path.write_text(text, encoding="utf-8")
     address = os.environ.get("SITE_URL", "").rstrip("/")
-    (folder / "404.html").write_text(MISSING.format(home=f"{address}/" if address else "./"), encoding="utf-8")
+    base = f'<base href="{address}/">' if address else FIND_BASE
+    (folder / "404.html").write_text(MISSING.format(base=base, logo=_logo()), encoding="utf-8")
     if address:
         pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
         addresses = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
@@ -141,15 +154,22 @@ def section(text: str, heading: str) -> str:
 
 
 def _links(text: str) -> str:
-    """Converts links between files of the repository to links between pages. Other relative links become plain text."""
+    """Converts links between files of the repository to links between pages, or to the repository if it is known.
+
+    Otherwise, links to files that are not pages become plain text.
+    """
 
     def link(found: re.Match[str]) -> str:
         label, target, anchor = found.groups()
         name = target.removeprefix("../").removeprefix("docs/")
         if name in REPOSITORY_FILES:
             return f"[{label}]({REPOSITORY_FILES[name]})"
-        return f"[{label}]({name}{anchor or ''})" if (ROOT / "docs" / name).is_file() else label
+        if (ROOT / "docs" / name).is_file():
+            return f"[{label}]({name}{anchor or ''})"
+        return f"[{label}]({REPOSITORY}/tree/main/{target.removeprefix('../')})" if REPOSITORY else label
 
+    if REPOSITORY:
+        text = text.replace("pull request", f"[pull request]({REPOSITORY}/pulls)")
     return LINK.sub(link, text)
 
 

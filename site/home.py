@@ -1,7 +1,8 @@
-"""The home page: the benchmark's question, shown by one policy in two scenes, and links to the main pages."""
+"""The home page: what the benchmark asks, how to install it, one policy in two scenes, and the main results."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 from pictures import film
 from standings_page import headline
 
+from magical_mj import __version__
 from magical_mj.engine import Engine
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
@@ -18,22 +20,22 @@ SHOWN: Final = "state-bc"
 TASK: Final = "FindDupe"
 VARIANTS: Final = {"Demo": max, "Layout": min}
 """The variants on the page, and the choice of the episode: one with the best score, and one with the worst."""
-INSTALL: Final = 'pip install ".[video]"'
-QUESTION: Final = "A robot has seen ten demonstrations in one scene. Does it still solve the task if the scene changes?"
-TEMPLATE: Final = """<p class="question">{question}</p>
+PAPER: Final = "https://arxiv.org/abs/2011.00401"
+REPOSITORY: Final = os.environ.get("SITE_REPOSITORY", "").removesuffix(".git").rstrip("/")
+"""The address of the repository. Empty: unknown, so pages do not link to it."""
+TEMPLATE: Final = """<p class="question">A robot has seen ten demonstrations of a task in one scene. Does it still solve
+the task if poses, colours, shapes or the number of objects change? MAGICAL measures this with 8 tasks and 60
+environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p>
+
+<p class="links"><a href="{paper}">Paper</a> {code}<a href="play/">Play</a> <a href="standings.html">Leaderboard</a>
+<span>Version {version}</span></p>
+
+<div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
 
 <div class="sides">{sides}</div>
 
 <p>The same policy twice, learnt by behavioural cloning. The task: bring another block that matches the one in the goal
-region into the region.</p>
-
-<div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
-
-<div class="links">
-<a href="evaluation.html"><strong>Evaluate an agent</strong> 60 environments, 100 episodes each, one command</a>
-<a href="play/"><strong>Play</strong> Drive the robot yourself, or watch the expert and learnt policies</a>
-<a href="play/inspect.html"><strong>Inspect</strong> The scenes, or any MuJoCo model, in 3-D and running</a>
-</div>
+region into the region. <a href="play/inspect.html#FindDupe-Layout-0">Inspect the scene in 3-D</a></p>
 
 ## The eight tasks
 
@@ -57,12 +59,22 @@ SIDE: Final = """<figure><picture><source media="(prefers-reduced-motion: reduce
 def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
     """The page's HTML. Its pictures are written to `media`."""
     return TEMPLATE.format(
-        question=QUESTION,
+        paper=PAPER,
+        code=f'<a href="{REPOSITORY}">Code</a> ' if REPOSITORY else "",
+        version=__version__,
         sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
-        install=INSTALL,
+        install=install(),
         cards=cards,
         chart=headline(methods),
     )
+
+
+def install() -> str:
+    """The commands that install the package, in a shell."""
+    pip = 'pip install ".[video]"'
+    if not REPOSITORY:
+        return f"# in a checkout of the repository, with Python 3.11 or newer\n{pip}"
+    return f"git clone --depth 1 {REPOSITORY}\ncd {REPOSITORY.rpartition('/')[2]}\n{pip}"
 
 
 def _side(method: Standing, variant: str, media: Path) -> str:

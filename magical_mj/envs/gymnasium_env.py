@@ -62,8 +62,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
     `reset(options={"scene": scene})` in this `Scene`, which may be given as JSON. `reset(options={"state": state})`
     continues from a result of `get_state()`. An episode is truncated at the task's horizon and never terminates. The
-    reward is 0, unless `reward` says otherwise. At the last step, `info["eval_score"]` is the score in [0, 1], and `info["is_success"]` is whether it
-    is 1. Before, `eval_score` is 0.0.
+    reward is 0, unless `reward` says otherwise. At the last step, `info["eval_score"]` is the score in [0, 1], and
+    `info["is_success"]` is whether it is 1. Before, `eval_score` is 0.0.
 
     Args:
         task: one of `magical_mj.TASKS`.

@@ -77,7 +77,7 @@ def register_all() -> None:
 def suite_id(
     body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo", task: str = "SweepToTop"
 ) -> str:
-    """The id of a task with one of x-magical's bodies. The arguments are those of `magical_mj.envs.xmagical.SpeedsEnv`."""
+    """The id of a task with one of x-magical's bodies. The arguments are those of `xmagical.SpeedsEnv`."""
     test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
     return f"magical_mj/{task}-{body.capitalize()}-{observation}-{view}-{test}-v0"
 

@@ -393,8 +393,8 @@ def load(
         observations: any of "ego", "allo", "state", "ego_stack" and "allo_stack". Stacks are the last four frames of a
             view along the channels, oldest first: the benchmark's LoRes4E and LoRes4A.
         image_size: side of the pictures in pixels.
-        reward: "none" (always 0: the benchmark has no reward), "score" (the score at the last step), or "dense": at each
-            step the decrease of the remaining distance, and the score at the last step (docs/rewards.md).
+        reward: "none" (always 0: the benchmark has no reward), "score" (the score at the last step), or "dense": at
+            each step the decrease of the remaining distance, and the score at the last step (docs/rewards.md).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         renderer: the renderer of observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or the first that
