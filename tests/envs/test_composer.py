@@ -255,7 +255,7 @@ def test_states_go_from_here_to_engines_and_back() -> None:
 
 
 def test_errors_say_what_is_wrong() -> None:
-    for arguments in ({"observations": ("egg",)}, {"reward": "dense"}, {"rules": "old"}, {"variant": "Layot"}):
+    for arguments in ({"observations": ("egg",)}, {"reward": "thick"}, {"rules": "old"}, {"variant": "Layot"}):
         with pytest.raises(UnknownNameError):
             magical_mj.load("FindDupe", **arguments)
     for arguments in ({"observations": "ego"}, {"observations": None}, {"image_size": 0}):
