@@ -21,7 +21,7 @@ from magical_mj.engine.simulation import check_state
 from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, continuous_space
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
