@@ -177,7 +177,8 @@ class ExternalRewardPPO(PPO):
         """Plays `ppo.steps` steps in each environment, and returns them."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
-        return Rollout(buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks)
+        arrays = buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks
+        return Rollout(*map(torch.as_tensor, arrays))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
