@@ -150,7 +150,7 @@ def test_it_can_learn_five_demonstrations_by_heart() -> None:
     with torch.no_grad():
         predicted = learner.actor(as_input(images, learner.device), tasks).argmax(1)
     done: dict[bytes, Counter[int]] = defaultdict(Counter)
-    for image, action in zip(images, actions.tolist(), strict=True):
+    for image, action in zip(images.numpy(), actions.tolist(), strict=True):
         done[image.tobytes()][action] += 1
     known = sum(max(counter.values()) for counter in done.values())
     assert 0.9 * len(actions) < known < len(actions)
