@@ -99,23 +99,31 @@ def test_version_is_written_once() -> None:
     assert f"## [{magical_mj.__version__}] - " in (ROOT / "CHANGELOG.md").read_text()
 
 
-@pytest.mark.parametrize(
-    ("module", "name"),
-    [
-        ("actions", "ACTIONS"),
-        ("datasets", "load"),
-        ("demos", "load"),
-        ("evaluation", "EpisodeResult"),
-        ("experts", "Expert"),
-        ("observations", "STATE_NAMES"),
-        ("protocol", "PROTOCOL"),
-        ("shifts", "Shift"),
-        ("wrappers", "ContinuousActions"),
-    ],
-)
-def test_public_modules_can_be_imported_and_are_attributes_of_the_package(module: str, name: str) -> None:
-    code = f"from magical_mj.{module} import {name}; import magical_mj; assert magical_mj.{module}.{name} is {name}"
+def each_in_turn(*programs: str) -> None:
+    """Runs programs in one new process, in which the package and Gymnasium are imported anew for each."""
+    forget = "for name in [*sys.modules]:\n    if name.startswith(('magical_mj', 'gymnasium')): del sys.modules[name]\n"
+    code = "import sys\n" + "".join(f"{forget}{program}\n" for program in programs)
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).stderr == b""
+
+
+def test_public_modules_can_be_imported_and_are_attributes_of_the_package() -> None:
+    names = {
+        "actions": "ACTIONS",
+        "datasets": "load",
+        "demos": "load",
+        "evaluation": "EpisodeResult",
+        "experts": "Expert",
+        "observations": "STATE_NAMES",
+        "protocol": "PROTOCOL",
+        "shifts": "Shift",
+        "wrappers": "ContinuousActions",
+    }
+    each_in_turn(
+        *(
+            f"from magical_mj.{module} import {name}; import magical_mj; assert magical_mj.{module}.{name} is {name}"
+            for module, name in names.items()
+        )
+    )
 
 
 def test_entry_point() -> None:
@@ -144,10 +152,10 @@ def test_importing_the_package_registers_the_environments_and_leaves_the_import_
     assert (result.stdout, result.stderr) == ("100 True\n", "")
 
 
-@pytest.mark.parametrize("module", ["envs.presets", "envs.gymnasium_env", "envs.registration", "policies.models"])
-def test_any_module_can_be_the_first_one_imported(module: str) -> None:
-    code = f"import magical_mj.{module}, gymnasium; gymnasium.spec('magical_mj/FindDupe-Demo-State-v0')"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).stderr == b""
+def test_any_module_can_be_the_first_one_imported() -> None:
+    first = ("envs.presets", "envs.gymnasium_env", "envs.registration", "policies.models")
+    spec = "gymnasium.spec('magical_mj/FindDupe-Demo-State-v0')"
+    each_in_turn(*(f"import magical_mj.{module}, gymnasium; {spec}" for module in first))
 
 
 WITHOUT_DM_CONTROL = """

@@ -20,7 +20,7 @@ from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler, sampl
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
 from magical_mj.envs.vector import check_mask, environment_seeds
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import Pair, check_rules, task_spec

@@ -35,7 +35,7 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_ph
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
 from magical_mj.policies.interface import play_actions
-from magical_mj.rendering.canvas import Picture
+from magical_mj.rendering.picture import Picture
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label

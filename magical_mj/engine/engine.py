@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from magical_mj.engine.simulation import Simulation, State, check_state
 from magical_mj.rendering.backend import check_renderer
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_picture
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
-from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
 from magical_mj.shifts.registry import Shifts, shift_class, split_body
 from magical_mj.shifts.shift import Shift
@@ -29,7 +28,6 @@ from magical_mj.utils.errors import (
     PhysicsError,
     SettingsError,
     StateError,
-    check_name,
 )
 from magical_mj.variants import check_seed
 
@@ -431,8 +429,7 @@ class Engine:
             SettingsError: if the size is invalid, or the array has another shape or type.
             RenderingError: if the picture needs OpenGL, and OpenGL does not work.
         """
-        check_name("view", view, (*CAMERAS, *SEGMENTATIONS))
-        return self.simulation.draw(view, check_size(size, "size"), out)
+        return self.simulation.draw(view, check_picture(view, size, out), out)
 
     def get_state(self) -> State:
         """The exact current state of the episode. Takes about 1/40 of a step's time."""

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal, speed_signal
 from magical_mj.assets.scene_model import SceneModel, compiled_model
-from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import Views, check_out
+from magical_mj.rendering.picture import Picture
+from magical_mj.rendering.renderer import Views
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.scene.scene import MAX_NUMBER
@@ -260,7 +260,6 @@ class Simulation:
             self._views = Views(self.model, self.renderer, self._cameras)
         if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
-        check_out(out, size)
         bare = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
         target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
         picture = self._views.draw(self.data, view, size, target, bare)

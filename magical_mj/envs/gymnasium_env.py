@@ -22,7 +22,7 @@ from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, vectors
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, as_speeds, to_discrete

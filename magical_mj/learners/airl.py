@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -40,8 +39,8 @@ class AIRL(GAIL):
     def collect(self) -> Rollout:
         """The rollout. Each step includes the following state."""
         rollout = super().collect()
-        following = self._ppo.successors()[..., -1:, :]
-        return rollout._replace(observations=np.concatenate([rollout.observations, following], axis=-2))
+        following = torch.as_tensor(self._ppo.successors()[..., -1:, :])
+        return rollout._replace(observations=torch.cat([rollout.observations, following], -2))
 
     def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The logits of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
@@ -86,4 +85,4 @@ class Steps(Dataset):
             last = torch.tensor(lengths).cumsum(0) - 1
             following.append(torch.where(torch.isin(rows, last), rows, rows + 1))
         after = super().rows(following).observations[:, -1:]
-        return batch._replace(observations=np.concatenate([batch.observations, after], axis=1))
+        return batch._replace(observations=torch.cat([batch.observations, after], 1))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
@@ -88,7 +87,7 @@ class BehaviouralCloning(Learner):
             logits = self._actor(inputs, tasks.to(self.device))
         return nn.functional.cross_entropy(logits.float(), actions), logits, actions, {}
 
-    def _augmented(self, observations: NDArray[Any], noise: torch.Generator) -> Tensor:
+    def _augmented(self, observations: Tensor, noise: torch.Generator) -> Tensor:
         return self._augment(as_input(observations, self.device), noise)
 
     def recalibrate(self) -> None:

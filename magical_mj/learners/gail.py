@@ -71,12 +71,14 @@ class Adversarial(RewardLearner):
         """Also the rollouts that later updates use again."""
         earlier = self.settings.discriminator.rollouts - 1
         latest = self._latest[-earlier:] if earlier else []
-        return {**super().get_state(), "latest": [rollout._asdict() for rollout in latest]}
+        arrays = [{name: values.numpy() for name, values in rollout._asdict().items()} for rollout in latest]
+        return {**super().get_state(), "latest": arrays}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores a state from `get_state`."""
         super().set_state(state)
-        self._latest = [Rollout(**rollout) for rollout in state["latest"]]
+        arrays = ([rollout[name] for name in Rollout._fields] for rollout in state["latest"])
+        self._latest = [Rollout(*map(torch.as_tensor, values)) for values in arrays]
 
     def _step(self, rollout: Rollout) -> Mapping[str, float]:
         half = self.settings.discriminator.batch_size // 2

@@ -95,15 +95,14 @@ class EvenBuffer(DictRolloutBuffer):
         each = self.buffer_size * self.n_envs // count
         permutations = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
         order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
+        order = order % self.buffer_size * self.n_envs + order // self.buffer_size
+        arrays = self.actions, self.values, self.log_probs, self.advantages, self.returns
+        observations = {key: torch.as_tensor(values).flatten(0, 1) for key, values in self.observations.items()}
+        others = [torch.as_tensor(values).flatten(0, 1) for values in arrays]
         for numbers in order.split(batch_size or len(order)):
-            envs, steps = np.divmod(numbers.numpy(), self.buffer_size)
             yield DictRolloutBufferSamples(
-                observations={key: self.to_torch(values[steps, envs]) for key, values in self.observations.items()},
-                actions=self.to_torch(self.actions[steps, envs]),
-                old_values=self.to_torch(self.values[steps, envs]),
-                old_log_prob=self.to_torch(self.log_probs[steps, envs]),
-                advantages=self.to_torch(self.advantages[steps, envs]),
-                returns=self.to_torch(self.returns[steps, envs]),
+                {key: values.index_select(0, numbers).to(self.device) for key, values in observations.items()},
+                *(values.index_select(0, numbers).to(self.device) for values in others),
             )
 
 
@@ -177,7 +176,8 @@ class ExternalRewardPPO(PPO):
         """Plays `ppo.steps` steps in each environment, and returns them."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
-        return Rollout(buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks)
+        arrays = buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks
+        return Rollout(*map(torch.as_tensor, arrays))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""

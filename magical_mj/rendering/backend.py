@@ -1,29 +1,34 @@
-"""The choice of a renderer, and of the OpenGL backend of our pictures, which is made when it is first asked for.
+"""The choice between OpenGL and the software renderer, and of OpenGL's backend.
 
-mujoco and dm_control look at MUJOCO_GL when they are imported. Our contexts are made from mujoco's modules for single
-backends, so that does not matter here, and nothing is written to the environment.
+The backend is chosen when it is first needed. mujoco and dm_control read MUJOCO_GL when they are imported. Here,
+contexts come from mujoco's module for the chosen backend. So the order of imports does not matter, and no variable is
+changed.
 """
 
 from __future__ import annotations
 
+import atexit
+import importlib
 import os
 import subprocess
 import sys
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from magical_mj.rendering.contexts import HEADLESS, context_class, has_display
 from magical_mj.rendering.libraries import load_triton, osmesa_works
-from magical_mj.utils.errors import RenderingError, check_name
+from magical_mj.utils.errors import check_name
 
 RendererName = Literal["opengl", "software"]
 RENDERERS: Final[tuple[RendererName, ...]] = get_args(RendererName)
-"""What draws the flat views: MuJoCo with OpenGL, or scanlines on the processor."""
+"""The renderers of the flat views: MuJoCo with OpenGL, or scanlines on the processor."""
 VARIABLE: Final = "MAGICAL_MJ_RENDERER"
-"""The environment variable that chooses between them for a whole process."""
+"""The environment variable with the renderer of the whole process."""
 
+HEADLESS: Final = ("egl", "osmesa")
+"""The backends that need no display. The first is tried first."""
+SIDE: Final = 64
+"""Side of a context's own picture, in pixels. Our pictures are drawn into other buffers."""
 PACKAGES: Final = {"egl": "libegl1, libgl1-mesa-dri", "osmesa": "libosmesa6"}
 REMEDY: Final = (
     f"Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: "
@@ -34,26 +39,20 @@ OFF: Final = ("off", "disable", "disabled", "false", "0")
 KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", *OFF, *HEADLESS)
 """The values of MUJOCO_GL that mujoco and dm_control accept."""
 _TRY_EGL: Final = "from mujoco.egl import GLContext; GLContext(1, 1).make_current()"
-_GLFW_CHOSEN: Final = (
-    "dm_control was imported first, without a display and without MUJOCO_GL, so it has chosen GLFW: physics.render "
-    "and dm_control's viewer find no OpenGL context of their own. Set MUJOCO_GL to {backend} before Python starts, "
-    "or use magical_mj.load before dm_control is imported. Observations and env.render work"
-)
 
 
 class Backend(NamedTuple):
-    """An OpenGL backend: its name ("" for mujoco's default outside Linux), its contexts' class, or why it fails."""
+    """An OpenGL backend: its name ("" for mujoco's default outside Linux), and why it does not work, or ""."""
 
     name: str
-    context: type[Any] | None = None
     problem: str = ""
 
 
 def check_renderer(name: str | None) -> RendererName | None:
-    """The name of a renderer; None stands for MAGICAL_MJ_RENDERER, and if that is not set, stays None.
+    """The name of a renderer. If it is None, the value of MAGICAL_MJ_RENDERER, or None if that is not set.
 
     Raises:
-        UnknownNameError: if there is no such renderer.
+        UnknownNameError: if the renderer is unknown.
     """
     name = os.environ.get(VARIABLE) or None if name is None else name
     if name is not None:
@@ -62,7 +61,7 @@ def check_renderer(name: str | None) -> RendererName | None:
 
 
 def drawn_by(renderer: str | None = None) -> str:
-    """What draws flat views, as results record it: "software", or OpenGL's backend, such as "egl".
+    """The renderer of flat views, as results record it: "software", or OpenGL's backend, such as "egl".
 
     Args:
         renderer: as `rendering.renderer.Views` takes it.
@@ -77,13 +76,18 @@ def wanted_backend() -> str:
     return os.environ.get("MUJOCO_GL", "").strip().lower()
 
 
+def has_display() -> bool:
+    """Whether the environment variables name a display."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 @cache
 def opengl() -> Backend:
     """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL, OSMesa or GLFW, whichever starts first."""
     wanted = wanted_backend()
     if wanted or sys.platform != "linux":
         return _started(wanted)
-    # PyOpenGL works with one platform only. So if there is a choice, another process tries EGL.
+    # PyOpenGL cannot change its platform. So if there is a choice, another process tries EGL.
     if osmesa_works() and subprocess.run([sys.executable, "-c", _TRY_EGL], capture_output=True, check=False).returncode:
         return _started("osmesa")
     egl = _started("egl")
@@ -91,21 +95,20 @@ def opengl() -> Backend:
 
 
 def _started(name: str) -> Backend:
-    """The backend of this name after it has made a context, or its problem."""
+    """The backend of this name, after a test whether it can make a context."""
     load_triton()
     problem = _known_problem(name)
     try:
         if not problem:
-            context = context_class(name)
-            with ThreadPoolExecutor(1) as thread:  # so that what is current in this one stays so
-                thread.submit(lambda: context().free()).result()
-            return Backend(name, context)
+            with ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
+                thread.submit(lambda: new_context(name).free()).result()
+            return Backend(name)
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
         problem = " ".join(str(error).split()).rstrip(".")
     device = os.environ.get("MUJOCO_EGL_DEVICE_ID")
     source = f"MUJOCO_GL is {name}, which does not start" if wanted_backend() else name
     suffix = f" (MUJOCO_EGL_DEVICE_ID is {device!r})" if device is not None else ""
-    return Backend(name, None, f"{source}: {problem}{suffix}")
+    return Backend(name, f"{source}: {problem}{suffix}")
 
 
 def _known_problem(name: str) -> str:
@@ -120,31 +123,31 @@ def _known_problem(name: str) -> str:
     return "on macOS it draws in the main thread only" if sys.platform == "darwin" and name == "glfw" else ""
 
 
-def prepare_dm_control() -> None:
-    """To be called before dm_control is imported: it initialises its OpenGL at once, and only then looks at MUJOCO_GL.
+def new_context(name: str = "") -> Any:
+    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so.
 
-    Without a display and without a choice by the user it would take GLFW, which fails: it gets what works. If it has
-    been imported already, a warning says so.
+    If this starts Mesa's software OpenGL, it uses no threads, which is faster for small pictures. The variable for that
+    is reset afterwards, so that other processes can use threads.
 
-    Raises:
-        RenderingError: if MUJOCO_GL, or a variable beside it, makes that import fail.
+    Args:
+        name: the backend; "" means the chosen one, see `opengl`.
     """
-    if sys.platform != "linux":
-        return
-    wanted, platform = wanted_backend(), os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    headless = not wanted and not has_display() and opengl().name in HEADLESS and not opengl().problem
-    if "dm_control.mujoco" in sys.modules:
-        if headless:
-            warnings.warn(_GLFW_CHOSEN.format(backend=opengl().name), stacklevel=2)
-        return
-    load_triton()
-    if headless and platform in ("", opengl().name):
-        os.environ["MUJOCO_GL"] = opengl().name
-    if not wanted:
-        return
-    os.environ["MUJOCO_GL"] = wanted  # dm_control knows small letters only
-    problem = "" if wanted in (*OFF, *KNOWN) and wanted not in HEADLESS else opengl().problem
-    if wanted in HEADLESS and platform not in ("", wanted):
-        problem = f"PYOPENGL_PLATFORM is {platform}, which does not go with MUJOCO_GL={wanted}"
-    if problem:
-        raise RenderingError(f"dm_control cannot be imported: {problem}. {REMEDY}")
+    name = name or opengl().name
+    before = {variable: os.environ.get(variable) for variable in ("LP_NUM_THREADS", "PYOPENGL_PLATFORM")}
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+    try:
+        module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
+        with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
+            context = thread.submit(module.GLContext, SIDE, SIDE).result()
+    finally:
+        for variable, value in before.items():
+            if value is None:
+                os.environ.pop(variable, None)
+            else:
+                os.environ[variable] = value
+    if name == "egl":
+        from OpenGL import EGL
+
+        # mujoco would terminate EGL at exit: before dm_control frees its contexts, and in a forked child it would hang.
+        atexit.unregister(EGL.eglTerminate)
+    return context

@@ -1,4 +1,4 @@
-"""Shared libraries that have to be loaded in a certain order, or may be missing. They are loaded, and not called."""
+"""Shared libraries that must be loaded in a certain order, or may be missing. They are only loaded, not called."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 
 @cache
 def load_triton() -> None:
-    """Loads the library of Triton if it is installed: PyTorch's CUDA builds bring it, and their optimisers import it.
+    """Loads Triton's library, if it is installed, before an OpenGL driver is loaded. It takes 0.05 s.
 
-    It holds an LLVM. If that of Mesa's drivers were in the process before, its functions would be taken for Triton's,
-    and the process would die at that import. So this comes before all that may load a driver. It takes 0.05 s. Where
-    somebody else, such as mujoco's renderer, has loaded a driver already, it is too late, and nothing is done.
+    PyTorch's CUDA builds include Triton, and their optimisers import it. It contains LLVM, as Mesa's drivers do. If
+    Mesa's LLVM is loaded first, Triton calls functions of that one, and the process crashes. If other code, such as
+    mujoco's renderer, has already loaded a driver, this does nothing.
     """
     if sys.platform != "linux" or (package := importlib.util.find_spec("triton")) is None:
         return

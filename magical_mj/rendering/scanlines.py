@@ -1,12 +1,12 @@
 """A scanline rasteriser for flat convex polygons, compiled by numba: the kernels of the software renderer.
 
-Every processor draws the same bytes. Which samples a polygon covers is decided with integers alone: corners lie on a
-grid of 256 x 256 points a sample, and edges are followed with exact quotients and remainders. Corners come to the grid
-by additions and multiplications of doubles and one `floor`, each rounded on its own as IEEE 754 defines: numba does not
-fuse or reorder them (no `fastmath`), and a test looks for fused instructions in the compiled code.
+Every processor draws the same bytes. Integers alone decide which samples a polygon covers: corners are points of a grid
+of 256 x 256 points a sample, and edges are followed with exact quotients and remainders. A corner's point is computed
+by additions and multiplications of doubles and one `floor`, each rounded as IEEE 754 defines: numba does not fuse or
+reorder them (no `fastmath`), and a test looks for fused instructions in the compiled code.
 
-Machine code is kept on disk, as numba does: beside this file, or in NUMBA_CACHE_DIR, or in the user's cache folder.
-Where none can be written, it is compiled in each process, which takes some seconds.
+Numba keeps the machine code on disk: next to this file, in NUMBA_CACHE_DIR, or in the user's cache folder. If none of
+these can be written to, each process compiles, which takes some seconds.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import numpy as np
 from numba import njit
 
 GRID_BITS: Final = 8
-"""Corners lie on a grid with 2 ** GRID_BITS steps a sample, as OpenGL's usually do."""
+"""The grid of corners has 2 ** GRID_BITS steps a sample, as usual in OpenGL."""
 GRID: Final = 1 << GRID_BITS
 HALF: Final = GRID // 2
 MAX_CORNERS: Final = 64
-"""The most corners that a polygon may have. Kernels do not check it: callers split larger ones."""
+"""The most corners of a polygon. Kernels do not check it: callers split larger polygons."""
 FIRST, LAST, BODY, SOURCE, IS_SKIN = range(5)
-"""The columns of a table of polygons: its corners' rows, its body, its geom or skin, and which of the two that is."""
+"""The columns of a table of polygons: corners FIRST..LAST - 1, the body, the geom or skin, and whether it is a skin."""
 
 _EVEN: Final = np.uint64(0x00FF_00FF_00FF_00FF)  # red and blue of two samples
 _ROUND: Final = np.uint64(0x0002_0002)
@@ -34,12 +34,12 @@ _2, _8, _16, _32 = np.uint64(2), np.uint64(8), np.uint64(16), np.uint64(32)
 
 
 def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
-    """Compiles a kernel for this signature now, or loads what an earlier process has compiled."""
+    """Compiles a kernel for this signature now, or loads the code that an earlier process has compiled."""
 
     def decorate(function: Callable[..., None]) -> Any:
         try:
             return njit(signature, cache=True, nogil=True)(function)
-        except Exception:  # noqa: BLE001 - of many kinds: no folder can be written, the disk is full, files in it are damaged
+        except Exception:  # noqa: BLE001 - many kinds: no folder can be written, the disk is full, a file is damaged
             return njit(signature, nogil=True)(function)
 
     return decorate
@@ -47,7 +47,7 @@ def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
 
 @njit
 def packed_rgba(rgba: Any) -> Any:
-    """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each; 0, nothing, if alpha is 0."""
+    """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each. 0 if alpha is 0."""
     if rgba[3] == 0:
         return np.uint32(0)
     pixel = _BYTE
@@ -65,8 +65,8 @@ def transform(points: Any, frame: Any, scale: float, middle: float, x: Any, y: A
         frame: tx, ty, c, s, as `relative` computes them.
         scale: steps of the grid per world unit.
         middle: where the camera looks, in steps of the grid.
-        x: where to write x, to the right.
-        y: where to write y, upwards.
+        x: the array to write x to (to the right).
+        y: the array to write y to (upwards).
     """
     tx, ty, c, s = frame
     for k in range(len(points)):
@@ -79,7 +79,7 @@ def transform(points: Any, frame: Any, scale: float, middle: float, x: Any, y: A
 def relative(position: Any, rotation: Any, camera: Any, axes: Any) -> Any:
     """The frame of a body as a camera sees it: tx, ty, cosine and sine of the angle.
 
-    With d the vector from the camera to the body, a and b their angles: R(-a) d and b - a. All look straight down.
+    With d the vector from the camera to the body, a and b their angles: R(-a) d and b - a. Cameras look straight down.
     """
     dx, dy = position[0] - camera[0], position[1] - camera[1]
     cos_a, sin_a, cos_b, sin_b = axes[0], axes[3], rotation[0], rotation[3]
@@ -99,7 +99,7 @@ def first_centre(position: int) -> int:
 
 @njit
 def clip(x: Any, y: Any, count: int, side: int) -> Any:
-    """The rows first..last - 1 of samples that a polygon covers within the picture; none if it is beside it."""
+    """The rows first..last - 1 of samples that a polygon covers within the picture. Empty if it is outside."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
     for k in range(1, count):
         low_x, high_x = min(low_x, x[k]), max(high_x, x[k])
@@ -144,8 +144,8 @@ def fill(x: Any, y: Any, count: int, colour: int, side: int, scratch: Any) -> No
         count: the number of corners.
         colour: what to write.
         side: samples per side of the picture.
-        scratch: samples row by row from below, shape (side * side,); for each row, places for the first sample of the
-            polygon and for the one after its last, shapes (side,).
+        scratch: samples row by row from below, shape (side * side,); for each row, the first sample of the polygon and
+            the one after its last, shapes (side,), which are overwritten.
     """
     samples, left, right = scratch
     first, last = clip(x, y, count, side)
@@ -158,19 +158,19 @@ def fill(x: Any, y: Any, count: int, colour: int, side: int, scratch: Any) -> No
         elif y[after] < y[k]:
             follow(x[after], y[after], x[k], y[k], first, last, side, left)
     for row in range(first, last):
-        for place in range(row * side + left[row], row * side + right[row]):
-            samples[place] = colour
+        for sample in range(row * side + left[row], row * side + right[row]):
+            samples[sample] = colour
 
 
 @njit
 def paint(scene: Any, colours: Any, poses: Any, view: Any, side: int, scratch: Any) -> None:
-    """Paints polygons one over the other, in their order.
+    """Paints polygons in their order, later ones over earlier ones.
 
     Args:
         scene: the table of polygons, whose columns are `FIRST`..`IS_SKIN`; corners of geoms; corners of skins.
         colours: of each polygon.
         poses: positions and rotation matrices of all bodies. Shapes (n, 3) and (n, 9).
-        view: position and matrix of a camera, and the side of the square that it sees (world units).
+        view: position and matrix of a camera, and the side of the visible square (world units).
         side: samples per side of the picture.
         scratch: as for `fill`.
     """
@@ -190,13 +190,13 @@ def paint(scene: Any, colours: Any, poses: Any, view: Any, side: int, scratch: A
 
 @njit
 def average(pairs: Any, out: Any) -> None:
-    """The picture of painted samples: averaged 2 x 2, rounded, on white paper, top row first. As `renderer.on_white`.
+    """The picture of painted samples: averaged 2 x 2, rounded, on white, top row first. As `opengl.on_white`.
 
-    Two colours of 8 bits lie 16 bits apart in a word, so that four samples can be added at once without carries. Most
-    pixels have the samples of their left neighbour, and so its average.
+    Two colours of 8 bits are 16 bits apart in a word, so that four samples can be added at once without carries. Most
+    pixels have the same samples as their left neighbour, and so its average.
 
     Args:
-        pairs: two samples that stand side by side, as one word: 0xAABBGGRR of the right one, then of the left one.
+        pairs: two neighbouring samples as one word: 0xAABBGGRR of the right one, then of the left one.
         out: shape (height, width, 3).
     """
     height, width = out.shape[0], out.shape[1]
@@ -248,7 +248,7 @@ def draw_picture(
 
 @compiled("void(u4[::1], u1[:, ::1])")
 def count_bare(samples: Any, out: Any) -> None:
-    """How many of the four samples of each pixel nothing covers. Shape (height, width)."""
+    """Writes the number of uncovered samples, 0 to 4, of each pixel. Shape (height, width)."""
     height, width = out.shape
     one, bare = np.uint32(1), np.empty(2 * width, np.uint8)
     for row in range(height):
@@ -263,7 +263,7 @@ def count_bare(samples: Any, out: Any) -> None:
 
 @compiled(f"void({_WORLD}, u4[::1], u1[:, :])")
 def draw_segments(scene: Any, poses: Any, view: Any, scratch: Any, segments: Any, out: Any) -> None:
-    """Writes the segment at each pixel's centre into `out`, shape (size, size); 0 where no polygon is."""
+    """Writes the segment at each pixel's centre into `out`, shape (size, size); 0 without a polygon."""
     side = len(out)
     paint(scene, segments, poses, view, side, scratch)
     for row in range(side):

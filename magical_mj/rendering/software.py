@@ -1,8 +1,8 @@
 """The software renderer: flat pictures without OpenGL, about five times as fast as with Mesa's, the same everywhere.
 
-It draws what OpenGL draws, in the same order: the flat meshes and skins of a compiled model that the cameras ego and
-allo see, as polygons of one colour, with samples at the same places. Besides pictures it draws segmentations. The world
-is flat, so a depth would say nothing.
+It draws the same polygons as OpenGL, in the same order and with samples at the same positions: the flat meshes and
+skins of a compiled model that the cameras ego and allo see. It also draws segmentations. There is no depth, since the
+scene is flat.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.meshes import loops
-from magical_mj.rendering.canvas import Picture, drawn
+from magical_mj.rendering.picture import Picture, drawn
 from magical_mj.scene.bodies import is_convex
 from magical_mj.utils.errors import RenderingError
 
 FLOOR, WALL, ROBOT, FINGER, REGION, BLOCK = 0, 1, 2, 3, 16, 64
-"""Values of a segmentation. Region i is REGION + i, block i is BLOCK + i; beyond the walls all is WALL."""
+"""Values of a segmentation. Region i is REGION + i, block i is BLOCK + i. Everything beyond the walls is WALL."""
 SEGMENTS: Final = MappingProxyType({"world": WALL, "face": ROBOT, "left_finger": FINGER, "right_finger": FINGER})
 """Body -> its value."""
 SEGMENTATION: Final = "-segmentation"
-"""What follows the name of a camera if a segmentation is wanted instead of a picture."""
+"""The suffix of a camera's name that selects its segmentation."""
 NOT_OURS: Final = (
     "the software renderer draws the flat meshes and regions of the benchmark's own models, not {what}; use OpenGL"
 )
@@ -37,13 +37,13 @@ _SCRATCH: Final = threading.local()
 
 
 class SoftwareRenderer:
-    """Draws the states of one model, with the interface of `Renderer`. Numba compiles when the first one is made.
+    """Draws the states of one model. Numba compiles when the first renderer is made.
 
     Args:
-        model: the model to draw. Colours and the corners of regions are read anew for each picture.
+        model: the model. Colours and the corners of regions are read for each picture.
 
     Raises:
-        RenderingError: if the cameras see something in the model that is not flat.
+        RenderingError: if the cameras see a geom that is not a flat mesh.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -66,8 +66,8 @@ class SoftwareRenderer:
     ) -> Picture:
         """A picture from a camera of the model that looks straight down, as `rendering.renderer.Views.draw`.
 
-        With "-segmentation" behind the camera's name: the values FLOOR, WALL, ROBOT, FINGER, REGION + i and BLOCK + i
-        of what is at each pixel's centre, shape (size, size).
+        If the camera's name ends in "-segmentation": the value FLOOR, WALL, ROBOT, FINGER, REGION + i or BLOCK + i at
+        each pixel's centre, shape (size, size).
         """
         if data is not self._data:
             self._data, self._poses = data, (data.xpos, data.xmat)
@@ -89,7 +89,10 @@ class SoftwareRenderer:
 
 
 def scratch(side: int) -> tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.int64]]:
-    """This thread's samples, and the ends of rows, for a square of so many samples a side; of the last size only."""
+    """This thread's arrays for a square of side x side samples: the samples, and the first and last ones of each row.
+
+    They are kept until another size is needed.
+    """
     if getattr(_SCRATCH, "side", 0) != side:
         _SCRATCH.arrays = np.empty(side * side, np.uint32), np.empty(side, np.int64), np.empty(side, np.int64)
         _SCRATCH.side = side
@@ -100,7 +103,8 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
     """The polygons of a model in drawing order: geoms that cannot move, skins, geoms that can.
 
     Returns:
-        A table as `scanlines.paint` takes it, the corners of geoms (of skins the model has them), and the segments.
+        The table of polygons for `scanlines.paint`, the corners of geoms (those of skins are in the model), and the
+        value of each polygon in segmentations.
     """
     table: list[tuple[int, int, int, int, int]] = []
     corners: list[NDArray[np.float64]] = []
@@ -143,7 +147,7 @@ def _segment(body: str) -> int:
 def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
     """The convex polygons of a flat geom in its body's frame, counter-clockwise. Shapes (n, 2).
 
-    These are the loops around its mesh if they are convex and the kernels can hold them, else the mesh's triangles.
+    They are the outlines of its mesh, or the mesh's triangles if an outline is not convex or has too many corners.
     """
     name = _name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
     if model.geom_type[geom] != _MESH:
@@ -159,13 +163,15 @@ def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
 
 
 @lru_cache(maxsize=256)  # most resets compile a new model of the same few shapes
-def _convex_parts(points: bytes, triangles: bytes, quaternion: bytes, place: bytes) -> list[NDArray[np.float64]] | None:
-    """See `_parts`; the arguments are the mesh's vertices and faces, and the geom's pose. None if it is not flat."""
+def _convex_parts(
+    points: bytes, triangles: bytes, quaternion: bytes, position: bytes
+) -> list[NDArray[np.float64]] | None:
+    """As `_parts`, of the mesh's vertices and faces and the geom's pose. None if it is not flat."""
     from magical_mj.rendering.scanlines import MAX_CORNERS
 
     turned = np.empty(9)
     mujoco.mju_quat2Mat(turned, np.frombuffer(quaternion))  # the compiler moves meshes to their centres and turns them
-    vertices = np.frombuffer(points, np.float32).reshape(-1, 3) @ turned.reshape(3, 3).T + np.frombuffer(place)
+    vertices = np.frombuffer(points, np.float32).reshape(-1, 3) @ turned.reshape(3, 3).T + np.frombuffer(position)
     if np.ptp(vertices[:, 2]) > 1e-6:
         return None
     faces = np.frombuffer(triangles, np.int32).reshape(-1, 3).astype(np.int64)

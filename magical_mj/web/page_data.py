@@ -20,7 +20,7 @@ from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.policies.interface import letters_of
-from magical_mj.rendering.canvas import drawn
+from magical_mj.rendering.picture import drawn
 from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import BODIES

@@ -39,7 +39,7 @@ def test_loss_and_reward_are_the_papers() -> None:
 def test_demonstrations_hold_what_followed() -> None:
     learner = AIRL(playing("airl", preset="State"))
     first, second = learner._expert.lengths[0]
-    rows = torch.from_numpy(learner._expert.rows([torch.arange(first + second)]).observations)
+    rows = learner._expert.rows([torch.arange(first + second)]).observations
     last = torch.tensor([first - 1, first + second - 1])
     inner = torch.ones(len(rows), dtype=torch.bool).index_fill(0, last, False)[:-1]
     torch.testing.assert_close(rows[:-1, 1:][inner], rows[1:, :-1][inner])
@@ -50,7 +50,7 @@ def test_demonstrations_hold_what_followed() -> None:
 def test_rollouts_hold_what_followed() -> None:
     """Each step has the state of the next, across rollouts too; the last of an episode has its own again."""
     learner = AIRL(playing("airl", **LONG))
-    first, second = learner.collect().observations, learner.collect().observations
+    first, second = learner.collect().observations.numpy(), learner.collect().observations.numpy()
     both = np.concatenate([first, second[:1]])
     goes_on = (both[:-1, :, 1:] == both[1:, :, :-1]).all((2, 3))
     ends = (first[:, :, 4] == first[:, :, 3]).all(2) & ~goes_on

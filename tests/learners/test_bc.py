@@ -57,8 +57,9 @@ def test_every_task_counts_equally() -> None:
     assert set(shares[:, 0].tolist()) == {2, 3}
     assert shares[:, 0].sum() == pytest.approx(500, abs=30)  # the odd one goes to either task alike
     first = data.rows([torch.arange(data.sizes[0]), torch.arange(0)])
-    pictures = {image.tobytes() for image in first.observations}
-    assert [image.tobytes() in pictures for image in batches[0].observations] == (batches[0].tasks == 0).tolist()
+    pictures = {image.tobytes() for image in first.observations.numpy()}
+    drawn = batches[0].observations.numpy()
+    assert [image.tobytes() in pictures for image in drawn] == (batches[0].tasks == 0).tolist()
 
 
 def test_the_network_is_the_papers() -> None:
@@ -149,7 +150,7 @@ def test_it_can_learn_five_demonstrations_by_heart() -> None:
     with torch.no_grad():
         predicted = learner.actor(as_input(images, learner.device), tasks).argmax(1)
     done: dict[bytes, Counter[int]] = defaultdict(Counter)
-    for image, action in zip(images, actions.tolist(), strict=True):
+    for image, action in zip(images.numpy(), actions.tolist(), strict=True):
         done[image.tobytes()][action] += 1
     known = sum(max(counter.values()) for counter in done.values())
     assert 0.9 * len(actions) < known < len(actions)
@@ -214,7 +215,7 @@ def test_each_row_learnt_from_has_its_successor_behind_it() -> None:
     data = Dataset(settings, drop_noop=False)
     rows = usable(data, 0)
     assert (data.actions(0)[rows] != NOOP).all()
-    first, following = (torch.from_numpy(data.rows([numbers]).observations) for numbers in (rows, rows + 1))
+    first, following = (data.rows([numbers]).observations for numbers in (rows, rows + 1))
     torch.testing.assert_close(first[:, 1:], following[:, :-1])  # histories overlap
     acting = (data.actions(0) != NOOP).sum()
     assert acting - len(data.lengths[0]) <= len(rows) <= acting

@@ -52,6 +52,20 @@ def changed(setting: Callable[[Any], object], value: object, usual: object) -> I
         setting(usual)
 
 
+def drawn(folder: Path) -> tuple[bytes, list[int]]:
+    """The file of a newly trained policy, and some of its actions."""
+    picture = np.random.default_rng(0).integers(0, 256, (96, 96, 12)).astype(np.uint8)
+    train(tiny(**{"bc.batches": 4, "checkpoints": 1}), folder)
+    policy = load_policy(folder)
+    policy.reset(Episode("MoveToRegion", "Demo", 0))
+    return (folder / POLICY).read_bytes(), [int(policy(picture)) for _ in range(20)]
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
+    return drawn(tmp_path_factory.mktemp("usual") / "run")
+
+
 @pytest.mark.parametrize(
     "setting",
     [
@@ -61,20 +75,13 @@ def changed(setting: Callable[[Any], object], value: object, usual: object) -> I
     ],
     ids=["doubles", "rough-products", "no-grad", "inference", "autocast", "device"],
 )
-def test_no_result_depends_on_the_callers_settings_of_torch(tmp_path: Path, setting: Any) -> None:
+def test_no_result_depends_on_the_callers_settings_of_torch(
+    tmp_path: Path, setting: Any, usual: tuple[bytes, list[int]]
+) -> None:
     """They are the caller's again afterwards."""
-    picture = np.random.default_rng(0).integers(0, 256, (1, 96, 96, 12)).astype(np.uint8)
-
-    def drawn(folder: Path) -> tuple[bytes, list[int]]:
-        train(tiny(**{"bc.batches": 4, "checkpoints": 1}), folder)
-        policy = load_policy(folder)
-        policy.reset(Episode("MoveToRegion", "Demo", 0))
-        return (folder / POLICY).read_bytes(), [int(policy(picture[0])) for _ in range(20)]
-
-    usual = drawn(tmp_path / "usual")
     with setting:
         before = torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_float32_matmul_precision()
-        assert drawn(tmp_path / "other") == usual
+        assert drawn(tmp_path / "run") == usual
         assert (torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_float32_matmul_precision()) == before
 
 

@@ -127,7 +127,7 @@ def improver_spaces() -> tuple:
 def test_rollouts_are_drawn_evenly_over_tasks() -> None:
     numbers = np.arange(24, dtype=np.uint8).reshape(4, 6)  # 6 x step + copy
     images = np.broadcast_to(numbers[..., None, None, None], (4, 6, 1, 1, 1))
-    rollout = Rollout(images, numbers.astype(np.int64), np.repeat([0, 1], 3))
+    rollout = Rollout(*map(torch.as_tensor, (images.copy(), numbers.astype(np.int64), np.repeat([0, 1], 3))))
     generator = torch.Generator().manual_seed(0)
     drawn = [rollout.sample(6, generator) for _ in range(50)]
     for batch in drawn:

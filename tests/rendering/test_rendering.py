@@ -14,10 +14,10 @@ import magical_mj
 from magical_mj.assets import style
 from magical_mj.engine.export import mjcf_text
 from magical_mj.engine.simulation import Simulation
-from magical_mj.rendering.canvas import DRAWN_GROUPS, KEPT
-from magical_mj.rendering.canvases import CANVASES
-from magical_mj.rendering.flat import FlatRenderer, on_white
-from magical_mj.rendering.renderer import LARGEST, check_size
+from magical_mj.rendering.canvas import CANVASES
+from magical_mj.rendering.drawing import KEPT
+from magical_mj.rendering.opengl import FlatRenderer, on_white
+from magical_mj.rendering.picture import DRAWN_GROUPS, LARGEST, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 

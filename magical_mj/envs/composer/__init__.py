@@ -2,17 +2,57 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from typing import Any
+import warnings
+from typing import Any, Final
 
 import mujoco
 
 from magical_mj.engine import State
-from magical_mj.rendering.backend import prepare_dm_control
-from magical_mj.utils.errors import MissingExtraError
+from magical_mj.rendering.backend import HEADLESS, KNOWN, REMEDY, has_display, opengl, wanted_backend
+from magical_mj.rendering.libraries import load_triton
+from magical_mj.utils.errors import MissingExtraError, RenderingError
+
+_GLFW_CHOSEN: Final = (
+    "dm_control was imported first, without a display and without MUJOCO_GL, so it has chosen GLFW: physics.render "
+    "and dm_control's viewer find no OpenGL context of their own. Set MUJOCO_GL to {backend} before Python starts, "
+    "or use magical_mj.load before dm_control is imported. Observations and env.render work"
+)
+
+
+def _prepare() -> None:
+    """Sets MUJOCO_GL for dm_control, which reads it once, when it is imported.
+
+    Without a display and without MUJOCO_GL, dm_control would choose GLFW, which fails. So it gets a backend that works,
+    or a warning if dm_control has been imported already.
+
+    Raises:
+        RenderingError: if the import would fail because of MUJOCO_GL or PYOPENGL_PLATFORM.
+    """
+    if sys.platform != "linux":
+        return
+    wanted, platform = wanted_backend(), os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    headless = not wanted and not has_display() and opengl().name in HEADLESS and not opengl().problem
+    if "dm_control.mujoco" in sys.modules:
+        if headless:
+            warnings.warn(_GLFW_CHOSEN.format(backend=opengl().name), stacklevel=2)
+        return
+    load_triton()
+    if headless and platform in ("", opengl().name):
+        os.environ["MUJOCO_GL"] = opengl().name
+    if not wanted:
+        return
+    os.environ["MUJOCO_GL"] = wanted  # dm_control accepts lower case only
+    problem = "" if wanted in KNOWN and wanted not in HEADLESS else opengl().problem
+    if wanted in HEADLESS and platform not in ("", wanted):
+        problem = f"PYOPENGL_PLATFORM is {platform}, which does not go with MUJOCO_GL={wanted}"
+    if problem:
+        raise RenderingError(f"dm_control cannot be imported: {problem}. {REMEDY}")
+
 
 try:
-    prepare_dm_control()  # before the first import of dm_control
+    _prepare()  # before the first import of dm_control
     from magical_mj.envs.composer.entities import Arena
     from magical_mj.envs.composer.environment import Environment, load, load_scene
 except (ImportError, AttributeError) as error:  # AttributeError: versions of dm_control and MuJoCo do not match

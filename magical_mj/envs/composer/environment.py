@@ -22,7 +22,7 @@ from magical_mj.engine.engine import Engine, Setup, restored
 from magical_mj.engine.simulation import Simulation, check_state, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.rendering.backend import check_renderer
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_picture, check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, VIEWS
@@ -107,7 +107,7 @@ class Environment(composer.Environment):
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the current state; see `magical_mj.Engine.render`. Segmentations are not available here."""
         check_name("view", view, CAMERAS)
-        return self.task.simulation(self._opened()).draw(view, check_size(size, "size"), out)
+        return self.task.simulation(self._opened()).draw(view, check_picture(view, size, out), out)
 
     def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
         """Adds a function to one of composer's hooks.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from magical_mj.engine import Engine
 from magical_mj.policies.expert.planner import Expert
 from magical_mj.policies.expert.sweeping import Sweeper
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.tasks.registry import task_spec

@@ -29,7 +29,7 @@ from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Batch
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPE, SHAPES, blocks_of, regions_of
 from magical_mj.learners.settings import STATE, TrainingSettings
-from magical_mj.rendering.canvas import Picture
+from magical_mj.rendering.picture import Picture
 from magical_mj.scene import Block, GoalRegion, Robot, Scene, constants
 from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import SettingsError
@@ -129,7 +129,7 @@ class Pool:
 
     def __init__(self, teacher: Relational, view: str, renderer: str | None) -> None:
         self._teacher, self._redrawer = teacher, Redrawer(view, renderer)
-        self._pictures = np.empty((POOL, *SHAPE[:2], 3), np.uint8)
+        self._pictures = torch.empty((POOL, *SHAPE[:2], 3), dtype=torch.uint8)
         self._probabilities = torch.zeros(POOL, ONE_HOT)
         self.begun = teacher.draw.get_state()
 
@@ -142,12 +142,12 @@ class Pool:
             logits = self._teacher.actor.logits(states)
         certain = nn.functional.one_hot(demonstrated.cpu(), ONE_HOT).float()
         self._probabilities = torch.cat([certain, logits.softmax(1).cpu()])
-        self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures)
+        self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures.numpy())
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """Random samples of the current pictures, with one frame each. The actions are probabilities (n, 18)."""
         rows = torch.randint(POOL, (size,), generator=generator)
-        return Batch(self._pictures[rows.numpy()], self._probabilities[rows], torch.zeros(size, dtype=torch.int64))
+        return Batch(self._pictures[rows], self._probabilities[rows], torch.zeros(size, dtype=torch.int64))
 
 
 class Redrawer:

@@ -1,10 +1,8 @@
-"""Flat pictures by OpenGL: the geoms and skins of one model that the cameras ego and allo see, in exact colours.
+"""Pictures of one model by OpenGL: the flat views in exact colours, and the view "scene" in 3-D.
 
-On software OpenGL every drawn pixel costs time. Frames are cheap because of this:
+On software OpenGL every drawn pixel costs time. Flat pictures are cheap because of this:
 
 - They are drawn at twice the size and averaged 2 x 2: cheaper than multisampling, and closer to the original.
-- Geoms are drawn in the order in which the model lists them, static ones first, so no depth buffer is needed. Their
-  heights have the same order, so other MuJoCo viewers, which use a depth buffer, show the same picture.
 - The floor, which is white, is not drawn: pixels without a geom (alpha 0) become white afterwards.
 """
 
@@ -15,33 +13,27 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.canvas import DRAWN_GROUPS, Canvas, Drawing, Picture, kind_of
-from magical_mj.rendering.canvases import CANVASES
+from magical_mj.rendering.canvas import CANVASES, Canvas
+from magical_mj.rendering.drawing import Drawing
+from magical_mj.rendering.picture import Picture
 
 OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
-_STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
-_WHITE, _DARK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _EACH: Final = np.uint64(0x0001_0001_0001_0001)
 """One in each quarter of a word: red, green, blue, alpha, lowest first."""
 _EACH_COLOUR: Final = np.uint64(0x0000_0001_0001_0001)
 
 
 class FlatRenderer:
-    """Draws the states of one model. Cheap to make; OpenGL starts at the first frame."""
+    """Draws what the cameras ego and allo see of one model. Cheap to make; OpenGL starts at the first picture."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-        self._kind: bytes | None = None
+        self._model, self._drawing = model, Drawing(model, lit=False)
         self._cameras: dict[str, mujoco.MjvCamera] = {}
-        self._perturbation = mujoco.MjvPerturb()
-        self._option = mujoco.MjvOption()
-        self._option.geomgroup[:] = self._option.skingroup[:] = [group in DRAWN_GROUPS for group in range(6)]
-        self._option.sitegroup[:] = self._option.tendongroup[:] = 0
 
     def start(self) -> None:
         """Starts OpenGL. Raises a `RenderingError` if it does not work here."""
-        CANVASES.draw(self._drawing)
+        CANVASES.draw(self._drawing.context)
 
     def draw(
         self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
@@ -49,7 +41,7 @@ class FlatRenderer:
         """A picture from a camera of the model, as `rendering.renderer.Views.draw`."""
 
         def paint(canvas: Canvas) -> Picture:
-            pixels = self._paint(canvas, data, camera, OVERSAMPLING * size)
+            pixels = self._drawing.draw(canvas, data, self._camera(camera), OVERSAMPLING * size)
             if bare is not None:
                 empty = (pixels[::-1, :, 3] == 0).reshape(size, OVERSAMPLING, size, OVERSAMPLING)
                 empty.sum(axis=(1, 3), dtype=np.uint8, out=bare)
@@ -57,27 +49,31 @@ class FlatRenderer:
 
         return CANVASES.draw(paint)
 
-    def _paint(self, canvas: Canvas, data: mujoco.MjData, camera: str, side: int) -> Picture:
-        model, drawing = self.model, self._drawing(canvas)
-        scene = drawing.scene(model)
-        option, perturbation = self._option, self._perturbation
-        mujoco.mjv_updateScene(model, data, option, perturbation, self._camera(camera), _STILL, scene)
-        mujoco.mjv_addGeoms(model, data, option, perturbation, _MOVING, scene)
-        scene.nlight, light = 1, scene.lights[0]
-        light.ambient, light.diffuse, light.specular = _WHITE, _DARK, _DARK
-        return drawing.draw(side)
-
-    def _drawing(self, canvas: Canvas) -> Drawing:
-        self._kind = self._kind or kind_of(self.model, lit=False)
-        return canvas.drawing(self.model, self._kind, lit=False)
-
     def _camera(self, name: str) -> mujoco.MjvCamera:
         if name not in self._cameras:
-            camera = mujoco.MjvCamera()
-            camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            camera.fixedcamid = self.model.camera(name).id
-            self._cameras[name] = camera
+            camera = self._cameras[name] = mujoco.MjvCamera()
+            camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera(name).id
         return self._cameras[name]
+
+
+class SolidRenderer:
+    """Draws one model in 3-D with lights and shadows, as MuJoCo's viewers show it at first."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._drawing, self._camera = Drawing(model, lit=True), mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(model, self._camera)
+
+    def draw(self, data: mujoco.MjData, size: int, out: Picture | None = None) -> Picture:
+        """A picture, as `rendering.renderer.Views.draw`."""
+
+        def paint(canvas: Canvas) -> Picture:
+            pixels = self._drawing.draw(canvas, data, self._camera, 4 * size)
+            twice = on_white(pixels).reshape(size, 2, size, 2, 3)  # for smooth slanted edges
+            picture = np.empty((size, size, 3), np.uint8) if out is None else out
+            picture[:] = (twice.sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
+            return picture
+
+        return CANVASES.draw(paint)
 
 
 def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
