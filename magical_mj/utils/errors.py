@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 _SHOWN: Final = 80
@@ -132,6 +132,12 @@ def short_repr(value: object) -> str:
 def counted(number: int, noun: str) -> str:
     """A number with its noun, such as "1 episode" or "2 episodes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def listing(names: Sequence[str], most: int = 8) -> str:
+    """The names separated by commas; after the first ones, only the number of the others."""
+    rest = len(names) - most
+    return ", ".join(names) if rest <= 0 else f"{', '.join(names[:most])} and {rest} more"
 
 
 def as_integer(value: Any, least: int = 0, most: int | None = None) -> int | None:

@@ -116,6 +116,8 @@ def test_scenes_of_diagnose_refute_the_simplest_rivals() -> None:
     assert all(any(flags) for flags in refuted)
     assert all(any(flags[number] for flags in refuted) for number in range(10))
     assert all(accepts(intent, scene) for scene in scenes)
+    alone = sample_scene("intent:robot in()", "Diagnose", 0)  # without rivals
+    assert accepts(parse("robot in()"), alone)
     assert environments(name, "Diagnose,All") == [(name, "All"), (name, "Diagnose")]
     assert "Diagnose" not in dict(environments(name)).values()
     with pytest.raises(UnknownNameError, match="its diagnose cannot vary"):

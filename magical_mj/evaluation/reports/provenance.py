@@ -20,7 +20,7 @@ from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import SPLITS, TASKS
-from magical_mj.utils.errors import SettingsError, counted
+from magical_mj.utils.errors import SettingsError, counted, listing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -154,7 +154,7 @@ def _deviations(
         if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
             yield text.format(", ".join(map(str, others)))
     if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
-        yield f"tasks from outside the benchmark: {', '.join(own)}"
+        yield f"tasks from outside the benchmark: {listing(own)}"
 
 
 def _facts(known: Sequence[Settings]) -> Iterator[str]:

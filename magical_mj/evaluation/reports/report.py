@@ -33,7 +33,7 @@ from magical_mj.evaluation.reports.tables import (
 )
 from magical_mj.evaluation.scores import EpisodeResult, folders_of
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import EvaluationError, counted
@@ -59,6 +59,7 @@ FILES: Final = {
 PANELS_PER_ROW: Final = 3
 PANEL: Final = (4.6, 3.5)  # inches
 ONE_TASK: Final = 1.5  # inches
+LONGEST: Final = 30  # letters of a task's name in figures
 CURVES_PER_ROW: Final = 4
 CURVES: Final = (2.6, 2.2)  # inches
 BARS_PER_ROW: Final = 7
@@ -247,7 +248,8 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
 
 def heat_map(results: Results) -> Figure:
     """A panel for each method with its mean score in every environment. Pairs without an environment are grey."""
-    policies, height = results.policies, PANEL[1] if len(results.tasks) > 1 else ONE_TASK
+    policies, rows = results.policies, len(results.tasks)
+    height = PANEL[1] * max(1.0, rows / len(TASKS)) if rows > 1 else ONE_TASK
     figure, panels = panels_of(len(policies), PANELS_PER_ROW, (PANEL[0], height))
     image: Any = None
     for axes, policy in zip(panels.flat, policies, strict=False):
@@ -271,7 +273,8 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
             text, colour = "?" if (tasks[y], variants[x]) in ENVIRONMENTS else "", "black"
         axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(len(variants)), variants, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
-    axes.set_yticks(range(len(tasks)), map(escape.mathtext, tasks), fontsize=9)
+    names = (task if len(task) <= LONGEST else f"{task[:LONGEST]}..." for task in tasks)
+    axes.set_yticks(range(len(tasks)), map(escape.mathtext, names), fontsize=9)
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)

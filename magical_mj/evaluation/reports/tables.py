@@ -22,7 +22,7 @@ from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.utils import escape
-from magical_mj.utils.errors import counted
+from magical_mj.utils.errors import counted, listing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,6 +73,7 @@ def result_tables(results: Results) -> list[Table]:
     """The paper's Table 1, the interquartile means, and the table of all environments."""
     tasks = counted_tasks(results.scores["task"].cat.categories)
     over = "all tasks" if len(tasks) > 1 and set(tasks) & set(TASKS) else " and ".join(tasks)
+    over = over if len(tasks) <= len(TASKS) else counted(len(tasks), "task")
     header = ("Method", *results.shown_variants)
     spread = Table(
         "variants",
@@ -175,7 +176,7 @@ def notes(results: Results) -> Iterator[str]:
         yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
     played = results.environments.loc[~results.environments["published"], "task"]
     if own := [task for task in results.tasks if task not in counted_tasks(played)]:
-        yield f"Tasks from outside the benchmark, which the means over tasks do not include: {', '.join(own)}."
+        yield f"Tasks from outside the benchmark, which the means over tasks do not include: {listing(own)}."
     expected = {variant for _, variant in expected_environments(results.environments)}
     existing = [variant for variant in results.shown_variants if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
