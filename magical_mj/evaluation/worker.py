@@ -129,7 +129,7 @@ class Player:
     Attributes:
         policies: name and run -> the policy.
         settings: the settings of the evaluation.
-        demonstrations: task -> those that policies are given, if any gets some.
+        demonstrations: task -> the demonstrations that policies receive. Empty if no policy uses any.
     """
 
     policies: Mapping[tuple[str, int], Source]
@@ -142,7 +142,7 @@ class Player:
         """A player of these policies. `watch` is that of `demonstrations_given`.
 
         Raises:
-            SettingsError, DemonstrationError: if there are no demonstrations for a policy that is given some.
+            SettingsError, DemonstrationError: as `demonstrations_given`, if a policy uses demonstrations.
         """
         shown = any(source.shown for source in sources)
         return cls(
@@ -196,18 +196,18 @@ class Player:
         return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
     def _episodes(self, unit: Unit) -> list[Episode]:
-        """What the policy is told of each episode."""
+        """The information that the policy receives at the start of each episode."""
         policy, settings = self._policy(unit), self.settings
         task, shown = policy_task(unit.task, policy, settings.like), self._shown(unit.task, policy)
-        told = settings.control == "wrong-sentence"
-        sentences = [task_spec(other).summary if told else "" for other in self._others(unit)]
+        others = self._others(unit) if settings.control == "wrong-instruction" else ()
+        sentences = [task_spec(other).summary for other in others] or [""] * len(unit.seeds)
         return [
             Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
             for seed, sentence in zip(unit.seeds, sentences, strict=True)
         ]
 
     def _shown(self, task: str, policy: Act) -> tuple[Any, ...]:
-        """The demonstrations of a task as the policy gets them."""
+        """The demonstrations of a task in the form that the policy uses."""
         if not uses_demonstrations(policy):
             return ()
         if uses_simulation(policy):
@@ -216,10 +216,10 @@ class Player:
         return self._keep("demonstrations", task, lambda: _observed(self.demonstrations[task], preset, renderer))
 
     def _others(self, unit: Unit) -> list[str]:
-        """In a control, for each episode the task whose demonstrations or sentence are given instead."""
+        """For each episode, the other task of the control. Empty without a control."""
         if self.settings.control is None:
             return [""] * len(unit.seeds)
-        body = self.settings.body if self.settings.control == "wrong-sentence" else None
+        body = self.settings.body if self.settings.control == "wrong-instruction" else None
         return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
 
     def _play(

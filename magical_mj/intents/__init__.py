@@ -45,7 +45,7 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
 
 
 def __getattr__(name: str) -> Any:
-    """`dataset`, imported at first use: it needs the simulator, and this folder is imported by what is below it."""
+    """`dataset`, imported at first use, because it needs the simulator and higher layers."""
     if name == "dataset":
         from magical_mj.demos.intents import dataset
 
