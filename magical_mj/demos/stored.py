@@ -17,6 +17,7 @@ from msgspec import Meta
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import demonstrate, replayed
+from magical_mj.intents.sets import INTENTS
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
@@ -64,8 +65,8 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def default_path() -> Path:
-    """The file in the user's cache folder for this protocol and version of MuJoCo."""
-    return files.cache_folder() / f"demonstrations-p{PROTOCOL}-mujoco{version('mujoco')}.jsonl"
+    """The file in the user's cache folder for these protocols and this version of MuJoCo."""
+    return files.cache_folder() / f"demonstrations-p{PROTOCOL}-i{INTENTS}-mujoco{version('mujoco')}.jsonl"
 
 
 def read(path: Path) -> dict[Key, Stored]:
@@ -97,7 +98,7 @@ def complete(
         keys: task, variant and number of each demonstration.
         path: the file. It is created if it is missing.
         jobs: the number of processes; None: one per core.
-        watch: called at the start, and after each new demonstration.
+        watch: called before the first new demonstration, and after each.
 
     Raises:
         DemonstrationError: if some demonstrations could not be made. The file then contains all others.
@@ -105,7 +106,8 @@ def complete(
     keys = list(keys)
     known = read(path)
     todo = [key for key in dict.fromkeys(keys) if key not in known]
-    watch(len(keys) - len(todo), len(keys))
+    if todo:
+        watch(len(keys) - len(todo), len(keys))
     failures: list[str] = []
     made = map_here(_made, todo) if jobs == 1 or len(todo) <= FEW else map_unordered(_made, todo, jobs)
     for number, result in enumerate(made, start=len(keys) - len(todo) + 1):

@@ -8,6 +8,7 @@ pursue that task.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -26,6 +27,7 @@ from magical_mj.utils.errors import DemonstrationError, SettingsError, counted
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
+    from magical_mj.demos.stored import Stored
 
 Watch = Callable[[int, int], object]
 """Called with the number of finished demonstrations, and their total number."""
@@ -33,7 +35,7 @@ Watch = Callable[[int, int], object]
 
 def demonstrations_given(
     settings: EvaluationSettings, watch: Watch = lambda _, __: None
-) -> dict[str, tuple[Demonstration, ...]]:
+) -> dict[str, tuple[Demonstration | Stored, ...]]:
     """The demonstrations that policies receive, by the task that is played.
 
     Demonstrations of intents are by the expert. Those that are not in the user's cache are made.
@@ -59,10 +61,10 @@ def demonstrations_given(
         if in_language(other)
     }
     keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
-    path = stored.default_path()
-    made = iter(stored.complete([key for group in keys.values() for key in group], path, watch=watch))
+    every = [key for group in keys.values() for key in group]
+    made = iter(stored.complete(every, stored.default_path(), watch=watch))
     return {
-        task: tuple(stored.replay(next(made), path) for _ in keys[task]) if task in keys else _shipped(other, settings)
+        task: tuple(itertools.islice(made, number)) if task in keys else _shipped(other, settings)
         for task, other in shown.items()
     }
 
@@ -80,13 +82,26 @@ def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ..
     return tuple(known[: settings.number_given])
 
 
-def digest_of(demos: Sequence[Demonstration]) -> str:
-    """The SHA-256 digest of the scenes and the actions."""
+def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
+    """The SHA-256 digest of the scenes and the actions of demonstrations."""
     digest = hashlib.sha256()
-    for demo in demos:
-        digest.update(f"{demo.scene.digest()} {demo.actions.dtype.str} {demo.actions.shape}".encode())
-        digest.update(demo.actions.tobytes())
+    for demo in shown:
+        actions = demo.actions.encode() if isinstance(demo.actions, str) else demo.actions.tobytes()
+        scene = demo.scene if isinstance(demo.scene, str) else demo.scene.digest()
+        digest.update(f"{scene} {len(actions)} ".encode() + actions)
     return digest.hexdigest()
+
+
+def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
+    """Demonstrations with their states. Stored actions are replayed.
+
+    Raises:
+        DemonstrationError: if they were stored by another version of this package.
+    """
+    from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
+
+    path = stored.default_path()
+    return tuple(demo if isinstance(demo, Demonstration) else stored.replay(demo, path) for demo in shown)
 
 
 def intent_of(task: str) -> Intent:

@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import gymnasium
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.given import Watch, demonstrations_given, digest_of, other_task, with_other_score
+from magical_mj.evaluation.given import (
+    Watch,
+    demonstrations_given,
+    digest_of,
+    other_task,
+    with_other_score,
+    with_states,
+)
 from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
@@ -41,6 +48,7 @@ from magical_mj.utils.parallel import Split, Timed
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
+    from magical_mj.demos.stored import Stored
 
 T = TypeVar("T")
 Playing = Callable[[list[Episode], float], list[Outcome]]
@@ -134,7 +142,7 @@ class Player:
 
     policies: Mapping[tuple[str, int], Source]
     settings: EvaluationSettings
-    demonstrations: Mapping[str, Sequence[Demonstration]] = field(default_factory=dict)
+    demonstrations: Mapping[str, Sequence[Demonstration | Stored]] = field(default_factory=dict)
     _kept: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
     @classmethod
@@ -210,10 +218,11 @@ class Player:
         """The demonstrations of a task in the form that the policy uses."""
         if not uses_demonstrations(policy):
             return ()
+        demos, settings = self.demonstrations[task], self.settings
         if uses_simulation(policy):
-            return tuple(self.demonstrations[task])
-        preset, renderer = self.settings.observed, self.settings.renderer
-        return self._keep("demonstrations", task, lambda: _observed(self.demonstrations[task], preset, renderer))
+            return self._keep("demonstrations", (task, ""), lambda: with_states(demos))
+        key = task, settings.observed
+        return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
 
     def _others(self, unit: Unit) -> list[str]:
         """For each episode, the other task of the control. Empty without a control."""
@@ -275,11 +284,13 @@ class Player:
             dropped.close()
 
 
-def _observed(demos: Sequence[Demonstration], preset: str, renderer: RendererName | None) -> tuple[Transitions, ...]:
+def _observed(
+    shown: Sequence[Demonstration | Stored], preset: str, renderer: RendererName | None
+) -> tuple[Transitions, ...]:
     """Demonstrations as observations and actions. The arrays are read-only, since all episodes share them."""
     from magical_mj.demos.learning import stream  # imported late: it loads the simulator
 
-    parts = tuple(stream(demos, preset, drop_noop=False, renderer=renderer))
+    parts = tuple(stream(with_states(shown), preset, drop_noop=False, renderer=renderer))
     for part in parts:
         views = part.observations.values() if isinstance(part.observations, dict) else (part.observations,)
         for array in (*views, part.actions):

@@ -13,7 +13,7 @@ import pytest
 import magical_mj
 from magical_mj.demos import stored
 from magical_mj.evaluation import Episode, EvaluationSettings
-from magical_mj.evaluation.given import demonstrations_given, other_tasks
+from magical_mj.evaluation.given import demonstrations_given, digest_of, other_tasks, with_states
 from magical_mj.evaluation.reports.results import results
 from magical_mj.evaluation.reports.tables import control_tables, result_tables
 from magical_mj.evaluation.scores import SETTINGS, read
@@ -230,7 +230,9 @@ def test_policies_do_not_receive_the_intent_of_a_task(cache: Path) -> None:
 def test_demonstrations_of_an_intent_in_several_scenes_are_made_once(cache: Path) -> None:
     how: dict[str, Any] = {"tasks": INTENT, "variants": "Demo", "demonstrations": 3, "scenes": 2}
     seen: list[tuple[int, int]] = []
-    made = demonstrations_given(EvaluationSettings(**how), lambda *numbers: seen.append(numbers))[INTENT]
+    shown = demonstrations_given(EvaluationSettings(**how), lambda *numbers: seen.append(numbers))[INTENT]
+    made = with_states(shown)
+    assert digest_of(made) != digest_of(made[:2])
     assert [demo.scene for demo in made] == [*(scenes := task_spec(f"{INTENT} [demos=2]").demos), scenes[0]]
     assert all(demo.score == 1.0 for demo in made)
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
