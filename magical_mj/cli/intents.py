@@ -17,7 +17,7 @@ Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; 
 PerIntent = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
 ]
-Scenes = Annotated[int, typer.Option(min=1, max=8, help="The number of demo scenes over which they are spread.")]
+Scenes = Annotated[int, typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.")]
 Variants = Annotated[
     str, typer.Option(help="Variants, separated by commas.", autocompletion=option.COMPLETIONS["variants"])
 ]
@@ -26,13 +26,13 @@ Target = Annotated[
     typer.Option(
         metavar="FORMAT",
         help="npz (a numpy archive), lerobot or webdataset (an archive).",
-        show_default="only the expert's actions are kept",
+        show_default="only the actions are stored",
     ),
 ]
 Out = Annotated[Path | None, typer.Option(help="The file or the folder.", show_default="by intents and preset")]
 Preset = Annotated[str, typer.Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
 Folder = Annotated[
-    Path | None, typer.Option(help="Where the actions are kept.", show_default="the user's cache folder")
+    Path | None, typer.Option(help="The folder of the stored actions.", show_default="the user's cache folder")
 ]
 
 
@@ -48,7 +48,7 @@ def intents(
     jobs: option.Jobs = None,
     force: option.Force = False,
 ) -> None:
-    """Make demonstrations of intents by the expert, and write them for learners. Called again, it continues."""
+    """Make demonstrations of intents by the expert, and export them. Called again, the command continues."""
     from magical_mj.demos.export import SUFFIXES, default_target, make_data_set
     from magical_mj.intents.expert_data import dataset
 

@@ -210,7 +210,7 @@ def replayed(
     expert: int | None = None,
     body: str = GRIPPER,
 ) -> Demonstration:
-    """The demonstration of actions in the scene of a seed; `expert` is the demonstrator's seed, if it has one."""
+    """The demonstration with these actions in the scene of a seed. `expert` is the seed of the demonstrator, if any."""
     with closing(Engine(task, variant, seed=seed, body=body)) as env:
         recorder = Recorder(env)
         for action in actions:

@@ -1,8 +1,8 @@
-"""Demonstrations of the expert as actions: a hundred bytes each, replayed when they are needed.
+"""Demonstrations of the expert, stored as actions: 300 bytes each. A replay computes the states.
 
-They are kept in a file with a line of JSON for each. Lines are appended and never altered, so several processes can add
-some, and what is interrupted continues. A killed process may leave an incomplete last line, which is ignored, and
-removed before more lines are appended.
+A file has a line of JSON for each demonstration. Lines are appended and never altered, so several processes can add
+lines, and interrupted work continues. A killed process may leave an incomplete last line. It is ignored, and removed
+before more lines are appended.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from msgspec import Meta
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import demonstrate, replayed
+from magical_mj.intents.sets import INTENTS
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
@@ -26,14 +27,14 @@ from magical_mj.utils.parallel import map_here, map_unordered
 Key = tuple[str, str, int]
 """Task, variant and number: the seed of the scene, if the expert solves it."""
 Watch = Callable[[int, int], object]
-"""Called with the number of demonstrations that are there, and the number of all."""
+"""Called with the number of finished demonstrations, and their total number."""
 
 ATTEMPTS: Final = 3
-"""The number of scenes that are tried for a demonstration."""
+"""The number of scenes in which a demonstration is tried."""
 NEXT: Final = 840_000_000_000
-"""The increment of the scene's seed between attempts. A multiple of all numbers up to 8 keeps the demo scene."""
+"""The increment of the scene's seed between attempts. It keeps the demo scene, since it is a multiple of 1 to 8."""
 FEW: Final = 4
-"""Up to so many demonstrations are made in this process, since starting others takes longer."""
+"""The largest number of demonstrations that are made in this process, since starting other processes takes longer."""
 SHOWN: Final = 3
 """The number of failures that an error shows."""
 
@@ -42,8 +43,8 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A line of the file: a demonstration of the expert with score 1.
 
     Attributes:
-        number: identifies it among those of this task and variant.
-        seed: the seed of the scene; the number, or if the expert could not solve that scene, another one.
+        number: identifies it in this task and variant.
+        seed: the seed of the scene. It is the number, unless the expert failed in that scene.
         expert: the expert's seed.
         scene: the digest of the scene.
         actions: a letter for each.
@@ -64,12 +65,12 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def default_path() -> Path:
-    """The file in the user's cache folder, of this protocol and version of MuJoCo."""
-    return files.cache_folder() / f"demonstrations-p{PROTOCOL}-mujoco{version('mujoco')}.jsonl"
+    """The file in the user's cache folder for these protocols and this version of MuJoCo."""
+    return files.cache_folder() / f"demonstrations-p{PROTOCOL}-i{INTENTS}-mujoco{version('mujoco')}.jsonl"
 
 
 def read(path: Path) -> dict[Key, Stored]:
-    """The demonstrations in a file; none if there is no file.
+    """The demonstrations in a file. Empty if the file does not exist.
 
     Raises:
         DemonstrationError: if a line is invalid.
@@ -83,29 +84,30 @@ def _decoded(path: Path, lines: Sequence[bytes]) -> Iterator[Stored]:
         try:
             yield msgspec.json.decode(line, type=Stored)
         except (msgspec.MsgspecError, UnicodeError) as error:
-            raise DemonstrationError(f"{path}, line {number}: {error}; delete the line: it is made again") from error
+            raise DemonstrationError(f"{path}, line {number}: {error}; delete this line") from error
 
 
 def complete(
     keys: Iterable[Key], path: Path, *, jobs: int | None = None, watch: Watch = lambda _, __: None
 ) -> list[Stored]:
-    """The demonstrations with these keys. Those that are not in the file are made by the expert, and added to it.
+    """The demonstrations with these keys. The expert makes those that are not in the file, and they are added to it.
 
-    They are the same on every machine and for any number of processes.
+    They do not depend on the machine or the number of processes.
 
     Args:
-        keys: task, variant and number of each.
-        path: the file. It is made if it is missing.
+        keys: task, variant and number of each demonstration.
+        path: the file. It is created if it is missing.
         jobs: the number of processes; None: one per core.
-        watch: called when one was made.
+        watch: called before the first new demonstration, and after each.
 
     Raises:
-        DemonstrationError: if the expert did not solve some of the scenes; all others are in the file.
+        DemonstrationError: if some demonstrations could not be made. The file then contains all others.
     """
     keys = list(keys)
     known = read(path)
     todo = [key for key in dict.fromkeys(keys) if key not in known]
-    watch(len(keys) - len(todo), len(keys))
+    if todo:
+        watch(len(keys) - len(todo), len(keys))
     failures: list[str] = []
     made = map_here(_made, todo) if jobs == 1 or len(todo) <= FEW else map_unordered(_made, todo, jobs)
     for number, result in enumerate(made, start=len(keys) - len(todo) + 1):
@@ -122,7 +124,7 @@ def complete(
 
 
 def _made(key: Key) -> Stored | str:
-    """The demonstration with this key, or why there is none."""
+    """The demonstration with this key, or the error message if it could not be made."""
     task, variant, number = key
     problem = ""
     for attempt in range(ATTEMPTS):
@@ -147,16 +149,16 @@ def _append(path: Path, stored: Stored) -> None:
 
 
 def replay(stored: Stored, path: Path) -> Demonstration:
-    """The demonstration, with all its states. `path` is the file that holds it.
+    """The demonstration with its states. `path` is its file.
 
     Raises:
-        DemonstrationError: if its scene is another one in this version of the package, or the actions do not solve it.
+        DemonstrationError: if this version of the package has another scene for it, or the actions do not solve it.
     """
     task, variant, _ = stored.key
     demo = replayed(task, variant, stored.seed, actions_of(stored.actions), "expert", stored.expert)
     if (demo.scene.digest(), demo.score) != (stored.scene, 1.0):
         raise DemonstrationError(
-            f"{path} holds a demonstration of {task} {variant}, number {stored.number}, that was made by another "
-            "version: delete the file, and its demonstrations are made again"
+            f"{path} contains a demonstration of {task} {variant}, number {stored.number}, from another version of "
+            "this package: delete the file, and its demonstrations are made again"
         )
     return demo

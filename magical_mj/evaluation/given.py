@@ -1,12 +1,14 @@
-"""What policies are given of a task at test time: its demonstrations, or in controls those or the sentence of another.
+"""The demonstrations that policies receive at test time, and the controls, in which they belong to another task.
 
-Controls show whether a policy uses what it is given. With the demonstrations of another task, a policy that scores the
-same ignores them. With the sentence of another task in the same scenes, a policy that reads pursues that one.
+Controls show whether a policy uses the demonstrations or the instruction. If it has the same score with the
+demonstrations of another task, it ignores them. With the instruction of another task in the same scenes, it should
+pursue that task.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -25,18 +27,22 @@ from magical_mj.utils.errors import DemonstrationError, SettingsError, counted
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
+    from magical_mj.demos.stored import Stored
 
 Watch = Callable[[int, int], object]
-"""Called with the number of demonstrations that are there, and the number of all."""
+"""Called with the number of finished demonstrations, and their total number."""
 
 
 def demonstrations_given(
     settings: EvaluationSettings, watch: Watch = lambda _, __: None
-) -> dict[str, tuple[Demonstration, ...]]:
-    """The demonstrations that policies are given, by the task that is played.
+) -> dict[str, tuple[Demonstration | Stored, ...]]:
+    """The demonstrations that policies receive, by the task that is played.
 
-    Those of intents are by the expert, and made if they are not in the user's cache; `watch` is called with the number
-    of those that are there, and of all.
+    Demonstrations of intents are by the expert. Those that are not in the user's cache are made.
+
+    Args:
+        settings: the settings of the evaluation.
+        watch: called with the number of finished demonstrations of intents, and their total number.
 
     Raises:
         DemonstrationError: if a task has too few, or the expert fails.
@@ -55,10 +61,10 @@ def demonstrations_given(
         if in_language(other)
     }
     keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
-    path = stored.default_path()
-    made = iter(stored.complete([key for group in keys.values() for key in group], path, watch=watch))
+    every = [key for group in keys.values() for key in group]
+    made = iter(stored.complete(every, stored.default_path(), watch=watch))
     return {
-        task: tuple(stored.replay(next(made), path) for _ in keys[task]) if task in keys else _shipped(other, settings)
+        task: tuple(itertools.islice(made, number)) if task in keys else _shipped(other, settings)
         for task, other in shown.items()
     }
 
@@ -72,21 +78,34 @@ def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ..
     known = demos.load(task)
     if len(known) < settings.number_given:
         count = counted(len(known), "demonstration")
-        raise DemonstrationError(f"{task} has {count}, and {settings.number_given} are to be given")
+        raise DemonstrationError(f"{task} has {count}, fewer than {settings.number_given}: give --demonstrations")
     return tuple(known[: settings.number_given])
 
 
-def digest_of(demos: Sequence[Demonstration]) -> str:
-    """The SHA-256 digest of the scenes and the actions."""
+def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
+    """The SHA-256 digest of the scenes and the actions of demonstrations."""
     digest = hashlib.sha256()
-    for demo in demos:
-        digest.update(f"{demo.scene.digest()} {demo.actions.dtype.str} {demo.actions.shape}".encode())
-        digest.update(demo.actions.tobytes())
+    for demo in shown:
+        actions = demo.actions.encode() if isinstance(demo.actions, str) else demo.actions.tobytes()
+        scene = demo.scene if isinstance(demo.scene, str) else demo.scene.digest()
+        digest.update(f"{scene} {len(actions)} ".encode() + actions)
     return digest.hexdigest()
 
 
+def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
+    """Demonstrations with their states. Stored actions are replayed.
+
+    Raises:
+        DemonstrationError: if they were stored by another version of this package.
+    """
+    from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
+
+    path = stored.default_path()
+    return tuple(demo if isinstance(demo, Demonstration) else stored.replay(demo, path) for demo in shown)
+
+
 def intent_of(task: str) -> Intent:
-    """The intent that says what is to be done in a task.
+    """The intent of a task.
 
     Raises:
         SettingsError: if there is none.
@@ -99,7 +118,10 @@ def intent_of(task: str) -> Intent:
 
 
 def other_tasks(task: str) -> list[str]:
-    """The other tasks of the benchmark, from the next one on. Of an intent, the others of its set, or the eight's."""
+    """The other tasks of the benchmark, beginning with the next one.
+
+    For an intent, the other intents of its set. If it is in no set, the intents of the benchmark's tasks.
+    """
     intent = intent_of(task)
     names = list(EIGHT)
     if task not in EIGHT:
@@ -116,9 +138,9 @@ def _names(name: str) -> tuple[str, ...]:
 
 
 def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
-    """The task whose demonstrations or sentence are given instead of this one's.
+    """The task whose demonstrations or instruction replace those of this task in a control.
 
-    With a body, it is the next one that can be pursued in the scene of this seed.
+    With a body, it is the next task that can be pursued in the scene of this seed.
 
     Raises:
         SettingsError: if there is none.
@@ -134,7 +156,7 @@ def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
 
 
 def _can_be_pursued(intent: Intent, scene: Scene) -> bool:
-    """Whether an intent is about something in a scene, and does not hold yet."""
+    """Whether an intent has a meaning in a scene, and does not hold in it."""
     try:
         return intent.grounded(scene) and not intent.holds(scene, scene)
     except UngroundedError:
@@ -142,7 +164,7 @@ def _can_be_pursued(intent: Intent, scene: Scene) -> bool:
 
 
 def with_other_score(episode: EpisodeResult) -> EpisodeResult:
-    """The episode, in a control with the score of the other task's intent at its end."""
+    """The episode. In a control, with the score of the other task's intent, computed by a replay."""
     if not episode.other or episode.failure is not None:
         return episode
     from magical_mj.evaluation.attribution import engine_for, replay_problem  # imported late: it loads the simulator

@@ -189,13 +189,13 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
     engine, over = engine_of(env), False
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
-        told = episode.instruction
+        other = episode.instruction
         with policy_errors():
-            episode = replace(episode, instruction=_sentence(policy, episode, told or engine.instruction))
+            episode = replace(episode, instruction=_sentence(policy, episode, other or engine.instruction))
             begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
         while not over:
             with policy_errors():
-                action = action_number(policy(_reading(observation, told)))
+                action = action_number(policy(_reading(observation, other)))
             check_time()
             result = env.step(action)
             outcome.actions.append(action)
@@ -215,8 +215,8 @@ def play_side_by_side(
     scores, over = np.zeros(count), False
     with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
-        told = tuple(episode.instruction for episode in episodes)
-        sentences = told if all(told) else _instructions(envs, episodes)
+        others = tuple(filter(None, (episode.instruction for episode in episodes)))
+        sentences = others or _instructions(envs, episodes)
         begun = [
             replace(each, instruction=_sentence(policy, each, text))
             for each, text in zip(episodes, sentences, strict=True)
@@ -225,7 +225,7 @@ def play_side_by_side(
             batch.reset_batch(begun)
         while not over:
             with policy_errors():
-                seen = _reading(observations, told if all(told) else ())
+                seen = _reading(observations, others)
                 actions = np.array([action_number(action) for action in batch.act_batch(seen)])
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
@@ -240,14 +240,14 @@ def play_side_by_side(
 
 
 def _sentence(policy: object, episode: Episode, sentence: str) -> str:
-    """The sentence that a policy is told: none if the task's name is hidden from it and it reads no sentences."""
+    """The instruction for a policy. Empty if the task's name is hidden, unless the policy uses instructions."""
     return "" if episode.task == NEUTRAL and not uses_instruction(policy) else sentence
 
 
-def _reading(observation: Any, told: str | tuple[str, ...]) -> Any:
-    """The observation, with the sentence, or one for each environment, that is told instead of the task's, if any."""
-    if told and isinstance(observation, Mapping) and "instruction" in observation:
-        return {**observation, "instruction": told}
+def _reading(observation: Any, others: str | tuple[str, ...]) -> Any:
+    """The observation, in which other instructions replace the task's: one, or one for each environment, or none."""
+    if others and isinstance(observation, Mapping) and "instruction" in observation:
+        return {**observation, "instruction": others}
     return observation
 
 

@@ -98,8 +98,8 @@ class Evaluation:
     def __init__(self, policy: Any, settings: EvaluationSettings, watch: Watch = lambda _, __: None) -> None:
         """Checks the settings and reads finished episodes, but plays none. Raises the errors of `evaluate`.
 
-        If policies are given demonstrations of intents that are not in the user's cache, the expert plays them. `watch`
-        is then called with the number of those that are there, and the number of all.
+        If a policy uses demonstrations of intents that are not in the user's cache, the expert makes them. `watch` is
+        called with the number of finished demonstrations, and their total number.
         """
         check_extra("evaluations", "eval")
         if settings.batched:

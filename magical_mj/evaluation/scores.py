@@ -41,8 +41,8 @@ Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """An integer that tables of scores can hold."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
-PLAIN_GIFTS: Final = ("", "sentence")
-"""What policies are given without any settings: nothing, or if they read it, the sentence."""
+PLAIN_GIFTS: Final = ("", "instruction")
+"""The descriptions of a task that need no settings: none, or the instruction for policies that read it."""
 GROWING: Final = ("policies", "environments", "shifts")
 """The settings that a resumed evaluation may extend. It may add seeds as well."""
 OLDER: Final = {
@@ -119,11 +119,12 @@ class EpisodeResult:
         wrap: the wrapper around the environment, such as "mine:Wrapper". Empty without one.
         body: the robot's body.
         retry: how many times the episode had failed before and was played again (``retry_failed``).
-        given: what the policy was given of the task, such as "8 demonstrations in 4 scenes"; "" for nothing.
-        demonstrations: the digest of the demonstrations that it was given.
-        other: in a control, the other task that the policy was shown or told.
-        other_score: how much of the other task's intent the episode reached, in [0, 1]. None if that intent means
-            nothing in the scene or holds at the start, or the policy failed.
+        given: the description of the task that the policy received, such as "8 demonstrations in 4 scenes". Empty if
+            it received none.
+        demonstrations: the digest of its demonstrations. Empty without demonstrations.
+        other: in a control, the task whose demonstrations or instruction the policy received.
+        other_score: in a control, the score of the other task's intent, in [0, 1]. None if that intent has no meaning
+            in the scene or holds at the start, or if the policy failed.
     """
 
     policy: str
@@ -199,9 +200,9 @@ class EpisodeResult:
 
 
 def method_name(policy: str, body: str, wrap: str, given: str = "") -> str:
-    """The name in reports of a policy that played with this body and in this wrapper, and was given this of a task.
+    """The name of a policy in reports, with its body, wrapper and description of tasks.
 
-    The gripper and the sentence, which a policy that reads always gets, are not named.
+    It does not contain the gripper or the instruction.
     """
     name = policy if body == GRIPPER else f"{policy} with {body}"
     name = name if given in PLAIN_GIFTS else f"{name}, {given}"

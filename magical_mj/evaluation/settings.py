@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Split = Literal["test", "dev"]
 """See `magical_mj.tasks.registry.SPLITS`."""
 Simulator = Literal["mujoco", "warp"]
-Control = Literal["wrong-demonstrations", "wrong-sentence"]
+Control = Literal["wrong-demonstrations", "wrong-instruction"]
 WORLDS: Final = {"mujoco": "single", "warp": "batched"}
 """Simulator -> its name in files. MuJoCo simulates single environments, MuJoCo Warp batches of them."""
 DEVICE: Final = "cuda"
@@ -120,19 +120,20 @@ class EvaluationSettings(Settings):
     demonstrations: Annotated[
         Count | None,
         Meta(
-            description="Demonstrations of the task that policies with uses_demonstrations = True are given; by "
-            f"default {DEMONSTRATIONS_GIVEN}."
+            description="Number of demonstrations of the task that policies with uses_demonstrations = True receive; "
+            f"by default {DEMONSTRATIONS_GIVEN}."
         ),
     ] = None
     scenes: Annotated[
         Count | None,
-        Meta(description="The number of demo scenes over which these are spread, 1 to 8; by default the task's own."),
+        Meta(description="Number of demo scenes of these demonstrations, 1 to 8; by default that of the task."),
     ] = None
     contrasting: Annotated[
-        bool, Meta(description="Demo scenes that refute as many other readings as possible, instead of random ones.")
+        bool, Meta(description="Choose demo scenes that refute many rivals of the intent, instead of random scenes.")
     ] = False
     control: Annotated[
-        Control | None, Meta(description="Give the demonstrations, or the sentence, of another task.")
+        Control | None,
+        Meta(description="Control experiment: policies receive the demonstrations or instruction of another task."),
     ] = None
 
     def __post_init__(self) -> None:
@@ -173,21 +174,21 @@ class EvaluationSettings(Settings):
 
     @property
     def number_given(self) -> int:
-        """The number of demonstrations that policies are given."""
+        """The number of demonstrations that policies receive."""
         return DEMONSTRATIONS_GIVEN if self.demonstrations is None else self.demonstrations
 
     def given(self, *, shown: bool, reads: bool) -> str:
-        """What a policy is given of a task, as in results, such as "8 demonstrations in 4 scenes". "" for nothing.
+        """The description of a task that a policy receives, such as "8 demonstrations in 4 scenes". Empty if none.
 
         Args:
-            shown: whether it gets demonstrations.
-            reads: whether it reads the sentence.
+            shown: whether it receives demonstrations.
+            reads: whether it reads the instruction.
         """
         kind = "contrasting scene" if self.contrasting else "scene"
         where = f" in {counted(self.scenes, kind)}" if self.scenes is not None else f" in {kind}s" * self.contrasting
         parts = {
             "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if shown else "",
-            "wrong-sentence": "sentence" if reads else "",
+            "wrong-instruction": "instruction" if reads else "",
         }
         named = (f"another task's {part}" if name == self.control else part for name, part in parts.items() if part)
         return " and ".join(named)
@@ -229,11 +230,11 @@ class EvaluationSettings(Settings):
         return range(first, first + self.episodes)
 
     def given_to(self, policy: Source) -> str:
-        """What a policy is given of a task."""
-        return self.given(shown=policy.shown, reads="sentence" not in policy.unnoticed)
+        """The description of a task that a policy receives, as `given`."""
+        return self.given(shown=policy.shown, reads="instruction" not in policy.unnoticed)
 
     def check_given(self, policies: Sequence[Source]) -> None:
-        """Raises a `SettingsError` if settings for what policies are given concern none of them, or not all."""
+        """Raises a `SettingsError` if no policy receives the demonstrations, or one does not fit the control."""
         shown = [policy.name for policy in policies if policy.shown]
         if not shown and (self.demonstrations or self.scenes or self.contrasting):
             raise SettingsError(

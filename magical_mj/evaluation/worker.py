@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import gymnasium
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.given import Watch, demonstrations_given, digest_of, other_task, with_other_score
+from magical_mj.evaluation.given import (
+    Watch,
+    demonstrations_given,
+    digest_of,
+    other_task,
+    with_other_score,
+    with_states,
+)
 from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
@@ -41,6 +48,7 @@ from magical_mj.utils.parallel import Split, Timed
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
+    from magical_mj.demos.stored import Stored
 
 T = TypeVar("T")
 Playing = Callable[[list[Episode], float], list[Outcome]]
@@ -129,12 +137,12 @@ class Player:
     Attributes:
         policies: name and run -> the policy.
         settings: the settings of the evaluation.
-        demonstrations: task -> those that policies are given, if any gets some.
+        demonstrations: task -> the demonstrations that policies receive. Empty if no policy uses any.
     """
 
     policies: Mapping[tuple[str, int], Source]
     settings: EvaluationSettings
-    demonstrations: Mapping[str, Sequence[Demonstration]] = field(default_factory=dict)
+    demonstrations: Mapping[str, Sequence[Demonstration | Stored]] = field(default_factory=dict)
     _kept: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
     @classmethod
@@ -142,7 +150,7 @@ class Player:
         """A player of these policies. `watch` is that of `demonstrations_given`.
 
         Raises:
-            SettingsError, DemonstrationError: if there are no demonstrations for a policy that is given some.
+            SettingsError, DemonstrationError: as `demonstrations_given`, if a policy uses demonstrations.
         """
         shown = any(source.shown for source in sources)
         return cls(
@@ -196,30 +204,31 @@ class Player:
         return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
     def _episodes(self, unit: Unit) -> list[Episode]:
-        """What the policy is told of each episode."""
+        """The information that the policy receives at the start of each episode."""
         policy, settings = self._policy(unit), self.settings
         task, shown = policy_task(unit.task, policy, settings.like), self._shown(unit.task, policy)
-        told = settings.control == "wrong-sentence"
-        sentences = [task_spec(other).summary if told else "" for other in self._others(unit)]
+        others = self._others(unit) if settings.control == "wrong-instruction" else ()
+        sentences = [task_spec(other).summary for other in others] or [""] * len(unit.seeds)
         return [
             Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
             for seed, sentence in zip(unit.seeds, sentences, strict=True)
         ]
 
     def _shown(self, task: str, policy: Act) -> tuple[Any, ...]:
-        """The demonstrations of a task as the policy gets them."""
+        """The demonstrations of a task in the form that the policy uses."""
         if not uses_demonstrations(policy):
             return ()
+        demos, settings = self.demonstrations[task], self.settings
         if uses_simulation(policy):
-            return tuple(self.demonstrations[task])
-        preset, renderer = self.settings.observed, self.settings.renderer
-        return self._keep("demonstrations", task, lambda: _observed(self.demonstrations[task], preset, renderer))
+            return self._keep("demonstrations", (task, ""), lambda: with_states(demos))
+        key = task, settings.observed
+        return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
 
     def _others(self, unit: Unit) -> list[str]:
-        """In a control, for each episode the task whose demonstrations or sentence are given instead."""
+        """For each episode, the other task of the control. Empty without a control."""
         if self.settings.control is None:
             return [""] * len(unit.seeds)
-        body = self.settings.body if self.settings.control == "wrong-sentence" else None
+        body = self.settings.body if self.settings.control == "wrong-instruction" else None
         return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
 
     def _play(
@@ -275,11 +284,13 @@ class Player:
             dropped.close()
 
 
-def _observed(demos: Sequence[Demonstration], preset: str, renderer: RendererName | None) -> tuple[Transitions, ...]:
+def _observed(
+    shown: Sequence[Demonstration | Stored], preset: str, renderer: RendererName | None
+) -> tuple[Transitions, ...]:
     """Demonstrations as observations and actions. The arrays are read-only, since all episodes share them."""
     from magical_mj.demos.learning import stream  # imported late: it loads the simulator
 
-    parts = tuple(stream(demos, preset, drop_noop=False, renderer=renderer))
+    parts = tuple(stream(with_states(shown), preset, drop_noop=False, renderer=renderer))
     for part in parts:
         views = part.observations.values() if isinstance(part.observations, dict) else (part.observations,)
         for array in (*views, part.actions):

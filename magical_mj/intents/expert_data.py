@@ -1,7 +1,7 @@
-"""Data sets of many intents: demonstrations by the expert, with the intent of each.
+"""Data sets of many intents: demonstrations by the expert, each with its intent.
 
-The expert's actions are kept in a file, so a data set is made once, and continues if it was interrupted. States and
-observations are made from the actions when a demonstration is read.
+The actions are stored in a file, so each demonstration is made once, and interrupted work continues. States and
+observations are computed by a replay when a demonstration is read.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ class Example(NamedTuple):
 
 @dataclass(frozen=True)
 class Dataset(Sequence[Example]):
-    """Demonstrations of intents, in the order of the intents; each is replayed when it is read.
+    """Demonstrations of intents, in the order of the intents. Reading one replays it.
 
     Attributes:
         stored: the actions.
-        path: the file that holds them.
+        path: the file of the actions.
         preset: the preset of the observations.
         renderer: what draws pictures, as in `magical_mj.Engine`.
     """
@@ -66,10 +66,10 @@ class Dataset(Sequence[Example]):
     @overload
     def __getitem__(self, index: slice) -> Dataset: ...
     def __getitem__(self, index: int | slice) -> Example | Dataset:
-        """A demonstration, or the data set of some of them.
+        """A demonstration, or for a slice a data set.
 
         Raises:
-            DemonstrationError: if it was made by another version of this package.
+            DemonstrationError: if it was stored by another version of this package.
         """
         if isinstance(index, slice):
             return Dataset(self.stored[index], self.path, self.preset, self.renderer)
@@ -78,7 +78,7 @@ class Dataset(Sequence[Example]):
         return Example(task_of(demo.task.removeprefix(PREFIX)).intent, demo, *played)
 
     def demonstration(self, index: int) -> Demonstration:
-        """A demonstration without observations, which take longer."""
+        """A demonstration without observations."""
         return stored.replay(self.stored[index], self.path)
 
 
@@ -94,26 +94,26 @@ def dataset(
     renderer: str | None = None,
     watch: Watch = lambda _, __: None,
 ) -> Dataset:
-    """The demonstrations of a set of intents, made by the expert if they are not there yet.
+    """Demonstrations of sets of intents. The expert makes those that are not stored yet.
 
-    They are the same on every machine. Their scenes are of the split dev, except for the demo scenes.
+    They do not depend on the machine. Test scenes are not among their scenes.
 
     Args:
-        intents: the name of a set of `magical_mj.intents.SETS`, or intents; several as a list or separated by commas.
+        intents: sets of `magical_mj.intents.SETS`, or intents, as a list or separated by commas.
         per_intent: the number of demonstrations of each intent in each variant.
-        preset: the observations; a Gymnasium preset.
-        scenes: the number of demo scenes over which those of the variant Demo are spread.
+        preset: the Gymnasium preset of the observations.
+        scenes: the number of demo scenes in the variant Demo, 1 to 8.
         variants: the variants.
-        folder: where the actions are kept; None: in the user's cache folder. A larger data set adds to them.
-        jobs: the number of processes that play; None: one per core.
-        renderer: what draws pictures, as in `magical_mj.Engine`.
-        watch: called with the numbers of finished demonstrations and of all.
+        folder: the folder of the stored actions; None: the user's cache folder. A larger data set adds to its file.
+        jobs: the number of processes; None: one per core.
+        renderer: the renderer of pictures, as in `magical_mj.Engine`.
+        watch: called with the number of finished demonstrations, and their total number.
 
     Raises:
-        IntentError: if a text is no intent.
-        UnknownNameError: if there is no such variant or preset.
+        IntentError: if a text is not an intent, or there are too many scenes.
+        UnknownNameError: for an unknown variant or preset.
         SettingsError: if a number is out of range.
-        DemonstrationError: if the expert did not solve some of the scenes; all other demonstrations are kept.
+        DemonstrationError: if some demonstrations could not be made. All others are stored.
     """
     preset_named(preset)
     number, first = fitting("per_intent", per_intent, Count), SPLITS["dev"]
@@ -126,10 +126,10 @@ def dataset(
 
 
 def with_scenes(task: str, scenes: int | None = None, *, contrasting: bool = False) -> str:
-    """The name of an intent's task with this number of demo scenes; None: its own.
+    """The name of an intent's task with this number of demo scenes; None: that of the task.
 
     Raises:
-        IntentError: if it cannot have so many.
+        IntentError: if there are too many scenes.
     """
     own = task_of(task.removeprefix(PREFIX))
     changed = replace(own, demos=scenes or own.demos, contrasting=contrasting or own.contrasting)

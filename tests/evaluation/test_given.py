@@ -1,4 +1,4 @@
-"""What policies are given of a task at test time, and the controls in which it belongs to another task."""
+"""Demonstrations at test time, and controls in which demonstrations or instructions belong to another task."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 import magical_mj
 from magical_mj.demos import stored
 from magical_mj.evaluation import Episode, EvaluationSettings
-from magical_mj.evaluation.given import demonstrations_given, other_tasks
+from magical_mj.evaluation.given import demonstrations_given, digest_of, other_tasks, with_states
 from magical_mj.evaluation.reports.results import results
 from magical_mj.evaluation.reports.tables import control_tables, result_tables
 from magical_mj.evaluation.scores import SETTINGS, read
@@ -113,13 +113,13 @@ def test_resuming_with_other_demonstrations_is_refused(tmp_path: Path) -> None:
     ("policy", "settings", "error", "message"),
     [
         ("noop", {"demonstrations": 3}, SettingsError, "none of noop has it"),
-        ("noop", {"control": "wrong-sentence"}, SettingsError, "uses_instruction = True"),
-        (agents.Nearest, {"control": "wrong-sentence"}, SettingsError, "uses_instruction = True"),
+        ("noop", {"control": "wrong-instruction"}, SettingsError, "uses_instruction = True"),
+        (agents.Nearest, {"control": "wrong-instruction"}, SettingsError, "uses_instruction = True"),
         (agents.Nearest, {"control": "wrong-demonstrations", "shifts": "latency"}, SettingsError, "without shifts"),
         (agents.Nearest, {"scenes": 9}, SettingsError, "8 demonstrations cannot be spread over 9 scenes"),
         (agents.Nearest, {"scenes": 2}, SettingsError, "MoveToRegion has one demo scene"),
         (agents.Nearest, {"contrasting": True}, SettingsError, "MoveToRegion has one demo scene"),
-        (agents.Nearest, {"demonstrations": 26}, DemonstrationError, "has 25 demonstrations, and 26"),
+        (agents.Nearest, {"demonstrations": 26}, DemonstrationError, "has 25 demonstrations, fewer than 26"),
         (agents.Nearest, {"tasks": INTENT, "demonstrations": 9, "scenes": 9}, IntentError, "demos=N from 1 to 8"),
     ],
 )
@@ -137,20 +137,20 @@ def test_with_the_demonstrations_of_another_task_a_policy_pursues_that_one() -> 
 
 
 class Reading:
-    """Repeats a demonstration of FindDupe, and keeps the sentences that it was told, and its pictures."""
+    """Repeats a demonstration of FindDupe, and keeps the sentences and pictures that it receives."""
 
     uses_instruction = True
     preset = "LoResStack"
 
     def __init__(self) -> None:
-        self.told: list[Any] = []
+        self.received: list[Any] = []
 
     def reset(self, episode: Episode) -> None:
         self._actions = iter(magical_mj.demos.load("FindDupe")[0].actions.tolist())
-        self.told.append((episode.task, episode.instruction))
+        self.received.append((episode.task, episode.instruction))
 
     def __call__(self, observation: Any) -> int:
-        self.told.append((observation["ego"].tobytes(), observation["instruction"]))
+        self.received.append((observation["ego"].tobytes(), observation["instruction"]))
         return next(self._actions, 0)
 
 
@@ -170,37 +170,37 @@ def test_another_sentence_in_the_same_scene_and_pictures(kind: type[Reading]) ->
     own, other = kind(), kind()
     how = {**DEMO, "tasks": "FindDupe", "preset": "LoResStack", "name": "Reading"}
     (usual,) = evaluate(own, **how).to_dict("records")
-    (row,) = evaluate(other, control="wrong-sentence", **how).to_dict("records")
+    (row,) = evaluate(other, control="wrong-instruction", **how).to_dict("records")
     sentences = [task_spec(task).summary for task in ("FindDupe", "ClusterColour")]
-    assert [{sentence for _, sentence in policy.told} for policy in (own, other)] == [{text} for text in sentences]
-    assert [first for first, _ in own.told] == [first for first, _ in other.told]
+    assert [{sentence for _, sentence in policy.received} for policy in (own, other)] == [{text} for text in sentences]
+    assert [first for first, _ in own.received] == [first for first, _ in other.received]
     scenes = magical_mj.demos.load("FindDupe")[0].scenes()
     reached = EIGHT["ClusterColour"].score(scenes[0], scenes[-1])
     assert (row["other"], row["other_score"]) == ("ClusterColour", pytest.approx(reached))
-    assert (usual["given"], row["given"]) == ("sentence", "another task's sentence")
+    assert (usual["given"], row["given"]) == ("instruction", "another task's instruction")
     assert (usual["score"], row["score"]) == (1.0, 1.0)
 
 
 def test_no_other_task_can_be_pursued() -> None:
     with pytest.raises(SettingsError, match="no other task can be pursued in MoveToRegion Demo, seed 0"):
-        evaluate(Reading(), preset="LoResStack", control="wrong-sentence", **DEMO)
+        evaluate(Reading(), preset="LoResStack", control="wrong-instruction", **DEMO)
 
 
 def test_reports_group_methods_by_what_they_were_given(tmp_path: Path) -> None:
     plain = replace(TEMPLATE, task="FindDupe")
     given = replace(plain, given="8 demonstrations in 4 scenes", demonstrations="ab")
-    control = replace(plain, given="another task's sentence", other="ClusterColour")
+    control = replace(plain, given="another task's instruction", other="ClusterColour")
     switched = [
         replace(control, seed=seed, score=own, other_score=other)
         for seed, (own, other) in enumerate([(0, 1), (1, 1), (0, 0.5), (0, None)])
     ]
     folders = [write(tmp_path / name, rows) for name, rows in (("a", [plain]), ("b", [given]), ("c", switched))]
     data = results(folders)
-    headings = ["nothing", "8 demonstrations in 4 scenes", "another task's sentence"]
+    headings = ["nothing", "8 demonstrations in 4 scenes", "another task's instruction"]
     for table in result_tables(data)[:2]:
         assert [heading for heading, _ in table.groups] == [f"Given {what}" for what in headings]
     (table,) = control_tables(data)
-    name = f"{TEMPLATE.policy}, another task's sentence"
+    name = f"{TEMPLATE.policy}, another task's instruction"
     assert table.groups == (("", ((name, "0.25", "0.83", "0.33", "3"),)),)
     alone = results(folders[:1])
     assert [heading for heading, _ in result_tables(alone)[0].groups] == [""]
@@ -213,7 +213,7 @@ def test_entries_of_the_leaderboard_have_no_demonstrations(tmp_path: Path) -> No
         submit([tmp_path / "run"], tmp_path / "entry.json.xz")
 
 
-def test_policies_are_not_told_the_intent_of_a_task(cache: Path) -> None:
+def test_policies_do_not_receive_the_intent_of_a_task(cache: Path) -> None:
     known: list[Episode] = []
     trained = Acting(reset=known.append, preset="State", tasks=[INTENT])
     reader = Acting(reset=known.append, preset="State", uses_instruction=True)
@@ -230,7 +230,9 @@ def test_policies_are_not_told_the_intent_of_a_task(cache: Path) -> None:
 def test_demonstrations_of_an_intent_in_several_scenes_are_made_once(cache: Path) -> None:
     how: dict[str, Any] = {"tasks": INTENT, "variants": "Demo", "demonstrations": 3, "scenes": 2}
     seen: list[tuple[int, int]] = []
-    made = demonstrations_given(EvaluationSettings(**how), lambda *numbers: seen.append(numbers))[INTENT]
+    shown = demonstrations_given(EvaluationSettings(**how), lambda *numbers: seen.append(numbers))[INTENT]
+    made = with_states(shown)
+    assert digest_of(made) != digest_of(made[:2])
     assert [demo.scene for demo in made] == [*(scenes := task_spec(f"{INTENT} [demos=2]").demos), scenes[0]]
     assert all(demo.score == 1.0 for demo in made)
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]

@@ -41,7 +41,9 @@ def test_a_data_set_holds_the_intent_and_what_a_policy_sees_of_each_demonstratio
         assert demo.score == 1.0
         assert example.intent.holds(demo.scenes()[0], demo.scenes()[-1])
         assert demo.scene == task_spec(demo.task).demos[number % 2]
-        np.testing.assert_array_equal(example.observations, magical_mj.demos.observations(demo, "State")[:-1])
+        np.testing.assert_array_equal(
+            example.observations, np.asarray(magical_mj.demos.observations(demo, "State"))[:-1]
+        )
         np.testing.assert_array_equal(example.actions, demo.actions)
     assert [len(part) for part in (data, data[1:], data[-1:])] == [4, 3, 1]
     assert data[1:][0].demonstration.digest == data[1].demonstration.digest
@@ -91,7 +93,7 @@ def test_what_is_wrong_is_refused(made: Path, tmp_path: Path) -> None:
     assert [*tmp_path.iterdir()] == []
     lines = (made / FILE).read_text().splitlines()
     (tmp_path / FILE).write_text("\n".join([*lines[:3], "{}", *lines[3:]]) + "\n")
-    with pytest.raises(DemonstrationError, match=r"demonstrations.jsonl, line 4: .*delete the line"):
+    with pytest.raises(DemonstrationError, match=r"demonstrations.jsonl, line 4: .*delete this line"):
         dataset(TEXTS, 2, scenes=2, folder=tmp_path)
 
 
@@ -100,7 +102,7 @@ def test_demonstrations_of_another_version_are_refused(made: Path, tmp_path: Pat
     first = json.loads((made / FILE).read_text().splitlines()[0])
     (tmp_path / FILE).write_text(json.dumps({**first, **change}) + "\n")
     data = dataset(TEXTS[0], 1, scenes=2, folder=tmp_path)
-    with pytest.raises(DemonstrationError, match="was made by another version: delete the file"):
+    with pytest.raises(DemonstrationError, match="from another version of this package: delete the file"):
         data[0]
 
 

@@ -85,7 +85,7 @@ class Results:
 
     @property
     def given(self) -> dict[str, list[str]]:
-        """The methods by what they were given of each task, nothing first; the published ones were given nothing."""
+        """The methods by the description of tasks that they received. The first group, "", received none."""
         what: dict[str, str] = dict(self.scores.drop_duplicates("policy")[["policy", "given"]].to_numpy().tolist())
         groups: dict[str, list[str]] = {}
         for policy in self.policies:

@@ -100,7 +100,7 @@ def result_tables(results: Results) -> list[Table]:
 
 
 def control_tables(results: Results) -> Iterator[Table]:
-    """What was reached of the task, and of the other task whose demonstrations or sentence were given instead."""
+    """The table of controls: scores in the task, and in the other task that demonstrations or instructions describe."""
     scores = results.scores[results.scores["other"] != ""]
     rows = []
     for policy, group in scores.groupby("policy", sort=False, observed=True):
@@ -111,9 +111,10 @@ def control_tables(results: Results) -> Iterator[Table]:
     if rows:
         yield Table(
             "controls",
-            "Controls, where policies were given what belongs to another task: the mean score, the mean score of the "
-            "other task's intent, and the share of episodes that switched, which reached the other intent and not "
-            "their own. The last three columns are of the episodes in which the other intent could be pursued",
+            "Controls, in which policies received the demonstrations or the instruction of another task: the mean "
+            "score, the mean score of the other task's intent, and the share of episodes that switched (reached the "
+            "other intent, but not the task's). The last three columns are over the episodes in which the other intent "
+            "could be pursued",
             ("Method", "score", "other's score", "switched", "episodes"),
             (("", tuple(rows)),),
         )
@@ -134,7 +135,7 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
 
 
 def _by_given(results: Results, rows: Callable[[pd.DataFrame], Rows], frame: pd.DataFrame) -> tuple[Group, ...]:
-    """Groups of methods by what they were given of each task, if any was given something, made by `rows`."""
+    """Groups of methods by the description of tasks that they received. `rows` formats the rows of a group."""
     given = results.given
     groups = [
         (f"Given {what or 'nothing'}" if any(given) else "", rows(frame[frame["policy"].isin(policies)]))
