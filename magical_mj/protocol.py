@@ -1,5 +1,5 @@
-"""The protocol numbers of environments and demonstrations."""
+"""The protocol numbers of environments, demonstrations and intents."""
 
-from magical_mj.tasks.protocol import DEMONSTRATIONS, MUJOCO, PROTOCOL
+from magical_mj.tasks.protocol import DEMONSTRATIONS, INTENTS, MUJOCO, PROTOCOL
 
-__all__ = ["DEMONSTRATIONS", "MUJOCO", "PROTOCOL"]
+__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL"]

@@ -20,9 +20,9 @@ from typing import Final
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.expert_data import dataset
 from magical_mj.intents.intent import Intent, parse
-from magical_mj.intents.sets import INTENTS, SETS
+from magical_mj.intents.sets import SETS
 
-__all__ = ["EIGHT", "INTENTS", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
+__all__ = ["EIGHT", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
 
 EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {

@@ -1,6 +1,6 @@
 """The sets of intents: for training, for development, and test sets that differ from the training set in one respect.
 
-They are fixed by `INTENTS` and the hash of sets.txt, which `python -m tools.intents draw` has written.
+They are fixed by the protocol number `INTENTS` and the hash of sets.txt, which `python -m tools.intents draw` wrote.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from typing import Final
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.tasks import Task, task_of
 
-INTENTS: Final = 1
-"""The protocol number of the sets, and of the scenes and horizons of intents."""
 DIGEST: Final = "5324e54880e1b2b8e811e2584d7911724ce025c917896eca3df9675ad9b5f3e7"
 """The SHA-256 of sets.txt."""
 NAMES: Final[Mapping[str, str]] = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["DEMONSTRATIONS", "MUJOCO", "PROTOCOL"]
+__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL"]
 
 PROTOCOL: Final = 1
 """The protocol of the current environments. A test fails if they change without a new number."""
@@ -19,3 +19,6 @@ MUJOCO: Final = ("3", "4")
 
 DEMONSTRATIONS: Final = 2
 """The number of the shipped set of demonstrations for training policies."""
+
+INTENTS: Final = 1
+"""The number of the sets of intents, and of the scenes and horizons of intents."""

@@ -10,7 +10,8 @@ from magical_mj.intents import EIGHT, SETS, Intent, parse
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.intents.scenes import accepts
-from magical_mj.intents.sets import DIGEST, FILE, INTENTS, NAMES, tasks_in
+from magical_mj.intents.sets import DIGEST, FILE, NAMES, tasks_in
+from magical_mj.protocol import INTENTS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import environments, listed_tasks, task_name, task_spec
 from magical_mj.utils.errors import IntentError
