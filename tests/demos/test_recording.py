@@ -134,7 +134,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {  # types are msgspec's matter
     "another protocol": ({"protocol": PROTOCOL + 1}, f"protocol {PROTOCOL}"),
     "unknown task": ({"task": "FindDup"}, "Did you mean 'FindDupe'"),
     "unknown variant": ({"variant": "Color"}, "Did you mean 'Colour'"),
-    "impossible pair": ({"task": "MoveToCorner", "variant": "Layout"}, "It has"),
+    "impossible pair": ({"task": "MoveToCorner", "variant": "Layout", "actions": [1] * 80}, "It has"),
     "code as task": ({"task": "os:system"}, "task"),
     "path as variant": ({"variant": "/etc/passwd"}, "variant"),
     "endless name": ({"task": "F" * 50_000}, "task"),
@@ -200,10 +200,11 @@ def test_the_command_imports_each_file_once(
     out = capsys.readouterr().out
     names = ["FindDupe-All-human-000.npz", "MoveToRegion-Demo-human-000.npz"]
     assert sorted(path.name for path in made.iterdir()) == names
-    first, second, third = out.splitlines()
+    first, second, third, summary = out.splitlines()
     assert names[0] in first
     assert "from what the player saw" in second
     assert "was imported already" in third
+    assert summary == "0 of 3 episodes have score 1"
     assert main(["demos", "import", *files, "--out", str(made)]) == 0
     assert sorted(path.name for path in made.iterdir()) == names
     assert main(["demos", "verify", str(made), "--jobs", "1"]) == 0
