@@ -71,11 +71,11 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python -m tools.architecture_picture
 	$(BIN)/python tools/shifts.py picture
 	$(BIN)/python tools/research/physics_picture.py
-	$(BIN)/python tools/tables.py
+	$(BIN)/python -m tools.tables
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
-	$(BIN)/python site/docs.py
-	$(BIN)/python site/play.py
+	PYTHONPATH=. $(BIN)/python site/docs.py
+	PYTHONPATH=. $(BIN)/python site/play.py
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
 	$(BIN)/python site/fetch.py

@@ -1,10 +1,16 @@
-"""Line charts as HTML that fits any screen. Columns show their figures when they are pointed at or have the focus."""
+"""Charts of scores as HTML that fits any screen. A column that is pointed at, or focused, lists its scores."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Final
+from zlib import crc32
+
+from magical_mj.leaderboard.standings import Estimate
+from magical_mj.shifts import SHIFTS
 
 COLOURS: Final = (
     "#3d8a4e",
@@ -18,53 +24,120 @@ COLOURS: Final = (
     "#6a6fd0",
     "#8a6a4a",
 )
+FIXED: Final = {
+    "Goals and planning": 0,
+    "BC from states": 1,
+    "BC from pictures": 2,
+    "GAIL from states": 3,
+    "Random actions": 4,
+    "Relational from states": 6,
+    "Redraw from pictures": 7,
+    "Goals and planning (ST, State)": 0,
+    "BC (ST, State)": 1,
+    "BC (ST, quick)": 2,
+    "GAIL (ST, State)": 3,
+    "random": 4,
+    "Relational (ST, State)": 6,
+    "Redraw (ST, quick)": 7,
+    **{axis: place % len(COLOURS) for place, axis in enumerate(SHIFTS)},
+}
+"""The colours of methods, and of shifts, that are often shown together."""
 LEVELS: Final = (0, 0.25, 0.5, 0.75, 1)
 
 
-def chart(lines: Mapping[str, Sequence[float]], names: Sequence[str], about: str) -> str:
-    """A chart of figures in [0, 1] over named columns. The entries of its legend show or hide lines.
+def colour(name: str) -> str:
+    """The colour of a method or a shift, the same in all charts."""
+    return COLOURS[FIXED.get(name, crc32(name.encode()) % len(COLOURS))]
 
-    Args:
-        lines: name of a line -> a figure for each column.
-        names: the names of the columns, from left to right.
-        about: a description of the chart for screen readers.
+
+@dataclass(frozen=True)
+class Chart:
+    """Scores in [0, 1] of several methods in a row of columns, with a legend that switches methods on and off.
+
+    Attributes:
+        scores: name of a method -> its score in each column, and the interval of each if it is known.
+        columns: names of the columns, from left to right.
+        across: what the columns are.
+        about: what the chart shows, for readers who do not see it.
+        joined: whether lines join the scores, because the columns have an order.
+        shown: the methods that are on at first; all if it is empty.
     """
-    last = len(names) - 1
-    colours = dict(zip(lines, COLOURS, strict=False))
-    paths = "".join(
-        f'<g data-line="{escape(name)}" style="--line: {colours[name]}"><polyline points="'
-        + " ".join(f"{100 * column / last:.2f},{100 - 100 * value:.1f}" for column, value in enumerate(values))
-        + '"/></g>'
-        for name, values in lines.items()
-    )
-    levels = "".join(f'<span style="bottom: {100 * level:g}%">{level:g}</span>' for level in LEVELS)
-    columns = "".join(_column(name, column, last, lines, colours) for column, name in enumerate(names))
-    legend = "".join(
-        f'<label style="--line: {colours[name]}"><input type="checkbox" checked value="{escape(name)}"><i></i> '
-        f"{escape(name)}</label>"
-        for name in lines
-    )
-    return (
-        f'<figure class="chart" aria-label="{escape(about)}"><div class="plot"><div class="levels" aria-hidden="true">'
-        f'{levels}</div><svg viewBox="0 0 100 100" preserveAspectRatio="none" aria-hidden="true">{paths}</svg>'
-        f"{columns}</div><figcaption>{legend}</figcaption></figure>"
-    )
+
+    scores: Mapping[str, Sequence[Estimate]]
+    columns: Sequence[str]
+    across: str
+    about: str
+    joined: bool = False
+    shown: Sequence[str] = ()
+
+    def html(self) -> str:
+        """The chart as a figure."""
+        lines = "".join(map(self._line, self.scores)) if self.joined else ""
+        levels = "".join(f'<span style="bottom: {100 * level:g}%">{level:g}</span>' for level in LEVELS)
+        legend = "".join(
+            f'<label style="--line: {colour(name)}"><input type="checkbox"{" checked" if self._is_on(name) else ""} '
+            f'value="{escape(name)}"><i></i> {escape(name)}</label>'
+            for name in self.scores
+        )
+        columns = "".join(map(self._column, range(len(self.columns))))
+        return (
+            f'<figure class="chart" aria-label="{escape(self.about)}"><div class="plot">'
+            f'<span class="axis up" aria-hidden="true">Mean score</span>'
+            f'<div class="levels" aria-hidden="true">{levels}</div>'
+            f'<svg viewBox="0 0 100 100" preserveAspectRatio="none" aria-hidden="true">{lines}</svg>{columns}'
+            f'<span class="axis across" aria-hidden="true">{escape(self.across)}</span></div>'
+            f"<figcaption>{legend}</figcaption></figure>"
+        )
+
+    def _is_on(self, name: str) -> bool:
+        return not self.shown or name in self.shown
+
+    def _marks(self, name: str) -> str:
+        off = "" if self._is_on(name) else ' class="off"'
+        return f'{off} data-line="{escape(name)}" style="--line: {colour(name)}'
+
+    def _x(self, column: int) -> float:
+        """Per cent of the width. Columns of dots have a margin for the dots on their sides."""
+        count = len(self.columns)
+        return 100 * column / (count - 1) if self.joined else 100 * (column + 0.5) / count
+
+    def _line(self, name: str) -> str:
+        points = " ".join(
+            f"{self._x(i):.2f},{100 - 100 * score.value:.1f}" for i, score in enumerate(self.scores[name])
+        )
+        return f'<g{self._marks(name)}"><polyline points="{points}"/></g>'
+
+    def _column(self, column: int) -> str:
+        """A column: its name below, its dots and intervals, and the list of scores."""
+        name = escape(self.columns[column])
+        known = [line for line, scores in self.scores.items() if not math.isnan(scores[column].value)]
+        alike = {is_on: [line for line in known if self._is_on(line) == is_on] for is_on in (True, False)}
+        dots = "".join(self._dot(line, column, alike[self._is_on(line)]) for line in known)
+        ordered = sorted(known, key=lambda line: -self.scores[line][column].value)
+        listed = "".join(
+            f'<span{self._marks(line)}">{escape(line)} <b>{text(self.scores[line][column])}</b></span>'
+            for line in ordered
+        )
+        side = "left" if self._x(column) > 50 else "right"
+        return (
+            f'<button class="column {side}" style="left: {self._x(column):.2f}%">{dots}<small>{name}</small>'
+            f'<span class="figures"><strong>{name}</strong>{listed}</span></button>'
+        )
+
+    def _dot(self, line: str, column: int, others: Sequence[str]) -> str:
+        """A dot and its interval. Without lines, the dots of a column are next to each other."""
+        score = self.scores[line][column]
+        place = (others.index(line) + 0.5) / len(others) - 0.5
+        shift = "" if self.joined else f"; --shift: {place:.3f}"
+        marks = self._marks(line) + shift
+        dot = f'<i{marks}; bottom: {100 * score.value:.1f}%"></i>'
+        if math.isnan(score.low):
+            return dot
+        height = f"bottom: {100 * score.low:.1f}%; height: {100 * (score.high - score.low):.1f}%"
+        return f'<u{marks}; {height}"></u>{dot}'
 
 
-def _column(name: str, column: int, last: int, lines: Mapping[str, Sequence[float]], colours: Mapping[str, str]) -> str:
-    """A column of the chart: its name, its points, and its figures, which are hidden at first."""
-    points = "".join(
-        f'<i data-line="{escape(line)}" style="--line: {colours[line]}; bottom: {100 * values[column]:.1f}%"></i>'
-        for line, values in lines.items()
-    )
-    ordered = sorted(lines, key=lambda line: -lines[line][column])
-    figures = "".join(
-        f'<span data-line="{escape(line)}" style="--line: {colours[line]}">{escape(line)} '
-        f"<b>{lines[line][column]:.2f}</b></span>"
-        for line in ordered
-    )
-    side = "left" if column > last / 2 else "right"
-    return (
-        f'<button class="column {side}" style="left: {100 * column / last:.2f}%">{points}<small>{escape(name)}</small>'
-        f'<span class="figures"><strong>{escape(name)}</strong>{figures}</span></button>'
-    )
+def text(score: Estimate) -> str:
+    """A score with its interval."""
+    interval = "" if math.isnan(score.low) else f" [{score.low:.2f}, {score.high:.2f}]"
+    return f"{score.value:.2f}{interval}".replace("-0.00", "0.00")

@@ -22,6 +22,7 @@ from task_pages import write_task_pages
 
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.web.page_data import drawing_style
+from tools.scores import by_released_rules
 
 ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
@@ -83,7 +84,7 @@ def write_docs(folder: Path) -> None:
             page.write("\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n")
     methods = read_methods()
     (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
-    cards = write_task_pages(SOURCES, media, methods.values())
+    cards = write_task_pages(SOURCES, media, [*methods.values(), *by_released_rules()])
     (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")
     (SOURCES / "shift-curves.md").write_text(shift_curves(), encoding="utf-8")
     start = home(methods, cards, media)

@@ -1,89 +1,164 @@
-"""The leaderboard as a page of the site, from results/: tables that can be sorted, and episodes to watch."""
+"""The leaderboard as a page of the site, made from results/: tables to sort and filter, and methods to compare."""
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from itertools import permutations
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from charts import chart
+from charts import Chart, text
 
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.leaderboard.page import label
-from magical_mj.leaderboard.standings import BLOCKS, OVERALL, Estimate, Standing, own_standings, published
+from magical_mj.leaderboard.standings import (
+    ABOVE,
+    BLOCKS,
+    COLUMNS,
+    Estimate,
+    Standing,
+    improvement,
+    own_standings,
+    published,
+)
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
+from tools.scores import by_released_rules
 
 ROOT: Final = Path(__file__).parent.parent
 HEADLINE: Final = {
     "state-goals": "Goals and planning",
+    "state-relational": "Relational from states",
+    "pixels-redraw-quick": "Redraw from pictures",
     "state-bc": "BC from states",
     "pixels-bc-quick": "BC from pictures",
     "state-gail": "GAIL from states",
     "random": "Random actions",
 }
-"""The entries in the home page's chart, with their names there."""
-INTRODUCTION: Final = (
-    "Interquartile means of the scores over tasks and runs, in [0, 1]. Our own runs have 95 % intervals. An agent "
-    "learns from demonstrations in Demo, and is evaluated in all variants. Click a heading to sort. Click a method for "
-    "its scores in each environment, the command that repeats them, and episodes to watch: your browser replays the "
-    "stored actions. Methods that were evaluated in only some environments are listed last."
-)
+"""The entries in the home page's chart, and their names there."""
+COMPARED: Final = ("state-relational", "state-bc")
+"""The two methods that are compared at first."""
+INTRODUCTION: Final = """An agent learns from demonstrations of one scene (Demo), and is tested in scenes that differ.
+Methods are in the order of their generalisation. Compare them within a block: a block has the same rules, the same
+observations, and the same kind of help. A method's name opens its scores in each environment, how to repeat them, and
+episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
+[statistics](evaluation.md#statistics) how scores and intervals are computed."""
+USES: Final = "May also use"
+GLOSSARY: Final = {
+    "ST, MT": "one policy for each task, one policy for all tasks",
+    "quick": "a small network and a short training",
+    "allo.": "sees the arena from above instead of from the robot",
+    "State": "observes a vector of positions instead of pictures",
+    "no aug., no trans./rot. aug.": "without augmentations of pictures, without translations and rotations",
+    "★": "official: all 60 environments, 100 episodes in each, five runs or more",
+    "†": "published: the paper's results, in the original simulator",
+    "Memory": "mean score in Demo, Jitter and Dynamics, which hardly change the scene",
+    "Distraction": "mean score in Colour and Shape, which change how objects look",
+    "Generalisation": "mean score in Layout, CountPlus and All, which move, add and remove objects",
+    ABOVE: "generalisation on a scale from 0, doing nothing, to 1, the full score",
+    USES: "what a method uses besides the demonstrations as its policy observes them",
+    "[0.10, 0.12]": "95 % interval over runs and scenes, from three runs on",
+    "(2/8)": "mean over two of the eight tasks, which does not compare with others; such methods are always last",
+}
+FULL_SIZE: Final = {
+    "BC (ST)": "pixels-bc",
+    "BC (ST, allo.)": "pixels-bc-allo",
+    "BC (ST, no aug.)": "pixels-bc-no-augmentation",
+    "BC (ST, no trans./rot. aug.)": "pixels-bc-no-trans-rot",
+    "BC (MT)": "pixels-bc-multi",
+    "GAIL (ST)": "pixels-gail",
+    "GAIL (ST, allo.)": "pixels-gail-allo",
+    "GAIL (ST, no aug.)": "pixels-gail-no-augmentation",
+    "GAIL (MT)": "pixels-gail-multi",
+}
+"""The paper's methods -> the experiments in tools/full_size that train them in the paper's size."""
+TRAINED: Final = {"WGAIL-GP (ST)": "wgail-gp", "AL (ST)": "al"}
+"""The paper's other methods -> the learners that train them."""
 
 
 def standings_page(methods: Mapping[str, Standing]) -> str:
-    """The page in Markdown with HTML. `methods` maps the file name of an entry to its standing."""
-    blocks: dict[str, list[tuple[str, Standing]]] = defaultdict(list)
-    for name, method in [*methods.items(), *(("", one) for one in published())]:
-        blocks["published" if method.kind == "published" else method.block].append((name, method))
-    parts = ["# Leaderboard", INTRODUCTION, "How to submit an entry: [Entries of the leaderboard](leaderboard.md)."]
-    for block, heading in {**BLOCKS, "published": "The paper's, in the original simulator †"}.items():
-        rows = sorted(blocks.get(block, ()), key=lambda row: (not row[1].everywhere, -_value(row[1], OVERALL)))
-        if rows:
-            parts += [f"## {heading}", _table(heading, rows)]
+    """The page in Markdown with HTML in it; `methods`: file name of an entry -> its standing."""
+    rows = [*methods.items(), *(("", one) for one in (*published(), *by_released_rules()))]
+    parts = ["# Leaderboard", INTRODUCTION, _glossary(), _filter()]
+    for block, heading in BLOCKS.items():
+        group = sorted((row for row in rows if row[1].block == block), key=lambda row: row[1].rank)
+        if group:
+            table = _table(heading, group)
+            parts.append(f'<section class="block" data-block="{block}">\n\n## {heading}\n\n{table}\n\n</section>')
+    ranked = sorted(methods.items(), key=lambda item: item[1].rank)
+    own = {name: method for name, method in ranked if method.everywhere}
+    parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own)]
+    parts += ["## Who beats whom", _duels(own), "## What it cost", _costs(methods.values())]
     return "\n\n".join(parts) + "\n"
 
 
-def _value(method: Standing, variant: str) -> float:
-    return method.scores[variant].value if variant in method.scores else -1.0
+def _glossary() -> str:
+    items = "".join(f"<dt>{escape(word)}</dt><dd>{escape(meaning)}</dd>" for word, meaning in GLOSSARY.items())
+    return f'<details class="glossary"><summary>What the words and signs mean</summary><dl>{items}</dl></details>'
+
+
+def _filter() -> str:
+    def select(name: str, title: str, options: Mapping[str, str]) -> str:
+        choices = "".join(f'<option value="{value}">{shown}</option>' for value, shown in options.items())
+        return f'<label>{title} <select name="{name}"><option value="">all</option>{choices}</select></label>'
+
+    sees = {"pictures": "pictures", "states": "states", "nothing": "nothing"}
+    uses = {"usual": "no more than the paper's setting", "more": "more than that"}
+    by = {"own": "this project", "published": "the paper"}
+    fields = select("sees", "Sees", sees) + select("uses", "May use", uses) + select("by", "Run by", by)
+    return f'<form class="kinds">{fields}<output></output></form>'
 
 
 def _table(heading: str, rows: Sequence[tuple[str, Standing]]) -> str:
-    columns = {OVERALL: "Overall"} | {variant: variant for variant in VARIANTS}
+    columns = {"": "Method", USES: USES, "runs": "Runs", **{name: _heading(name) for name in COLUMNS}}
     head = "".join(
-        f'<th scope="col" aria-sort="{"descending" if name == OVERALL else "none"}"><button>{text}</button></th>'
-        for name, text in {"": "Method", "runs": "Runs", "played": "Played", **columns}.items()
+        f'<th scope="col" aria-sort="{"descending" if name == ABOVE else "none"}"><button>{shown}</button></th>'
+        for name, shown in columns.items()
     )
-    body = "".join(_row(name, method, tuple(columns)) for name, method in rows)
+    body = "".join(_row(name, method) for name, method in rows)
     return (
         f'<div class="wide" tabindex="0" role="region" aria-label="{escape(heading)}"><table class="standings"><thead>'
         f"<tr>{head}</tr></thead>{body}</table></div>"
     )
 
 
-def _row(name: str, method: Standing, columns: Sequence[str]) -> str:
-    """A table body with a method's scores, and a hidden row with details."""
-    cells = "".join(_cell(method.scores.get(column)) for column in columns)
-    runs = len(method.entry.runs) or ""
+def _heading(column: str) -> str:
+    return f"{column} ({len(COLUMNS[column])})" if column in VARIANTS else column
+
+
+def _row(name: str, method: Standing) -> str:
+    """A body of a table: the method's figures, and below them what opens."""
+    cells = "".join(_cell(method, column) for column in COLUMNS)
+    chips = " ".join(f"<span>{escape(privilege)}</span>" for privilege in method.privileges)
+    runs = 5 if method.kind == "published" else len(method.entry.runs)
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
-    details = f'<tr class="details" hidden><td colspan="{len(columns) + 3}">{_details(name, method)}</td></tr>'
-    figures = f"<td>{runs}</td><td>{len(method.means)}/{len(ENVIRONMENTS)}</td>{cells}"
-    return f'<tbody><tr><th scope="row">{title}</th>{figures}</tr>{details}</tbody>'
+    details = f'<tr class="details" hidden><td colspan="{len(COLUMNS) + 3}">{_details(name, method)}</td></tr>'
+    figures = f'<td class="chips">{chips}</td><td>{runs}</td>{cells}'
+    sees = {None: "nothing", "State": "states"}.get(method.entry.observations, "pictures")
+    usual = method.block in ("pictures", "states", "nothing") or method.kind == "published"
+    kinds = f'data-sees="{sees}" data-uses="{"usual" if usual else "more"}"'
+    kinds += f' data-by="{"published" if method.kind == "published" else "own"}"'
+    whole = "" if method.everywhere else ' class="partial"'
+    return f'<tbody {kinds}{whole}><tr><th scope="row">{title}</th>{figures}</tr>{details}</tbody>'
 
 
-def _cell(estimate: Estimate | None) -> str:
-    if estimate is None:
+def _cell(method: Standing, column: str) -> str:
+    lacks = method.lacks(column)
+    score = None if lacks and column not in VARIANTS else method.scores.get(column)
+    if score is None:
         return "<td></td>"
-    interval = "" if np.isnan(estimate.low) else f"<small>{estimate.low:.2f} to {estimate.high:.2f}</small>"
-    return f'<td class="figure" style="--share: {round(100 * estimate.value)}%">{estimate.value:.2f}{interval}</td>'
+    below = lacks or ("" if np.isnan(score.low) else f"{score.low:.2f} to {score.high:.2f}".replace("-0.00", "0.00"))
+    shown = f"{score.value:.2f}".replace("-0.00", "0.00")
+    small = f"<small>{below}</small>" if below else ""
+    return f'<td class="figure" style="--share: {round(100 * max(score.value, 0))}%">{shown}{small}</td>'
 
 
 def _details(name: str, method: Standing) -> str:
-    rows, stored = [], _stored(method)
+    rows, stored = [], _stored(method) if name else {}
     for task in TASKS:
         cells = []
         for variant in VARIANTS:
@@ -91,22 +166,143 @@ def _details(name: str, method: Standing) -> str:
             if means is None:
                 cells.append("<td></td>")
                 continue
-            text = f"{means.mean():.2f}"
+            shown = f"{means.mean():.2f}"
             if set(range(1 if variant == "Demo" else SCENES)) <= stored.get((task, variant), {}).keys():
-                text = f'<a href="play/#{task}-{variant}-0@{name}" title="Watch it in {task}-{variant}">{text}</a>'
-            cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{text}</td>')
+                shown = f'<a href="play/#{task}-{variant}-0@{name}" title="Watch it in {task}-{variant}">{shown}</a>'
+            cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{shown}</td>')
         rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{variant}</th>' for variant in ("Task", *VARIANTS))
     about = "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>"
-    command = "" if method.kind == "published" else "\n".join(method.entry.card.commands or ())
-    repeat = f"<p>Repeat it:</p><div class='highlight'><pre>{escape(command)}</pre></div>" if command else ""
-    watch = f"<p>Mean scores{'; each opens the first episode there' if method.entry.episodes else ''}.</p>"
+    watch = f"<p>Mean scores{'; each opens the first episode there' if stored else ''}.</p>"
     table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return f"{about}{watch}{table}{repeat}"
+    return f"{about}{watch}{table}{_endings(method)}{_repeat(method)}"
+
+
+def _endings(method: Standing) -> str:
+    """What the method's episodes did in the tasks of choice, from the table of docs/intents.md."""
+    page = (ROOT / "docs" / "intents.md").read_text(encoding="utf-8")
+    lines = page.partition("<!-- choices:")[2].partition("<!-- end of choices")[0].splitlines()[1:]
+    header, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    own = [row for row in rows if row[0].rpartition(", ")[0] == method.name]
+    if not own or method.block == "released":
+        return ""
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in ("Task", *header[2:]))
+    body = "".join(
+        f'<tr><th scope="row">{row[0].rpartition(", ")[2]}</th>{"".join(f"<td>{cell}</td>" for cell in row[2:])}</tr>'
+        for row in own
+    )
+    words = 'Which blocks its episodes moved, in per cent (<a href="intents.html#endings">endings</a>):'
+    return f'<p>{words}</p><table class="heat"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _repeat(method: Standing) -> str:
+    """The commands that repeat it. The paper's methods have the commands that train them here, in the paper's size."""
+    commands, words = method.entry.card.commands or [], "Repeat it:"
+    if method.kind == "published":
+        words = "The scores are the paper's, from the original code. The same method here, in the paper's size:"
+        commands = [f"magical-mj train {TRAINED.get(method.name)} --tasks all --out runs/{TRAINED.get(method.name)}"]
+        if name := FULL_SIZE.get(method.name):
+            commands = [f"magical-mj experiment tools/full_size/{name}.toml --out runs/{name}"]
+    elif method.block == "released":
+        commands = [
+            *commands,
+            "python -m tools.released    # its scores by the released rules",
+        ]
+    return f"<p>{words}</p><div class='highlight'><pre>{escape(chr(10).join(commands))}</pre></div>"
+
+
+def _dots(methods: Iterable[Standing]) -> str:
+    scores = {method.name: [method.scores[variant] for variant in VARIANTS] for method in methods}
+    shown = [method.name for name, method in read_methods().items() if name in HEADLINE]
+    about = "Mean scores over the tasks that have the variant, with 95 % intervals"
+    variants = [_heading(variant) for variant in VARIANTS]
+    chart = Chart(scores, variants, "Variant (number of tasks)", about, shown=shown)
+    return f"{about}. The list below switches methods on and off.\n\n{chart.html()}"
+
+
+def _comparison(methods: Mapping[str, Standing]) -> str:
+    """A form in which two methods are chosen; site.js fills in their scores, and shows their episodes."""
+    beats = _beats(methods)
+    data = {
+        "scores": {name: {column: text(one.scores[column]) for column in COLUMNS} for name, one in methods.items()},
+        "beats": {f"{a} {b}": text(chance) for (a, b), chance in beats.items()},
+        "watched": {name: ["-".join(pair) for pair in _stored(one)] for name, one in methods.items()},
+    }
+    options = "".join(f'<option value="{name}">{escape(one.name)}</option>' for name, one in methods.items())
+    first, second = (options.replace(f'"{name}"', f'"{name}" selected') for name in COMPARED)
+    pairs = "".join(f"<option>{task}-{variant}</option>" for task, variant in ENVIRONMENTS)
+    seeds = "".join(f"<option>{seed}</option>" for seed in range(SCENES))
+    fields = (
+        f'<label>Method <select name="first">{first}</select></label>'
+        f'<label>and <select name="second">{second}</select></label>'
+        f'<label>in <select name="environment">{pairs}</select></label>'
+        f'<label>scene <select name="seed">{seeds}</select></label><button>Watch both</button>'
+    )
+    return (
+        f'<form class="compare">{fields}</form><div class="wide" tabindex="0" role="region" aria-label="Comparison">'
+        f'<table class="compared"></table></div><p class="chance"></p><div class="sides watched"></div>'
+        f'<script type="application/json" id="compared">{json.dumps(data)}</script>'
+    )
+
+
+def _beats(methods: Mapping[str, Standing]) -> dict[tuple[str, str], Estimate]:
+    """The probability that a run of the first method beats one of the second, for each pair by the same rules."""
+    chances: dict[tuple[str, str], Estimate] = {}
+    for a, b in permutations(methods, 2):
+        if (b, a) in chances:
+            other = chances[b, a]
+            chances[a, b] = Estimate(1 - other.value, 1 - other.high, 1 - other.low)
+        else:
+            chances[a, b] = improvement(methods[a], methods[b])
+    return chances
+
+
+def _duels(methods: Mapping[str, Standing]) -> str:
+    """The probabilities between the methods of a block, whose comparison is fair."""
+    words = (
+        "The probability that a run of the method on the left beats a run of the method above in the same environment "
+        "(equal scores count one half), for the methods of each block."
+    )
+    parts = [words]
+    for block, heading in BLOCKS.items():
+        group = {name: method for name, method in methods.items() if method.block == block}
+        if len(group) < 2:
+            continue
+        chances = _beats(group)
+        head = "".join(f'<th scope="col">{escape(method.name)}</th>' for method in group.values())
+        body = ""
+        for a, method in group.items():
+            cells = "".join("<td></td>" if a == b else _chance(chances[a, b]) for b in group)
+            body += f'<tr><th scope="row">{escape(method.name)}</th>{cells}</tr>'
+        table = f'<table class="duels"><thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody></table>'
+        region = f'<div class="wide" tabindex="0" role="region" aria-label="{escape(heading)}">{table}</div>'
+        parts.append(f"<details><summary>{heading}</summary>{region}</details>")
+    return "\n\n".join(parts)
+
+
+def _chance(chance: Estimate) -> str:
+    return f'<td class="figure" style="--share: {round(100 * chance.value)}%">{chance.value:.2f}</td>'
+
+
+def _costs(methods: Iterable[Standing]) -> str:
+    lines = ["| Method | Above doing nothing | Demonstrations a task | Hours a run | Device | Steps a run |"]
+    lines.append("| --- | ---: | ---: | ---: | --- | ---: |")
+    for method in sorted(methods, key=lambda method: method.rank):
+        card = method.entry.card
+        hours, steps = card.training.hours, card.training.steps
+        cells = (
+            f"{method.scores[ABOVE].value:.2f}".replace("-0.00", "0.00") if method.everywhere else "",
+            card.demonstrations.per_task,
+            hours,
+            card.training.device,
+            None if steps is None else f"{steps:,}",
+        )
+        lines.append(f"| {label(method)} | {' | '.join('' if cell is None else str(cell) for cell in cells)} |")
+    return "Of one run, as its entry states it. Empty cells are not known.\n\n" + "\n".join(lines)
 
 
 def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
-    """The actions of the first run in the scenes of the page for playing, as letters, by environment and seed."""
+    """The actions of the first run in the scenes that the page to play on has, as letters, by environment and seed."""
     episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
     if method.entry.episodes:
         first = method.entry.runs[0]
@@ -118,7 +314,7 @@ def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
 
 
 def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
-    """Writes a file `<name>.json` with the stored actions of each method, and `index.json` with the methods' names."""
+    """Write a file for each method with its stored actions, `<name>.json`, and `index.json` with the methods' names."""
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():
@@ -136,16 +332,10 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
 
 
 def headline(methods: Mapping[str, Standing]) -> str:
-    """A chart of some entries' mean scores over all tasks, by variant."""
-    lines = {
-        text: [
-            float(np.mean([means.mean() for pair, means in methods[name].means.items() if pair[1] == variant]))
-            for variant in VARIANTS
-        ]
-        for name, text in HEADLINE.items()
-    }
-    about = "Mean scores over all tasks, by variant: all but planning fall from Demo to Layout"
-    return chart(lines, tuple(VARIANTS), about)
+    """A chart of some entries' mean scores, by variant."""
+    scores = {shown: [methods[name].scores[variant] for variant in VARIANTS] for name, shown in HEADLINE.items()}
+    about = "Mean scores over the tasks that have the variant: all but planning fall from Demo to Layout"
+    return Chart(scores, [_heading(variant) for variant in VARIANTS], "Variant (number of tasks)", about).html()
 
 
 def read_methods() -> dict[str, Standing]:

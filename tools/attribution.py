@@ -25,7 +25,7 @@ from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
 from magical_mj.variants import VARIANTS
-from tools.tables import ROOT, filled, table
+from tools.pages import ROOT, filled, table
 
 RESULTS: Final = ROOT / "results"
 SCENES: Final = 100

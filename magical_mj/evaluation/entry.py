@@ -77,14 +77,17 @@ Privilege = Literal[
     "simulator in training",
     "renderer in training",
     "score in training",
+    "scripted skill",
+    "tuned on other scenes of the test variants",
     "other scenes",
     "knowledge of tasks",
     "simulator at test",
 ]
 """Information that a method uses in addition to the observations and actions of demonstrations.
 
-In this order: the demonstrations' states; in training, the simulator, pictures of any state, and the task's score;
-scenes other than the demo scene; the author's knowledge of the tasks; and a copy of the simulation during tests."""
+In this order: the demonstrations' states; in training, the simulator, pictures of any state, and the task's score; a
+program for a part of the tasks, such as gripping a block; choices by scores in dev scenes of the test variants; scenes
+other than the demo scene; the author's knowledge of the tasks; and a copy of the simulation during tests."""
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
@@ -113,7 +116,7 @@ class Card(Struct, forbid_unknown_fields=True):
     demonstrations: Demonstrations = msgspec.field(default_factory=Demonstrations)
     training: Training = msgspec.field(default_factory=Training)
     hardware: Line | None = None
-    privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
+    privileges: Annotated[list[Privilege], Meta(max_length=9)] | None = None
     commands: Annotated[list[Annotated[str, Meta(max_length=500)]], Meta(max_length=20)] | None = None
     """The commands that reproduce it, from a checkout of this repository or of the method's."""
 

@@ -10,15 +10,16 @@ from itertools import combinations
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from magical_mj.evaluation.entry import SHIFT_SEEDS, track
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
+    ABOVE,
     BLOCKS,
+    COLUMNS,
+    COMMON,
+    LEAST_FOR_INTERVALS,
     LEAST_RUNS,
-    OVERALL,
     Estimate,
     Standing,
     improvement,
@@ -35,10 +36,12 @@ STAR: Final = "★"
 INTRODUCTION: Final = (
     "Each entry contains every episode of every run with its actions, and was checked by replaying a sample of them. "
     "Scores are between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested with other "
-    "poses, colours, shapes, numbers or dynamics. Methods are grouped by what their policies may use at test time. "
-    f"{STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs or more; {DAGGER}: "
-    "published, the paper's in the original simulator, by the rules 'released'; all others are partial."
+    "poses, colours, shapes, numbers or dynamics. Compare methods within a block, which have the same rules, observe "
+    "the same and may use the same kind of help. Methods are in the order of their generalisation, those without "
+    f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs "
+    f"or more; {DAGGER}: published, the paper's in the original simulator; all others are partial."
 )
+USES: Final = "may also use"
 HEADINGS: Final = {
     "scores": "Scores",
     "drops": "What breaks first",
@@ -107,7 +110,10 @@ def _table(table: Table) -> str:
         if heading:
             body += f'<tr><th class="group" colspan="{len(table.header)}">{html(heading)}</th></tr>'
         for method, *cells in rows:
-            figures = "".join(_cell(cell, table.name in SHADED) for cell in cells)
+            figures = "".join(
+                chips(cell) if name == USES else _cell(cell, table.name in SHADED)
+                for name, cell in zip(table.header[1:], cells, strict=True)
+            )
             body += f"<tr><th>{html(method)}</th>{figures}</tr>"
     notes = "".join(f"<li>{html(note)}</li>" for note in table.notes)
     caption = html(table.caption)
@@ -116,6 +122,12 @@ def _table(table: Table) -> str:
         f"<table><thead><tr>{head}</tr></thead>"
         f"<tbody>{body}</tbody></table></div><ul>{notes}</ul>"
     )
+
+
+def chips(text: str) -> str:
+    """A table cell with a chip for each privilege."""
+    spans = " ".join(f"<span>{html(name)}</span>" for name in text.split(", ") if name)
+    return f'<td class="chips">{spans}</td>'
 
 
 def _cell(text: str, shaded: bool) -> str:
@@ -148,18 +160,20 @@ def _card(method: Standing) -> str:
 
 
 def intervals(methods: Sequence[Standing]) -> str:
-    """Each method's overall score as a dot, with its interval as a line."""
+    """The generalisation of each method with all environments: above doing nothing, a dot with its interval."""
+    methods = [method for method in methods if method.everywhere]
     height = ROW * (len(methods) + 1)
     rows = _grid(height - ROW)
     for index, method in enumerate(methods):
-        score, y = method.scores[OVERALL], ROW * (index + 0.5)
-        rows += _name(f"{label(method)} {share(method)}".strip(), NAMES - 10, y + 4)
+        score, y = method.scores[ABOVE], ROW * (index + 0.5)
+        rows += _name(label(method), NAMES - 10, y + 4)
         if not math.isnan(score.low):
             rows += f'<line class="{method.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
         rows += f'<circle class="{method.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
-    title = "Interquartile means over all environments, with 95 % intervals"
+    title = "Generalisation above doing nothing, with 95 % intervals"
     picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{rows}</svg>'
-    return f'<div class="wide" tabindex="0" role="region" aria-label="Chart: {title}">{picture}</div>'
+    box = f'<div class="wide" tabindex="0" role="region" aria-label="{title}">{picture}</div>'
+    return f'<p class="caption">{title}.</p>{box}'
 
 
 def _name(name: str, right: float, y: float) -> str:
@@ -180,7 +194,7 @@ def _grid(height: float) -> str:
 
 
 def _x(share: float) -> float:
-    return round(NAMES + share * (WIDTH - NAMES - 20), 1)
+    return round(NAMES + max(share, 0) * (WIDTH - NAMES - 20), 1)
 
 
 def tables(methods: Sequence[Standing]) -> list[Table]:
@@ -195,41 +209,41 @@ def label(method: Standing) -> str:
 
 
 def _scores(methods: Sequence[Standing]) -> Table:
-    columns = (OVERALL, *VARIANTS)
-
     def cells(method: Standing) -> tuple[str, ...]:
-        sees = method.entry.observations
-        looks_at = "no observations" if sees is None else sees or "both views"
-        return method.entry.rules, looks_at, *(_score(method, name) for name in columns)
+        runs = "" if method.kind == "published" else str(len(method.entry.runs))
+        return uses(method), runs, *(shown(method, column) for column in COLUMNS)
 
     return Table(
         "scores",
-        "Interquartile mean of the mean scores of runs in environments, with its 95 % interval (stratified bootstrap), "
-        "and the number of environments if some are missing. For published methods, and those with different numbers "
-        "of runs, it is the interquartile mean of the mean scores over runs",
-        ("Method", "rules", "looks at", *columns),
+        "Mean scores. Memory (Demo, Jitter, Dynamics), distraction (Colour, Shape) and generalisation (Layout, "
+        f"CountPlus, All) are means over the {len(COMMON)} tasks that have all variants. Columns of variants are means "
+        f"over the tasks that have the variant, with their number if some are missing. {ABOVE}: the generalisation "
+        "group's mean of (score - n) / (1 - n), where n is the score of doing nothing. In brackets, 95 % intervals "
+        f"over runs and scenes, from {LEAST_FOR_INTERVALS} runs on",
+        ("Method", USES, "runs", *COLUMNS),
         _grouped(methods, cells),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
     )
 
 
-def _score(method: Standing, variant: str) -> str:
-    return " ".join(filter(None, (_text(method.scores.get(variant)), share(method, variant))))
+def uses(method: Standing) -> str:
+    """What a method may use apart from the demonstrations as its policy observes them."""
+    return ", ".join(method.privileges)
 
 
-def share(method: Standing, variant: str = OVERALL) -> str:
-    """The number of the variant's environments that were played, such as "(14/60)". Empty for all and for none."""
-    every = [pair for pair in ENVIRONMENTS if variant in (OVERALL, pair[1])]
-    count = sum(pair in method.means for pair in every)
-    return f"({count}/{len(every)})" if 0 < count < len(every) else ""
+def shown(method: Standing, column: str) -> str:
+    """A score with its interval. If tasks are missing, that of a variant is marked, and other means are left out."""
+    lacks = method.lacks(column)
+    if lacks and column not in VARIANTS:
+        return NONE
+    return " ".join(filter(None, (_text(method.scores.get(column)), lacks)))
 
 
 def _drops(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
-        means = [values.mean() for (_, variant), values in method.means.items() if variant == "Demo"]
-        demo = Estimate(float(np.mean(means))) if means else None
-        drops = (_text(method.drops.get(name)) for name in VARIANTS[1:])
-        return f"{_text(demo)} {share(method, 'Demo')}".strip(), *drops, method.weakest or NONE
+        drops = (method.drops.get(name) for name in VARIANTS[1:])
+        texts = (NONE if drop is None else _text(Estimate(drop)) for drop in drops)
+        return shown(method, "Demo"), *texts, method.weakest or NONE
 
     return Table(
         "drops",
@@ -286,14 +300,15 @@ def _costs(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
         card = method.entry.card
         training, data = card.training, card.demonstrations
-        facts = (data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
+        sees = "no observations" if method.entry.observations is None else method.entry.observations or "both views"
+        facts = (sees, data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
         texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
-        return _score(method, OVERALL), ", ".join(method.privileges) or "nothing", *texts
+        return shown(method, ABOVE), *texts
 
     return Table(
         "costs",
-        f"The cost of a run ({NONE} if the entry does not state it), and the other resources of the method",
-        ("Method", OVERALL, "may use", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
+        f"The cost of a run ({NONE} if the entry does not state it), and what the policy observes",
+        ("Method", ABOVE, "looks at", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
         _grouped(_entered(methods), cells),
     )
 

@@ -3,43 +3,70 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
-from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.reports.statistics import (
     Floats,
     bootstrap,
-    interquartile_mean,
-    mean_interval,
-    robust_mean,
+    percentile_interval,
+    resample,
 )
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, sample_scene, score
+from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import counted
 
 Kind = Literal["official", "partial", "published"]
-Block = Literal["pictures", "states", "simulator", "nothing", "undeclared"]
+Block = Literal[
+    "pictures", "pictures and more", "states", "states and more", "simulator", "nothing", "undeclared", "released"
+]
 BLOCKS: Final[Mapping[Block, str]] = {
     "pictures": "From pictures",
+    "pictures and more": "From pictures, with more than the paper's setting in training",
     "states": "From states",
+    "states and more": "From states, with more than the paper's setting in training",
     "simulator": "With a simulator at test",
     "nothing": "Without looking",
     "undeclared": "Privileges not declared",
+    "released": "By the rules of the paper's released code",
 }
-"""Methods are compared within a block: what a policy may use at test time matters more than how it was trained."""
+"""Methods are compared within a block: by the rules, what the policy observes, and what else the method may use."""
+USUAL: Final = {"states", "simulator in training"}
+"""The privileges of the paper's setting, apart from what the policy observes."""
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
-OVERALL: Final = "all environments"
+LEAST_FOR_INTERVALS: Final = 3
+"""The least number of runs of a score with an interval. Fewer say too little about the randomness of training."""
+
+GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
+    "Memory": ("Demo", "Jitter", "Dynamics"),
+    "Distraction": ("Colour", "Shape"),
+    "Generalisation": ("Layout", "CountPlus", "All"),
+}
+"""Variants whose scores rise and fall together, by what they test."""
+COMMON: Final = tuple(task for task in TASKS if all((task, variant) in ENVIRONMENTS for variant in VARIANTS))
+"""The tasks that have all variants. The means over a group are over these tasks, so that groups can be compared."""
+ABOVE: Final = "Above doing nothing"
+"""The generalisation group's mean of (score - n) / (1 - n), with n the score of doing nothing. It orders methods."""
+COLUMNS: Final[Mapping[str, tuple[Pair, ...]]] = {
+    **{
+        name: tuple(pair for pair in ENVIRONMENTS if pair[0] in COMMON and pair[1] in GROUPS[group])
+        for name, group in [*zip(GROUPS, GROUPS, strict=True), (ABOVE, "Generalisation")]
+    },
+    **{variant: tuple(pair for pair in ENVIRONMENTS if pair[1] == variant) for variant in VARIANTS},
+}
+"""A score's name -> the environments over which it is the mean."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +87,8 @@ class Standing:
         entry: the entry; those of published methods have no episodes.
         gaps: the reasons why a partial entry is not official.
         means: mean score of each run in each environment; for published methods only the mean of five runs.
-        episodes: score of each episode of each run in each environment; empty for published methods.
+        episodes: score of each episode of each run in each environment, by seed; empty for published methods.
+        printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
 
     kind: Kind
@@ -68,6 +96,7 @@ class Standing:
     gaps: tuple[str, ...]
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
+    printed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -82,44 +111,74 @@ class Standing:
     @property
     def block(self) -> Block:
         """Its block in the tables."""
+        if self.entry.rules == PUBLISHED_RULES:
+            return "released"
         if self.entry.card.privileges is None:
             return "undeclared"
         if "simulator at test" in self.privileges:
             return "simulator"
-        looks_at = self.entry.observations
-        return "nothing" if looks_at is None else "states" if looks_at == "State" else "pictures"
+        if self.entry.observations is None:
+            return "nothing"
+        more = bool({*self.privileges} - USUAL)
+        if self.entry.observations == "State":
+            return "states and more" if more else "states"
+        return "pictures and more" if more or "states" in self.privileges else "pictures"
 
     @cached_property
     def scores(self) -> Mapping[str, Estimate]:
-        """The interquartile mean over environments and runs, by variant and `OVERALL`."""
+        """The mean over the environments of each of `COLUMNS` that were played, without columns that have none."""
         scores = {}
-        for variant in (OVERALL, *VARIANTS):
-            pairs = [pair for pair in self.means if variant in (OVERALL, pair[1])]
-            if pairs and self.episodes:
-                scores[variant] = Estimate(*robust_mean([list(self.episodes[pair].values()) for pair in pairs]))
-            elif pairs:
-                values = np.concatenate([self.means[pair] for pair in pairs])
-                scores[variant] = Estimate(float(interquartile_mean(values)))
-        return scores
+        for name, pairs in COLUMNS.items():
+            if any(pair in self.means for pair in pairs):
+                scores[name] = self.mean(pairs, above=name == ABOVE)
+        return scores | {name: Estimate(value) for name, value in self.printed.items()}
+
+    def mean(self, pairs: Iterable[Pair], above: bool = False) -> Estimate:
+        """The mean score over those of the environments that were played, with its interval.
+
+        Args:
+            pairs: the environments.
+            above: whether to take the mean of (score - n) / (1 - n), where n is the score of doing nothing.
+        """
+        played = [pair for pair in pairs if pair in self.means]
+        floors = np.array([floor(*pair, self.entry.rules) if above else 0.0 for pair in played])
+
+        def mean(scores: Floats) -> Any:
+            return ((scores.T - floors) / (1 - floors)).mean(axis=-1)
+
+        value = round(float(mean(np.array([self.means[pair].mean() for pair in played]))), 9)
+        if not played or any(len(self.episodes.get(pair, ())) < LEAST_FOR_INTERVALS for pair in played):
+            return Estimate(value)
+        return Estimate(value, *percentile_interval(mean(np.stack([self._draws[pair] for pair in played]))))
 
     @cached_property
-    def drops(self) -> Mapping[str, Estimate]:
-        """The decrease of the mean score from Demo to each test variant, on the tasks that have both.
+    def _draws(self) -> Mapping[Pair, Floats]:
+        """Bootstrap draws of the mean score in each environment."""
+        draws = resample([[*runs.values()] for runs in self.episodes.values()])
+        return dict(zip(self.episodes, draws, strict=True))
 
-        There is an interval only if the same runs were played in both, since they are resampled together.
-        """
+    def lacks(self, column: str) -> str:
+        """How many of a column's environments were played, such as "(2/8)". Empty for all and for none."""
+        count = sum(pair in self.means for pair in COLUMNS[column])
+        return f"({count}/{len(COLUMNS[column])})" if 0 < count < len(COLUMNS[column]) else ""
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """The order in a block: complete entries first, by generalisation above doing nothing."""
+        score = self.scores.get(ABOVE)
+        return not self.everywhere, -score.value if score else 0.0, self.name
+
+    @cached_property
+    def drops(self) -> Mapping[str, float]:
+        """The decrease of the mean score from Demo to each test variant, on the tasks that have both."""
         drops = {}
         for variant in VARIANTS[1:]:
             both = [((task, "Demo"), (task, variant)) for task in TASKS]
             both = [pair for pair in both if self.means.keys() >= set(pair)]
             if both:
-                value = float(np.mean([self.means[demo].mean() - self.means[other].mean() for demo, other in both]))
-                runs = [[list(self.episodes.get(pair, ())) for pair in pairs] for pairs in both]
-                if all(ours == others != [] for ours, others in runs):
-                    interval = mean_interval([self.means[demo] - self.means[other] for demo, other in both])
-                    drops[variant] = Estimate(value, *interval)
-                else:
-                    drops[variant] = Estimate(value)
+                drops[variant] = float(
+                    np.mean([self.means[one].mean() - self.means[other].mean() for one, other in both])
+                )
         return drops
 
     @property
@@ -161,7 +220,7 @@ class Standing:
 def standing(entry: Entry) -> Standing:
     """The standing of an entry."""
     scores: dict[Pair, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for episode in entry.counted:
+    for episode in sorted(entry.counted, key=lambda episode: episode.seed):
         scores[episode.task, episode.variant][episode.run].append(episode.score)
     episodes = {
         pair: {run: np.array(scores[pair][run]) for run in sorted(scores[pair])}
@@ -200,12 +259,13 @@ def published() -> list[Standing]:
 
     Its methods observe pictures. All except BC also play while they learn.
     """
-    methods = []
+    methods, table = [], published_table_1()
     for policy, group in published_results().groupby("policy", sort=False):
         means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
         card = Card(str(policy), privileges=[] if str(policy).startswith("BC") else ["simulator in training"])
         entry = Entry(card, "pictures", PUBLISHED_RULES, None, Versions([], [], []), [])
-        methods.append(Standing("published", entry, (), means, {}))
+        printed = table[table["policy"] == policy].set_index("variant")["mean"].to_dict()
+        methods.append(Standing("published", entry, (), means, {}, printed))
     return methods
 
 
@@ -234,18 +294,15 @@ def _better(first: Floats, second: Floats) -> Any:
 
 
 def standings(entries: Sequence[Entry]) -> list[Standing]:
-    """All methods, by block, by kind (official, partial, published), and by overall score.
-
-    Partial ones that played all environments come before the others, whose scores are not comparable.
-    """
-    kinds, blocks = ("official", "partial", "published"), tuple(BLOCKS)
+    """All methods, by block and by `Standing.rank`."""
+    blocks = tuple(BLOCKS)
     return sorted(
-        [*map(standing, entries), *published()],
-        key=lambda method: (
-            blocks.index(method.block),
-            kinds.index(method.kind),
-            not method.everywhere,
-            -method.scores[OVERALL].value,
-            method.name,
-        ),
+        [*map(standing, entries), *published()], key=lambda method: (blocks.index(method.block), *method.rank)
     )
+
+
+@cache
+def floor(task: str, variant: str, rules: Rules) -> float:
+    """The mean score of doing nothing in the test scenes of an environment."""
+    scenes = (sample_scene(task, variant, seed) for seed in range(SEEDS))
+    return float(np.mean([score(task, scene, scene, rules) for scene in scenes]))

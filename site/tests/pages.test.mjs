@@ -74,12 +74,43 @@ test("charts show their figures, and the leaderboard sorts, opens rows, and link
   assert.doesNotMatch(await layout.locator(".figures").innerText(), /BC from states/);
   await page.goto(`${site.address}standings.html`);
   const table = page.locator("table.standings").first();
-  await table.getByRole("button", { name: "Demo", exact: true }).click();
-  const demo = (await table.locator(":scope > tbody > tr:first-child > td:nth-child(5)").allTextContents()).map((text) => Number.parseFloat(text) || 0);
+  await table.getByRole("button", { name: "Demo (8)", exact: true }).click();
+  const whole = table.locator(":scope > tbody:not(.partial) > tr:first-child > td:nth-child(8)");
+  const demo = (await whole.allTextContents()).map((text) => Number.parseFloat(text) || 0);
   assert.deepEqual(demo, [...demo].sort((one, other) => other - one));
+  for (const heading of ["Demo (8)", "Method", "Runs"]) {  // the first one again, now rising: partial methods stay last
+    await table.getByRole("button", { name: heading, exact: true }).click();
+    const partial = await table.locator(":scope > tbody").evaluateAll((bodies) => bodies.map((body) => body.classList.contains("partial")));
+    assert.ok(partial.includes(true));
+    assert.deepEqual(partial, [...partial].sort((one, other) => Number(one) - Number(other)));
+  }
   await table.locator("button.opens").first().click();
   await table.locator(".heat a").first().click();
   await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Watching"));
+});
+
+test("the leaderboard filters, and two methods are compared and watched in one scene", async () => {
+  await page.goto(`${site.address}standings.html`);
+  const shown = () => page.locator("table.standings > tbody:not([hidden])");
+  assert.match(await page.locator(".chips", { hasText: "scripted skill" }).first().innerText(), /tuned on other scenes/);
+  await page.getByLabel("Sees").selectOption("states");
+  await page.getByLabel("May use").selectOption("usual");
+  assert.ok(await shown().filter({ hasText: "BC (ST, State)" }).first().isVisible());
+  assert.equal(await shown().filter({ hasText: "scripted skill" }).count(), 0);
+  assert.equal(await page.locator(".kinds output").innerText(), `${await shown().count()} methods`);
+  await page.getByLabel("Run by").selectOption("published");
+  assert.equal(await shown().count(), 0);
+  const form = page.locator("form.compare");
+  await form.getByLabel("Method", { exact: true }).selectOption({ label: "Relational (ST, State)" });
+  await form.getByLabel("and").selectOption({ label: "BC (ST, State)" });
+  assert.match(await page.locator(".chance").innerText(), /^The probability that a run of Relational .*: 0\.\d\d \[/);
+  assert.match(await page.locator("table.compared").innerText(), /Generalisation\s+0\.\d\d \[.*\]\s+0\.\d\d \[/);
+  await form.getByLabel("in").selectOption("FindDupe-Layout");
+  await form.getByLabel("scene").selectOption("1");
+  await form.getByRole("button", { name: "Watch both" }).click();
+  for (const title of ["Relational (ST, State), FindDupe-Layout, scene 1", "BC (ST, State), FindDupe-Layout, scene 1"]) {
+    await page.frameLocator(`iframe[title="${title}"]`).locator("#status", { hasText: "Watching" }).waitFor();
+  }
 });
 
 test("a second visit needs no network", async () => {

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
 
-from magical_mj import ENVIRONMENTS
-from magical_mj.evaluation.reports.results import published_by_environment, published_by_variant, published_results
+from magical_mj import ENVIRONMENTS, TASKS
+from magical_mj.evaluation.reports.results import (
+    published_by_environment,
+    published_by_variant,
+    published_results,
+    published_table_1,
+)
 from magical_mj.evaluation.reports.statistics import (
     bootstrap,
     by_environment,
     by_variant,
     interquartile_mean,
     mean_interval,
+    percentile_interval,
     rank_correlation,
+    resample,
     summarise,
 )
 
@@ -72,7 +78,7 @@ def test_one_value_has_no_interval() -> None:
 
 
 def test_summary_of_runs() -> None:
-    """Two tasks with two runs each. The run means are 0.5 and 1, and 0 and 0.25."""
+    """Two tasks with two runs each. The run means are 0.5 and 1, and 0 and 0.25; the first scene is 0 in one run."""
     summary = summarise(
         [
             [np.array([0.0, 1.0]), np.array([1.0, 1.0])],
@@ -82,8 +88,27 @@ def test_summary_of_runs() -> None:
     assert summary.mean == pytest.approx((0.75 + 0.125) / 2)
     assert summary.std == pytest.approx(np.std([0.5, 1.0, 0.0, 0.25]))
     assert summary.iqm == pytest.approx((0.25 + 0.5) / 2)
-    assert summary.low == pytest.approx((0.5 + 0.0) / 2)  # the worst run of each task twice: 1 resample in 16
-    assert summary.high == pytest.approx((1.0 + 0.25) / 2)
+    assert summary.low == 0.0  # the worst run twice, and in the first task its worst scene: 1 draw in 16
+    assert summary.high == pytest.approx((1.0 + 0.5) / 2)
+
+
+def test_intervals_draw_runs_and_scenes() -> None:
+    """Compared with all ways to draw two runs and three scenes, which are equally likely."""
+    scores = np.array([[0.0, 0.2, 0.9], [0.3, 0.4, 1.0]])
+    ways = itertools.product(itertools.product(range(2), repeat=2), itertools.product(range(3), repeat=3))
+    exact = [scores[np.ix_(runs, scenes)].mean() for runs, scenes in ways]
+    (draws,) = resample([list(scores)])
+    assert draws.mean() == pytest.approx(np.mean(exact), abs=0.02)
+    assert draws.std() == pytest.approx(np.std(exact), rel=0.1)
+    np.testing.assert_allclose(percentile_interval(draws), np.quantile(exact, [0.025, 0.975]), atol=0.06)
+
+
+def test_a_run_is_drawn_for_all_environments_together() -> None:
+    """What one run lacks here it has there: their mean does not vary. One with another number of runs is apart."""
+    low, high = np.zeros(4), np.ones(4)
+    assert set(resample([[low, high], [high, low]]).mean(axis=0)) == {0.5}
+    both = resample([[low, high], [high, low, low]])
+    assert abs(rank_correlation(dict(enumerate(both[0])), dict(enumerate(both[1])))) < 0.1
 
 
 def test_tasks_have_equal_weight_in_all_statistics_whatever_their_runs() -> None:
@@ -147,26 +172,12 @@ def test_published_results_are_all_there() -> None:
     assert len(published_by_environment()) == 660
 
 
-TABLE_1 = """
-BC (ST)                     0.64 0.29  0.56 0.27  0.14 0.16  0.39 0.30  0.52 0.33
-BC (ST, allo.)              0.58 0.33  0.48 0.29  0.04 0.04  0.42 0.32  0.50 0.37
-BC (ST, no aug.)            0.55 0.37  0.37 0.30  0.12 0.15  0.33 0.30  0.41 0.33
-BC (ST, no trans./rot. aug.) 0.55 0.37  0.41 0.31  0.13 0.15  0.33 0.30  0.43 0.35
-BC (MT)                     0.59 0.33  0.53 0.31  0.14 0.18  0.30 0.25  0.51 0.36
-GAIL (ST)                   0.72 0.35  0.69 0.33  0.22 0.23  0.27 0.24  0.60 0.42
-GAIL (ST, allo.)            0.57 0.46  0.49 0.40  0.03 0.03  0.39 0.36  0.50 0.45
-GAIL (ST, no aug.)          0.44 0.42  0.32 0.31  0.09 0.12  0.19 0.23  0.28 0.33
-WGAIL-GP (ST)               0.42 0.38  0.33 0.32  0.14 0.20  0.10 0.11  0.33 0.33
-GAIL (MT)                   0.37 0.41  0.33 0.36  0.16 0.25  0.11 0.12  0.28 0.36
-"""
-
-
 def test_published_aggregates_are_the_papers_table_1() -> None:
-    """Equal up to the rounding of the published results."""
-    table = published_by_variant().set_index(["policy", "variant"])
-    variants = ["Demo", "Jitter", "Layout", "Colour", "Shape"]
-    for line in TABLE_1.strip().splitlines():
-        policy, numbers = re.fullmatch(r"(.*?\))\s+([\d. ]+)", line).groups()
-        expected = np.array(numbers.split(), float).reshape(-1, 2)
-        computed = table.loc[policy].loc[variants, ["mean", "std"]].to_numpy(float)
-        np.testing.assert_allclose(computed, expected, atol=0.0101, err_msg=policy)
+    """Means over tasks are the printed ones, and equal those of the printed environments up to their rounding."""
+    printed = published_table_1().set_index(["policy", "variant"])
+    assert printed.loc[("BC (ST)", "Shape"), "mean"] == 0.52
+    assert len(printed) == 10 * 5
+    shown = published_by_variant().set_index(["policy", "variant"])
+    pd.testing.assert_frame_equal(shown.loc[printed.index, ["mean", "std"]], printed)
+    computed = published_by_variant([*TASKS[1:], TASKS[0]]).set_index(["policy", "variant"])
+    np.testing.assert_allclose(computed.loc[printed.index, ["mean", "std"]], printed, atol=0.0101)

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 import magical_mj
 from magical_mj.evaluation.entry import packed, unpacked
+from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import SCORES, SETTINGS
 from magical_mj.leaderboard import read_entry, submit, verify
 from magical_mj.tasks.protocol import PROTOCOL
@@ -90,7 +91,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     assert "lie.json.xz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
     assert "entries that failed the checks and are not on the page: 5" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
-    assert "| expert | paper | no observations |" in text
+    assert f"| expert | {NONE} | no observations |" in text
     assert "Liar" not in text
 
 

@@ -1,14 +1,14 @@
 """Means, spreads, interquartile means and confidence intervals of scores.
 
 The unit of the paper's statistics is the run mean: the mean score of one run (one trained policy) in one environment.
-A spread is the standard deviation of run means (ddof = 0): within an environment over runs, and within a variant over
-tasks and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
+A method's score is the mean over environments of the mean over runs; environments have equal weight. Its 95 % interval
+resamples runs and scenes (`resample`). With one run, it resamples scenes only, and does not cover the randomness of
+training. A spread is the standard deviation of run means (ddof = 0): within an environment over runs, and within a
+variant over tasks and runs.
 
-Intervals come from a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. If a
-task has only one run, its episodes are resampled instead. That interval covers the randomness of the episodes but not
-that of training.
-
-All tasks have equal weight. If some tasks have more runs than others, the interquartile mean is that of the task means.
+The interquartile mean leaves out the lowest and the highest quarter of the run means, or of the task means if some
+tasks have more runs than others. Its interval resamples the runs of each task (Agarwal et al., NeurIPS 2021), or the
+episodes of a task that has only one run.
 
 Shifts are compared with strength 0, the control: the same policies in the same scenes without the shift.
 """
@@ -58,28 +58,46 @@ def interquartile_mean(values: Floats, axis: int = -1) -> Any:
 
 def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
     """The statistics over tasks, which have equal weight. `tasks[i][j]` are the episode scores of run j in task i."""
-    means, strata = _means_and_strata(tasks)
+    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
     mean = float(_mean_of_means(*means))
     variance = np.mean([np.square(values - mean).mean() for values in means])
     std = float(np.sqrt(variance)) if sum(map(len, means)) > 1 else np.nan
-    return Summary(mean, std, *mean_interval(strata), *robust_mean(tasks))
-
-
-def robust_mean(tasks: Sequence[Sequence[Floats]]) -> tuple[float, float, float]:
-    """The interquartile mean over tasks, given as for `summarise`, and the bounds of its interval."""
-    means, strata = _means_and_strata(tasks)
     counts = {len(runs) for runs in tasks}
     statistic = _iqm_of_means if 1 in counts or len(counts) > 1 else _iqm_of_values
-    return float(statistic(*means)), *bootstrap(strata, statistic)
+    strata = [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
+    iqm = float(statistic(*means)), *bootstrap(strata, statistic)
+    return Summary(mean, std, *percentile_interval(resample(tasks).mean(axis=0)), *iqm)
 
 
-def _means_and_strata(tasks: Sequence[Sequence[Floats]]) -> tuple[list[Floats], list[Floats]]:
-    """For each task, the run means and the values that are resampled.
+def resample(environments: Sequence[Sequence[Floats]]) -> Floats:
+    """Bootstrap draws of each environment's mean score. Shape (environments, RESAMPLES).
 
-    The latter are the run means, or if there is only one run, its episode scores.
+    Runs are drawn with replacement, the same in all environments with the same number of runs, because a run's policy
+    is the same in several environments. The scenes of each environment are drawn as well, the same for all its runs.
+
+    Args:
+        environments: `environments[i][j]` are the episode scores of run j in environment i, in the order of scenes.
+
+    Returns:
+        The draws, which are the same for the same scores. NaN for an environment with a single episode.
     """
-    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
-    return means, [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
+    rng = np.random.default_rng(0)
+    shares: dict[int, Floats] = {}
+    draws = np.empty((len(environments), RESAMPLES))
+    for row, runs in zip(draws, environments, strict=True):
+        count = len(runs)
+        if count not in shares:
+            shares[count] = rng.multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
+        scenes = {size: rng.integers(size, size=(RESAMPLES, size)) for size in sorted({*map(len, runs)})}
+        means = np.stack([scores[scenes[len(scores)]].mean(axis=1) for scores in runs], axis=1)
+        row[:] = (means * shares[count]).sum(axis=1) if sum(map(len, runs)) > 1 else np.nan
+    return draws
+
+
+def percentile_interval(draws: Floats) -> tuple[float, float]:
+    """The 95 % interval of a statistic from its bootstrap draws."""
+    low, high = np.percentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)])
+    return float(low), float(high)
 
 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
