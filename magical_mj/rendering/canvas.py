@@ -110,18 +110,20 @@ class Canvases:
             RenderingError: if OpenGL does not work here, or this process was forked from one that has drawn.
         """
         if self._process != os.getpid():
-            self._start()
+            if self._process:
+                raise RenderingError(FORKED)
+            with self._first:
+                self._start()
         if opengl().name == "egl":
             with suppress(BlockedError):
                 return self._draw(job)
         return _painter().submit(self._draw, job).result()
 
     def _start(self) -> None:
-        if self._process:
-            raise RenderingError(FORKED)
+        if self._process:  # another thread was first
+            return
         if opengl().problem:
             raise RenderingError(NO_OPENGL.format(error=opengl().problem))
-        self._process = os.getpid()
         atexit.register(self.close)
         in_main = threading.current_thread() is threading.main_thread()
         if in_main and opengl().name == "egl" and not (wanted_backend() or has_display() or _current(None)[-1]):
@@ -129,6 +131,7 @@ class Canvases:
             self._main = new_context()
             self._main.make_current()
             self._spare = _current(None)
+        self._process = os.getpid()
 
     def _draw(self, job: Callable[[Canvas], T]) -> T:
         try:
