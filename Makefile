@@ -113,6 +113,7 @@ readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has o
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations, docs/experts.md and the site's episodes, anew
 	$(BIN)/magical-mj demos generate --count 25 --out out/demonstrations
 	$(BIN)/python tools/pack_demonstrations.py out/demonstrations
+	$(BIN)/python -m tools.graded_demonstrations
 	rm -rf out/experts
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
 	$(BIN)/python tools/experts.py out/experts

@@ -55,7 +55,7 @@ Renderer = Annotated[
     RendererName | None, typer.Option(help="The renderer of flat views.", show_default="opengl where it works")
 ]
 Shifts = Annotated[str, typer.Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
-Body = Annotated[str, typer.Option(help="The robot's body. The task must support it. See docs/bodies.md.")]
+Body = Annotated[str, typer.Option(help="The robot's body. See docs/bodies.md.")]
 Trusted = Annotated[
     str,
     typer.Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md."),

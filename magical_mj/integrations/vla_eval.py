@@ -45,7 +45,7 @@ class MagicalBenchmark(StepBenchmark):
         views: any of "ego" and "allo", separated by commas.
         image_size: side of the pictures in pixels.
         shifts: shifts with strengths, such as "camera:3,latency:1". See docs/shifts.md.
-        body: the robot's body, one that the tasks offer. See docs/bodies.md.
+        body: the robot's body. See docs/bodies.md.
 
     Raises:
         UnknownNameError: for an unknown task, variant, view or shift.

@@ -69,7 +69,7 @@ def inside(region: GoalRegion, blocks: Iterable[Block]) -> list[int]:
 
 
 WRONG: Final = 0.3
-"""What everything that is wrong adds to the remaining distance, so that a step over a border counts."""
+"""The constant that each wrong object adds to the remaining distance, so that crossing a border counts."""
 
 
 def way_in(region: GoalRegion, item: Robot | Block) -> float:

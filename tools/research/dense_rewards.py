@@ -89,15 +89,15 @@ def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> Non
 
 
 def plot(picture: Path, runs: Path) -> None:
-    """Draws the mean scores over the steps, with a panel for each learner and task."""
+    """Draws the mean scores over the steps, with a panel for each learner and task. Runs may be missing."""
     figure = Figure((9.0, 4.5), layout="constrained", dpi=100)
     panels = figure.subplots(2, len(TASKS), sharey=True)
     for row, learner in zip(panels, ("sac", "ppo"), strict=True):
         for axes, task in zip(row, TASKS, strict=True):
             for reward in REWARDS:
                 path = runs / f"{learner}-{task}-{reward}" / "curve.csv"
-                steps, scores, _ = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2).T
-                axes.plot(steps / 1000, scores, label=f'reward="{reward}"')
+                rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2) if path.exists() else np.zeros((0, 3))
+                axes.plot(rows[:, 0] / 1000, rows[:, 1], label=f'reward="{reward}"')
             axes.set(title=f"{learner.upper()}, {task}", ylim=(-0.03, 1.03))
             axes.grid(alpha=0.3)
         row[0].set_ylabel("mean score")
@@ -120,8 +120,8 @@ def main() -> None:
         plot(options.plot, options.out)
         return
     torch.set_num_threads(1)
-    for learner in ("ppo", "sac"):
-        for task in options.tasks.split(","):
+    for task in options.tasks.split(","):
+        for learner in ("ppo", "sac"):
             for reward in REWARDS:
                 train(learner, task, reward, getattr(options, learner), options.out / f"{learner}-{task}-{reward}")
 

@@ -399,7 +399,7 @@ def load(
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         renderer: the renderer of observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or the first that
             works.
-        body: the robot's body, one that the task supports; see docs/bodies.md.
+        body: the robot's body; see docs/bodies.md.
         recompile_mjcf_every_episode: whether to compile the tree for every episode. Hooks that change the tree need it.
 
     Raises:

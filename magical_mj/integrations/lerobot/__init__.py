@@ -76,7 +76,7 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         views: "ego", "allo" or "both" for pictures, or "state" for the state vector.
         fingers: whether ``agent_pos`` contains the angles of the fingers (rad), shape (2,), or three zeros.
         shifts: shifts with strengths, such as "camera:3,latency:1". See docs/shifts.md.
-        body: the robot's body, one that the task offers. See docs/bodies.md.
+        body: the robot's body. See docs/bodies.md.
 
     Raises:
         UnknownNameError: for an unknown task, variant, choice of views or shift.
