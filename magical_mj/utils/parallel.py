@@ -389,7 +389,7 @@ class _Unpickled:
 
 
 def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
-    with suppress(EOFError):
+    with suppress(EOFError, pickle.UnpicklingError):  # the latter if the caller was killed in the middle of a message
         while True:
             pieces.put(_receive(source))
     _kill_group(os.getpid())  # the caller's process is gone

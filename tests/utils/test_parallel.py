@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -172,6 +173,25 @@ def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> N
 
 
 @needs_proc
+@needs_proc
+def test_a_worker_ends_if_its_caller_was_killed_in_the_middle_of_a_message() -> None:
+    message = pickle.dumps((b"x" * 100_000, b""))
+    worker = subprocess.Popen(
+        [sys.executable, "-c", "from magical_mj.utils.parallel import serve; serve()"],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        process_group=0,
+    )
+    with worker:
+        assert worker.stdin is not None
+        worker.stdin.write(message[:50_000])
+        worker.stdin.close()
+        try:
+            assert worker.wait(30) == -signal.SIGKILL
+        finally:
+            worker.kill()
+
+
 def test_a_dead_worker_is_replaced_and_what_it_has_forked_ends(tmp_path: Path) -> None:
     def work(number: int) -> int:
         child = os.fork()
