@@ -74,8 +74,8 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python -m tools.tables
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
-	PYTHONPATH=. $(BIN)/python site/docs.py
-	PYTHONPATH=. $(BIN)/python site/play.py
+	PYTHONPATH=.:site $(BIN)/python site/docs.py
+	PYTHONPATH=.:site $(BIN)/python site/play.py
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
 	$(BIN)/python site/fetch.py

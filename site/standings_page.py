@@ -91,8 +91,9 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
             parts.append(f'<section class="block" data-block="{block}">\n\n## {heading}\n\n{table}\n\n</section>')
     ranked = sorted(methods.items(), key=lambda item: item[1].rank)
     own = {name: method for name, method in ranked if method.everywhere}
-    parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own)]
-    parts += ["## Who beats whom", _duels(own), "## What it cost", _costs(methods.values())]
+    beats = _beats(own)
+    parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
+    parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
     return "\n\n".join(parts) + "\n"
 
 
@@ -220,9 +221,12 @@ def _dots(methods: Iterable[Standing]) -> str:
     return f"{about}. The list below switches methods on and off.\n\n{chart.html()}"
 
 
-def _comparison(methods: Mapping[str, Standing]) -> str:
+Chances = Mapping[tuple[str, str], Estimate]
+"""Two methods -> the probability that a run of the first beats one of the second."""
+
+
+def _comparison(methods: Mapping[str, Standing], beats: Chances) -> str:
     """A form in which two methods are chosen; site.js fills in their scores, and shows their episodes."""
-    beats = _beats(methods)
     data = {
         "scores": {name: {column: text(one.scores[column]) for column in COLUMNS} for name, one in methods.items()},
         "beats": {f"{a} {b}": text(chance) for (a, b), chance in beats.items()},
@@ -245,7 +249,7 @@ def _comparison(methods: Mapping[str, Standing]) -> str:
     )
 
 
-def _beats(methods: Mapping[str, Standing]) -> dict[tuple[str, str], Estimate]:
+def _beats(methods: Mapping[str, Standing]) -> Chances:
     """The probability that a run of the first method beats one of the second, for each pair by the same rules."""
     chances: dict[tuple[str, str], Estimate] = {}
     for a, b in permutations(methods, 2):
@@ -257,7 +261,7 @@ def _beats(methods: Mapping[str, Standing]) -> dict[tuple[str, str], Estimate]:
     return chances
 
 
-def _duels(methods: Mapping[str, Standing]) -> str:
+def _duels(methods: Mapping[str, Standing], beats: Chances) -> str:
     """The probabilities between the methods of a block, whose comparison is fair."""
     words = (
         "The probability that a run of the method on the left beats a run of the method above in the same environment "
@@ -268,14 +272,15 @@ def _duels(methods: Mapping[str, Standing]) -> str:
         group = {name: method for name, method in methods.items() if method.block == block}
         if len(group) < 2:
             continue
-        chances = _beats(group)
         head = "".join(f'<th scope="col">{escape(method.name)}</th>' for method in group.values())
         body = ""
         for a, method in group.items():
-            cells = "".join("<td></td>" if a == b else _chance(chances[a, b]) for b in group)
+            cells = "".join("<td></td>" if a == b else _chance(beats[a, b]) for b in group)
             body += f'<tr><th scope="row">{escape(method.name)}</th>{cells}</tr>'
-        table = f'<table class="duels"><thead><tr><th></th>{head}</tr></thead><tbody>{body}</tbody></table>'
-        region = f'<div class="wide" tabindex="0" role="region" aria-label="{escape(heading)}">{table}</div>'
+        table = f'<table class="duels"><thead><tr><td></td>{head}</tr></thead><tbody>{body}</tbody></table>'
+        region = (
+            f'<div class="wide" tabindex="0" role="region" aria-label="Who beats whom: {escape(heading)}">{table}</div>'
+        )
         parts.append(f"<details><summary>{heading}</summary>{region}</details>")
     return "\n\n".join(parts)
 

@@ -101,12 +101,12 @@ test("the leaderboard filters, and two methods are compared and watched in one s
   await page.getByLabel("Run by").selectOption("published");
   assert.equal(await shown().count(), 0);
   const form = page.locator("form.compare");
-  await form.getByLabel("Method", { exact: true }).selectOption({ label: "Relational (ST, State)" });
-  await form.getByLabel("and").selectOption({ label: "BC (ST, State)" });
+  await form.locator("[name=first]").selectOption({ label: "Relational (ST, State)" });
+  await form.locator("[name=second]").selectOption({ label: "BC (ST, State)" });
   assert.match(await page.locator(".chance").innerText(), /^The probability that a run of Relational .*: 0\.\d\d \[/);
   assert.match(await page.locator("table.compared").innerText(), /Generalisation\s+0\.\d\d \[.*\]\s+0\.\d\d \[/);
-  await form.getByLabel("in").selectOption("FindDupe-Layout");
-  await form.getByLabel("scene").selectOption("1");
+  await form.locator("[name=environment]").selectOption("FindDupe-Layout");
+  await form.locator("[name=seed]").selectOption("1");
   await form.getByRole("button", { name: "Watch both" }).click();
   for (const title of ["Relational (ST, State), FindDupe-Layout, scene 1", "BC (ST, State), FindDupe-Layout, scene 1"]) {
     await page.frameLocator(`iframe[title="${title}"]`).locator("#status", { hasText: "Watching" }).waitFor();
