@@ -89,21 +89,20 @@ def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> Non
 
 
 def plot(picture: Path, runs: Path) -> None:
-    """Draws the mean scores over the steps, with a panel for each learner and task. Runs may be missing."""
-    figure = Figure((9.0, 4.5), layout="constrained", dpi=100)
-    panels = figure.subplots(2, len(TASKS), sharey=True)
-    for row, learner in zip(panels, ("sac", "ppo"), strict=True):
-        for axes, task in zip(row, TASKS, strict=True):
-            for reward in REWARDS:
-                path = runs / f"{learner}-{task}-{reward}" / "curve.csv"
-                rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2) if path.exists() else np.zeros((0, 3))
-                axes.plot(rows[:, 0] / 1000, rows[:, 1], label=f'reward="{reward}"')
-            axes.set(title=f"{learner.upper()}, {task}", ylim=(-0.03, 1.03))
-            axes.grid(alpha=0.3)
-        row[0].set_ylabel("mean score")
-    for axes in panels[-1]:
-        axes.set_xlabel("thousands of steps")
-    panels[0, 0].legend()
+    """Draws the mean scores over the steps, with a panel for each learner and task of which there are runs."""
+    pairs = [(learner, task) for learner in ("sac", "ppo") for task in TASKS]
+    pairs = [pair for pair in pairs if list(runs.glob("-".join((*pair, "*/curve.csv"))))]
+    figure = Figure((1.0 + 3.0 * len(pairs), 2.8), layout="constrained", dpi=100)
+    panels = figure.subplots(1, len(pairs), sharey=True, squeeze=False)[0]
+    for axes, (learner, task) in zip(panels, pairs, strict=True):
+        for reward in REWARDS:
+            path = runs / f"{learner}-{task}-{reward}" / "curve.csv"
+            rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2) if path.exists() else np.zeros((0, 3))
+            axes.plot(rows[:, 0] / 1000, rows[:, 1], label=f'reward="{reward}"')
+        axes.set(title=f"{learner.upper()}, {task}", ylim=(-0.03, 1.03), xlabel="thousands of steps")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("mean score")
+    panels[0].legend()
     figure.savefig(picture)
 
 
