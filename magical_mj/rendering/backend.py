@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
@@ -136,9 +137,8 @@ def new_context(name: str = "") -> Any:
     before = {variable: os.environ.get(variable) for variable in ("LP_NUM_THREADS", "PYOPENGL_PLATFORM")}
     os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
-        module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
         with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
-            context = thread.submit(module.GLContext, SIDE, SIDE).result()
+            context = thread.submit(_context_class(name), SIDE, SIDE).result()
     finally:
         for variable, value in before.items():
             if value is None:
@@ -151,3 +151,16 @@ def new_context(name: str = "") -> Any:
         # mujoco would terminate EGL at exit: before dm_control frees its contexts, and in a forked child it would hang.
         atexit.unregister(EGL.eglTerminate)
     return context
+
+
+@cache
+def _context_class(name: str) -> type[Any]:
+    """MuJoCo's class of contexts. Freeing one never fails: at exit, other code may have closed EGL before."""
+    module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
+
+    class Context(module.GLContext):
+        def free(self) -> None:
+            with suppress(Exception):
+                super().free()
+
+    return Context

@@ -20,6 +20,11 @@ import magical_mj
 env = magical_mj.Engine("MoveToRegion", seed=0)
 env.render()
 """
+DM_CONTROL = """
+magical = magical_mj.load("FindDupe")
+magical.reset()
+magical.physics.render(64, 64, camera_id=0)
+"""
 DAEMON = """
 import threading, time
 work = lambda: (magical_mj.Engine("MoveToRegion").render(), started.set(), time.sleep(60))
@@ -56,10 +61,13 @@ def python(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
         ("raise SystemExit(3)", 3, ""),
         ("raise KeyError('expected')", 1, "KeyError: 'expected'"),
         (DAEMON, 0, ""),
+        (DM_CONTROL, 0, ""),
     ],
-    ids=["exit", "exception", "daemon"],
+    ids=["exit", "exception", "daemon", "dm_control"],
 )
 def test_nothing_is_said_at_exit(ending: str, code: int, last_line: str) -> None:
+    if ending == DM_CONTROL:
+        pytest.importorskip("dm_control", reason="dm_control does not install with this Python or MuJoCo")
     result = python(f"{FIRST_FRAME}{ending}")
     assert (result.returncode, result.stdout) == (code, "")
     assert "ignored" not in result.stderr

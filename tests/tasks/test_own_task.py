@@ -382,7 +382,7 @@ def test_what_lacks_the_trajectory_is_refused_by_name(in_order: Any) -> None:
         lambda: engine.set_state(replace(kept, steps=1)),
     )
     for refused in refusals:
-        with pytest.raises(StateError, match="score of in_order:SPEC depends on the scenes of all steps"):
+        with pytest.raises(StateError, match="lacks the scenes of earlier steps, and the score of in_order:SPEC"):
             refused()
     assert engine.get_state() == composer.get_state() == single.get_state() == kept
     with pytest.raises(SettingsError, match="use an engine of this task"):

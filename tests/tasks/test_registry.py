@@ -118,7 +118,7 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
     assert score(good, scene, scene) == 0.0
     assert scene != sample_scene("MatchRegions", "CountPlus", 3), "a task has random numbers of its own"
     assert env_id(good, "All") == env_id(good, "All") == "magical_mj/Mine-TestAll-v0"
-    with pytest.raises(TaskError, match="another name"):
+    with pytest.raises(TaskError, match="rename the task"):
         env_id(f"{mine}:AGAIN", "All")
 
 
