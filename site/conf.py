@@ -8,6 +8,10 @@ from home import PAPER, REPOSITORY
 
 from magical_mj import __version__
 
+PAPER = "https://arxiv.org/abs/2011.00401"
+REPOSITORY = os.environ.get("SITE_REPOSITORY", "").rstrip("/").removesuffix(".git")
+"""The address of the repository. Empty: unknown, so no page links to it."""
+
 project = "magical_mj"
 author = "The magical_mj developers"
 project_copyright = "The magical_mj developers"

@@ -14,8 +14,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from conf import REPOSITORY
 from gallery import gallery
-from home import REPOSITORY, home
+from home import home
 from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
@@ -170,7 +171,7 @@ def _links(text: str) -> str:
         return f"[{label}]({REPOSITORY}/tree/main/{target.removeprefix('../')})" if REPOSITORY else label
 
     if REPOSITORY:
-        text = text.replace("pull request", f"[pull request]({REPOSITORY}/pulls)")
+        text = text.replace("open a pull request", f"[open a pull request]({REPOSITORY}/pulls)")
     return LINK.sub(link, text)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from conf import PAPER, REPOSITORY
 from pictures import film
 from standings_page import headline
 
@@ -20,9 +21,6 @@ SHOWN: Final = "state-bc"
 TASK: Final = "FindDupe"
 VARIANTS: Final = {"Demo": max, "Layout": min}
 """The variants on the page, and the choice of the episode: one with the best score, and one with the worst."""
-PAPER: Final = "https://arxiv.org/abs/2011.00401"
-REPOSITORY: Final = os.environ.get("SITE_REPOSITORY", "").removesuffix(".git").rstrip("/")
-"""The address of the repository. Empty: unknown, so pages do not link to it."""
 TEMPLATE: Final = """<p class="question">A robot has seen ten demonstrations of a task in one scene. Does it still solve
 the task if poses, colours, shapes or the number of objects change? MAGICAL measures this with 8 tasks and 60
 environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p>
