@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import shifted
 from fetch import CACHE, ONNX_FILES, ONNX_RUNTIME
-from shifted import SUITE
+from shifted import CHANGED, SUITE
 from standings_page import read_methods, write_replays
 
 import magical_mj
@@ -46,10 +46,16 @@ def write_play(folder: Path) -> int:
     for pair in SUITE:
         _write(folder / "scenes" / f"{'-'.join(pair)}.json", with_models(*shifted.scenes(*pair, [""])))
     for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
-        for axis, names in shifted.offered(*pair).items():
-            _write(folder / "shifted" / f"{'-'.join((*pair, axis))}.json", with_models(*shifted.scenes(*pair, names)))
+        for axis, levels in shifted.offered(*pair).items():
+            if axis not in CHANGED:
+                data, models = shifted.scenes(*pair, [f"{axis}:{level}" for level in levels])
+                _write(folder / "shifted" / f"{'-'.join((*pair, axis))}.json", with_models(data, models))
+        if pair not in SUITE:
+            _write(folder / "shifted" / f"{'-'.join(pair)}.json", shifted.changes(*pair))
     write_replays(read_methods(), folder / "replays")
-    _write(folder / "catalogue.json", catalogue((*magical_mj.ENVIRONMENTS, *SUITE), "browser", shifted.all_offered()))
+    pairs = (*magical_mj.ENVIRONMENTS, *SUITE)
+    known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs})
+    _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE})
     libraries = library_files(CACHE)
     for name, content in libraries.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -94,7 +100,7 @@ def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
     return {**data, "scenes": scenes, "elements": list(numbers)}
 
 
-def _write(path: Path, data: dict[str, Any]) -> None:
+def _write(path: Path, data: dict[Any, Any]) -> None:
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(data, separators=(",", ":")), encoding="utf-8")
 

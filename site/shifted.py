@@ -8,44 +8,89 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj import demos
+from magical_mj.assets.mjcf import parsed
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.expert import expert_of
 from magical_mj.policies.interface import letters_of
+from magical_mj.scene import Scene
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.physical import Clutter
 from magical_mj.shifts.registry import shift_class
 from magical_mj.shifts.shift import HISTORY, Shift
-from magical_mj.tasks.registry import ENVIRONMENTS, Pair, task_spec
+from magical_mj.tasks.registry import Pair, sample_scene, task_spec
 from magical_mj.variants import variants_of
 from magical_mj.web.page_data import DEMONSTRATIONS, scene_data
 
 SWEPT: Final = "SweepToTop"
 SUITE: Final[tuple[Pair, ...]] = tuple((SWEPT, variant) for variant in variants_of(task_spec(SWEPT)))
 """The environments of the page in addition to the 60."""
-PHYSICAL: Final = ("pose", "clutter", "slip", "friction", "latency")
-"""The shifts that the page can simulate, because they do not change pictures."""
+PLACED: Final = ("pose", "clutter")
+"""The shifts that change which objects a scene has, and their poses. The page has scenes with one of them."""
+CHANGED: Final = ("latency", "slip", "friction")
+"""The shifts that change numbers of the model, or the actions. The page combines them with any scene."""
+PHYSICAL: Final = (*PLACED, *CHANGED)
+"""The shifts that the page can simulate, because they do not change pictures. They are applied in this order."""
+EXCLUSIVE: Final = (PLACED, *(("body", axis) for axis in PHYSICAL if axis != "friction"))
+"""The pairs of shifts that the page cannot combine. The effects in `changes` are those on the gripper."""
 STRENGTHS: Final = range(1, 6)
 SEEDS: Final = range(4)
+FEWER_SEEDS: Final = range(2)
+"""The seeds with shifts in variants other than Demo."""
 DIGITS: Final = 5  # digits of speeds in JSON
 
 
 def offered(task: str, variant: str) -> dict[str, list[str]]:
-    """The shifts that can be applied to an environment, such as "clutter:3", by axis. Bodies are an axis as well."""
-    names = [f"body:{body}" for body in task_spec(task).bodies if body != GRIPPER]
-    if task == SWEPT:
-        return {"body": names}
-    if variant != "Demo":
-        return {}
-    axes = [axis for axis in PHYSICAL if SHIFTS[axis].supports(task) is None]
-    found = {axis: [f"{axis}:{strength}" for strength in STRENGTHS] for axis in axes}
-    return found | ({"body": names} if names else {})
+    """The shifts that can be applied to an environment: axis -> strengths, or names of bodies."""
+    del variant
+    bodies = [body for body in task_spec(task).bodies if body != GRIPPER]
+    axes = [axis for axis in PHYSICAL if task != SWEPT and SHIFTS[axis].supports(task) is None]
+    return {axis: [str(strength) for strength in STRENGTHS] for axis in axes} | ({"body": bodies} if bodies else {})
 
 
-def all_offered() -> dict[Pair, list[str]]:
-    """The shifts of each environment as a list."""
-    return {pair: [one for names in offered(*pair).values() for one in names] for pair in (*ENVIRONMENTS, *SUITE)}
+def changes(task: str, variant: str) -> dict[int, dict[str, Any]]:
+    """The effects of the shifts in `CHANGED` on the scenes of an environment.
+
+    Returns:
+        Seed -> shift, such as "slip:2" -> its effects: `dynamics`, the changed dynamics of the scene; `attributes`,
+        element of the model -> its changed attributes; and `taken`, as in `described`.
+    """
+    found: dict[int, dict[str, Any]] = {}
+    rules, horizon = task_spec(task), task_spec(task).horizon("paper")
+    for seed in _seeds(variant):
+        scene, found[seed] = sample_scene(task, variant, seed), {}
+        before = _attributes(scene)
+        for axis in (axis for axis in offered(task, variant) if axis in CHANGED):
+            for strength in STRENGTHS:
+                shift = shift_class(axis)(draw_shifts({axis: strength}, seed)[axis])
+                after, effects = shift.scene(scene, rules), {}
+                if after != scene:
+                    effects["dynamics"] = _differences(scene_data(scene)["dynamics"], scene_data(after)["dynamics"])
+                    effects["attributes"] = {
+                        element: changed
+                        for element, attributes in _attributes(after).items()
+                        if (changed := _differences(before[element], attributes))
+                    }
+                if type(shift).action is not Shift.action:
+                    effects["taken"] = [_taken(shift, step) for step in range(horizon)]
+                found[seed][f"{axis}:{strength}"] = effects
+    return found
+
+
+def _seeds(variant: str) -> range:
+    return SEEDS if variant == "Demo" else FEWER_SEEDS
+
+
+def _attributes(scene: Scene) -> dict[str, dict[str, str]]:
+    """The attributes of the named elements of a scene's model, except those that contain the scene itself."""
+    elements = parsed(mjcf_text(scene, rounded=False)).iter()
+    return {f"{one.tag} {one.get('name')}": dict(one.attrib) for one in elements if one.get("name") != "scene"}
+
+
+def _differences(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in after.items() if before.get(name) != value}
 
 
 def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], list[str]]:
@@ -53,7 +98,7 @@ def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], 
     entries, models = [], []
     for shift in shifts:
         is_fixed = variant == "Demo" and (not shift or shift.startswith("body:"))
-        for seed in SEEDS[: 1 if is_fixed else None]:
+        for seed in _seeds(variant)[: 1 if is_fixed else None]:
             with closing(Engine(task, variant, seed=seed, shifts=shift or None)) as engine:
                 models.append(mjcf_text(engine, rounded=False))
                 entries.append({"seed": seed, "shifts": shift, **described(engine), "expert": _expert(engine, seed)})
@@ -69,7 +114,7 @@ def described(engine: Engine) -> dict[str, Any]:
     for name, values in engine.draws.items():
         shift = shift_class(name)(values)
         if type(shift).action is not Shift.action:
-            taken = [_taken(shift, step) for step in range(engine.horizon or 0)]
+            taken = [[_taken(shift, step) for step in range(engine.horizon or 0)]]
         if isinstance(shift, Clutter):
             scene["stains"] = np.round(list(shift.stains()), DIGITS).tolist()
     return {"scene": scene, "horizon": engine.horizon} | ({"taken": taken} if taken else {})

@@ -319,7 +319,10 @@ def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
 
 
 def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
-    """Write a file for each method with its stored actions, `<name>.json`, and `index.json` with the methods' names."""
+    """Writes a file `<name>.json` with the stored actions of each method, and `index.json`.
+
+    The index has the names of the methods, and the seeds with stored actions by environment.
+    """
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():
@@ -331,7 +334,8 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
             for task, variant in ENVIRONMENTS
             if (task, variant) in episodes
         }
-        index[name] = method.name
+        seeds = {environment: sorted(map(int, stored)) for environment, stored in content.items()}
+        index[name] = {"name": method.name, "seeds": seeds}
         (folder / f"{name}.json").write_text(json.dumps(content, separators=(",", ":")), encoding="utf-8")
     (folder / "index.json").write_text(json.dumps(index), encoding="utf-8")
 

@@ -163,8 +163,9 @@ class Collection:
     def next(self, participant: str) -> dict[str, Any]:
         """The participant's next scene, as data for the page.
 
-        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool}}`. If there is none now, `next` is None,
-        and `why` gives the reason. `{"consent": text}` if the participant must first agree to this text.
+        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool, "number": 1, "of": 4}}`: the first of
+        four episodes. `of` is None if there is no limit. If there is no scene now, `next` is None, and `why` gives the
+        reason. `{"consent": text}` if the participant must first agree to this text.
         """
         with self._lock:
             now = self._clock()
@@ -181,7 +182,10 @@ class Collection:
             if offer != self._offers.get(participant) or offer.until - now < 30 * self.study.lease_minutes:
                 self._note({"event": "offer", "participant": participant, **renewed._asdict()})
             task, variant, seed, _ = renewed
-            return {"next": {"task": task, "variant": variant, "seed": seed, "practice": seed >= PRACTICE}}
+            practice = seed >= PRACTICE
+            number = 1 + (self._practised if practice else self._counts)[participant]
+            count = {"number": number, "of": self.study.practice if practice else self.study.episodes}
+            return {"next": {"task": task, "variant": variant, "seed": seed, "practice": practice, **count}}
 
     def offered(self, participant: str | None, task: str, variant: str, seed: int) -> bool:
         """Whether this participant may open a scene."""

@@ -40,6 +40,18 @@ SCENES: Final = 20
 DEMONSTRATIONS: Final = 5
 """The number of a task's shipped demonstrations that the page can show."""
 DECIMALS: Final = 6
+HINTS: Final = {
+    "MoveToCorner": "All points close to the corner, fewer towards the centre, none beyond it.",
+    "MoveToRegion": "Only your own position counts, so stop inside.",
+    "MatchRegions": "Each missing block costs points, and each wrong one.",
+    "MakeLine": "Colours and shapes do not matter. If one block is out of line, half the points.",
+    "FindDupe": "Same shape and same colour. Leave the block that is already there, and keep all others out.",
+    "FixColour": "Each region starts with one block in it. All other blocks have to stay where they are.",
+    "ClusterColour": "Blocks of one colour close together, away from other colours. Shapes do not matter.",
+    "ClusterShape": "Blocks of one shape close together, away from other shapes. Colours do not matter.",
+    "SweepToTop": "The debris is light: push it gently, and completely into the zone.",
+}
+"""Task -> how a player gets its points, in everyday words."""
 ROBOT: Final = ("left_finger", "right_finger", "face")
 """The parts of the robot's drawing."""
 
@@ -60,14 +72,16 @@ def sections(task: str) -> dict[str, str]:
 
 
 def catalogue(
-    environments: Sequence[Pair], simulation: Simulation, shifts: Mapping[Pair, Sequence[str]] = MappingProxyType({})
+    environments: Sequence[Pair],
+    simulation: Simulation,
+    shifts: Mapping[Pair, Mapping[str, Sequence[str]]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The data that the page needs before the first scene, as JSON data.
 
     Args:
         environments: the pairs (task, variant) that can be chosen.
         simulation: where the simulation runs. The browser has the scenes of a few seeds only.
-        shifts: environment -> the shifts that can be combined with it, such as "clutter:3".
+        shifts: environment -> axis -> the strengths that can be chosen, or the names of bodies.
     """
     return {
         "protocol": PROTOCOL,
@@ -76,13 +90,13 @@ def catalogue(
         "tasks": {
             task: {
                 "summary": task_spec(task).summary,
-                "goal": " ".join(sections(task)["Goal"].split()),
+                "hint": HINTS[task],
                 "solved": scene_data(demos.load(task)[0].scenes()[-1]),
             }
             for task in dict.fromkeys(task for task, _ in environments)
         },
         "environments": [
-            {"task": task, "variant": variant, "shifts": list(shifts.get((task, variant), ()))}
+            {"task": task, "variant": variant, "shifts": shifts.get((task, variant), {})}
             for task, variant in environments
         ],
     }

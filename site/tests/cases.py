@@ -70,8 +70,9 @@ def episodes() -> Iterator[dict[str, Any]]:
         task, variant = magical_mj.ENVIRONMENTS[seed % len(magical_mj.ENVIRONMENTS)]
         scene = magical_mj.sample_scene(task, variant, 1000 + seed)
         yield _played(f"rough drive {seed}, {task}-{variant}", Engine(task, scene=scene), _drive(rng))
-    for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
-        for shift in (names[len(names) // 2] for names in offered(*pair).values()):
+    for pair in (*((task, "Demo") for task in magical_mj.TASKS), *SUITE):
+        for axis, levels in offered(*pair).items():
+            shift = f"{axis}:{levels[len(levels) // 2]}"
             engine = Engine(*pair, seed=0, shifts=shift)
             yield _played(f"shifted drive of {'-'.join(pair)}, {shift}", engine, _drive(rng))
     for pair, body in itertools.product(SUITE, BODIES):
@@ -97,6 +98,25 @@ def _played(name: str, env: Engine, actions: list[Any]) -> dict[str, Any]:
     score = env.score()
     env.close()
     return {**start, "actions": actions, "glances": glances, "score": score}
+
+
+COMBINED: Final = (
+    ("FindDupe", "Demo", 2, "clutter:3,slip:4,friction:5"),
+    ("FindDupe", "All", 1, "pose:3,latency:5,slip:2"),
+    ("FindDupe", "Dynamics", 0, "latency:2,slip:5,friction:1"),
+)
+
+
+def combined() -> Iterator[dict[str, Any]]:
+    """Short drives in scenes with several shifts."""
+    rng = np.random.default_rng(1)
+    for task, variant, seed, shifts in COMBINED:
+        engine, actions = Engine(task, variant, seed=seed, shifts=shifts), _drive(rng)[:40]
+        for action in actions:
+            engine.step(action)
+        final = scene_data(engine.scene)
+        engine.close()
+        yield {"task": task, "variant": variant, "seed": seed, "shifts": shifts, "actions": actions, "final": final}
 
 
 def scores() -> Iterator[dict[str, Any]]:
@@ -140,7 +160,7 @@ def pictures() -> Iterator[dict[str, Any]]:
             env = magical_mj.Engine(task, variant, seed=number)
             yield from (_pictured(env, view) for view in ("allo", "ego"))
             env.close()
-    others = [Engine(*pair, seed=0, shifts=shift) for pair in SUITE for shift in offered(*pair)["body"]]
+    others = [Engine(*pair, seed=0, body=body) for pair in SUITE for body in offered(*pair)["body"]]
     for env in (Engine(SWEPT, "All", seed=1), Engine("MakeLine", seed=0, shifts="clutter:5"), *others):
         yield from (_pictured(env, view) for view in ("allo", "ego"))
         env.close()
@@ -170,7 +190,7 @@ def policies() -> Iterator[dict[str, Any]]:
 def looks() -> Iterator[dict[str, Any]]:
     """States of each environment, and a hash of the software renderer's picture of each in both views."""
     rng = np.random.default_rng(0)
-    shifted = [(*pair, shift) for pair in SUITE for shift in offered(*pair)["body"]]
+    shifted = [(*pair, f"body:{body}") for pair in SUITE for body in offered(*pair)["body"]]
     for seed, (*pair, shift) in enumerate([*((*pair, "") for pair in (*magical_mj.ENVIRONMENTS, *SUITE)), *shifted]):
         env = Engine(*pair, seed=seed, shifts=shift or None, renderer="software")
         name, start = "-".join((*pair, str(seed), shift)), {"mjcf": mjcf_text(env, rounded=False), **described(env)}
@@ -263,6 +283,7 @@ if __name__ == "__main__":
         "episodes": list(episodes()),
         "policies": list(policies()),
         "scores": list(scores()),
+        "combined": list(combined()),
         "pictures": list(pictures()),
         "looks": list(looks()),
         "looking": list(looking(folder)),

@@ -110,13 +110,15 @@ test("shifted scenes and other bodies can be chosen and linked to", async () => 
   await page.goto(`${site.address}play/?speed=${SPEED}#FindDupe-Demo-2?shifts=clutter:3`);
   await untilStatus("Press");
   const cluttered = await picture();
-  assert.equal(await page.inputValue("#shifts"), "clutter:3");
-  await page.selectOption("#shifts", "slip:5");
-  await page.waitForFunction(() => location.hash === "#FindDupe-Demo-2?shifts=slip:5");
+  assert.equal(await page.inputValue("[name=clutter]"), "3");
+  await page.selectOption("[name=slip]", "5");
+  await page.waitForFunction(() => location.hash === "#FindDupe-Demo-2?shifts=clutter:3,slip:5");
+  await page.selectOption("[name=pose]", "4");  // other poses and pebbles cannot be combined here
+  await page.waitForFunction(() => location.hash === "#FindDupe-Demo-2?shifts=pose:4,slip:5");
   await untilStatus("Press");
   await moreFrames(2);
   assert.notEqual(await picture(), cluttered);
-  await page.click("#demo");
+  await page.selectOption("#watch", "demo-1");
   await untilStatus("Over");
   assert.ok(await page.isDisabled("#save"));
   for (const body of ["", "?shifts=body:shortstick", "?shifts=body:mediumstick", "?shifts=body:longstick"]) {
@@ -126,10 +128,32 @@ test("shifted scenes and other bodies can be chosen and linked to", async () => 
     await untilStatus("Over: score 1.00");
   }
   await page.selectOption("#variant", "Layout");
-  await page.waitForFunction(() => location.hash === "#SweepToTop-Layout-0");
+  await page.waitForFunction(() => location.hash === "#SweepToTop-Layout-0?shifts=body:longstick@expert");
   await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0?shifts=body:longstik"; });
   await untilStatus("There is no shift “body:longstik” of SweepToTop-Demo: this is SweepToTop-Demo-0?shifts=body:longstick");
+  await page.evaluate(() => { location.hash = "#FindDupe-All-1?shifts=friction:2,clutter:4"; });
+  await page.waitForFunction(() => location.hash === "#FindDupe-All-1?shifts=clutter:4,friction:2");
+  await untilStatus("Press");
   assert.deepEqual(complaints, []);
+});
+
+test("combined shifts have the effect that they have in Python", async () => {
+  /** @type {any[]} */
+  const cases = JSON.parse(await readFile(`${OUT}site-test/combined.json`, "utf8"));
+  for (const { task, variant, seed, shifts, actions, final } of cases) {
+    const there = await page.evaluate(async ({ task, variant, seed, shifts, actions }) => {
+      const { inBrowser, loadEnvironment } = await import(new URL("scenes.js", document.baseURI).href);
+      const environment = await loadEnvironment(task, variant, shifts), entry = environment.scenes.find((/** @type {any} */ one) => one.seed === seed);
+      const episode = await inBrowser(Promise.resolve())(environment, entry, task, variant);
+      let scene = episode.scene;
+      for (const action of actions) scene = await episode.act(action);
+      episode.close();
+      return scene;
+    }, { task, variant, seed, shifts, actions });
+    const numbers = (/** @type {any} */ { robot, blocks, dynamics }) => [robot, ...blocks].flatMap(({ x, y, angle }) => [x, y, angle]).concat(Object.values(dynamics));
+    const apart = Math.max(...numbers(final).map((value, i) => Math.abs(value - numbers(there)[i])));
+    assert.ok(apart < 1e-6, `${task}-${variant}-${seed} with ${shifts}: ${apart}`);
+  }
 });
 
 test("nothing starts by itself, independent of earlier keys and the address", async () => {
@@ -145,6 +169,8 @@ test("nothing starts by itself, independent of earlier keys and the address", as
   await untilStatus("Press");
   await moreFrames(20);
   assert.equal(await status(), "Press a key or button to start");
+  await page.evaluate(() => { location.hash = "#%E0%A4%A"; });
+  await untilStatus("There is no task “%E0%A4%A”");
   for (const wrong of ["FindDupe-All-abc", "FindDupe-All--3", "FindDupe-All-1e30", "FindDupe-Nothing", "Nothing-All-0"]) {
     await page.evaluate((hash) => { location.hash = hash; }, wrong);
     await page.waitForFunction((wrong) => location.hash !== `#${wrong}`, wrong);
@@ -154,13 +180,82 @@ test("nothing starts by itself, independent of earlier keys and the address", as
   await page.evaluate(() => { location.hash = "#FindDuple-Layot-7@state-bc"; });
   await untilStatus("There is no task “FindDuple”, and no variant “Layot” of FindDupe: this is FindDupe-Layout-7");
   assert.equal(await page.evaluate("location.hash"), "#FindDupe-Layout-7@state-bc");
+  const offers = () => page.$$eval("#watch option", (all) => all.map((one) => /** @type {HTMLOptionElement} */ (one).value));
+  assert.ok((await offers()).includes("state-bc") && !(await offers()).includes("demo-1"));
   await page.selectOption("#variant", "Demo");
   await page.waitForFunction(() => location.hash === "#FindDupe-Demo-0@state-bc");
+  assert.ok((await offers()).includes("demo-5"));
   await untilStatus("Watching BC");
   await page.goBack();
   await page.waitForFunction(() => location.hash === "#FindDupe-Layout-7@state-bc");
   assert.deepEqual(complaints, []);
 });
+
+test("a player takes over from the expert, on keys that are visible", async () => {
+  await page.goto("about:blank");
+  await page.setViewportSize({ width: 1280, height: 800 });
+  await page.goto(`${site.address}play/?speed=2#MoveToCorner-Demo-0@expert`);
+  await untilStatus("Watching the expert");
+  const { y = 0, height = 0 } = await page.locator("#legend").boundingBox() ?? {};
+  assert.ok(y + height <= 800, `the keys end at ${y + height}`);
+  await page.keyboard.press("t");
+  await untilStatus("Playing");
+  const place = () => page.$eval("#score", (score) => score.textContent);
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("left")?.textContent ?? "") < 4);
+  assert.notEqual(await place(), "1.00");  // the expert would have pushed the block into the corner
+  assert.ok(await page.isDisabled("#save"));
+  await page.setViewportSize({ width: 600, height: 700 });
+  assert.deepEqual(complaints, []);
+});
+
+test("the theme that was chosen on another page is kept", async () => {
+  const themed = await browser.context.newPage(), shownTheme = () => themed.$eval("html", (html) => html.dataset.theme);
+  await themed.emulateMedia({ colorScheme: "light" });
+  await themed.goto(`${site.address}play/#MoveToCorner-Demo-0`);
+  assert.equal(await shownTheme(), "light");
+  await themed.emulateMedia({ colorScheme: "dark" });
+  assert.equal(await shownTheme(), "dark");
+  await themed.evaluate(() => localStorage.setItem("theme", "light"));
+  await themed.reload();
+  assert.equal(await shownTheme(), "light");
+  await themed.evaluate(() => localStorage.clear());
+  await themed.close();
+});
+
+for (const [path, ready] of [["play/#FindDupe-All-3@state-bc", "Watching"], ["play/inspect.html#FindDupe-All-3", ""]]) {
+  test(`whichever request fails, ${path} starts, or shows what failed and starts after another try`, async () => {
+    const fresh = await browser.context.newPage();
+    const settled = () => fresh.waitForFunction((ready) => {
+      const status = document.querySelector("[role=status]"), text = status?.textContent ?? "";
+      return status?.querySelector("button") ? "failed" : (ready ? text.startsWith(ready) : text === "" && document.title.startsWith("FindDupe")) && "ready";
+    }, ready).then((result) => result.jsonValue());
+    /** @type {Set<string>} */
+    const requests = new Set();
+    fresh.on("request", (request) => requests.add(request.url().replace(/#.*/, "")));
+    await fresh.goto(site.address + path);
+    assert.equal(await settled(), "ready");
+    const page = new URL(site.address + path.replace(/#.*/, "")).href;
+    let failures = 0;
+    for (const url of requests) {
+      if (url === page || !url.startsWith("http")) continue;
+      await fresh.route((one) => one.href.split("?")[0] === url, (route) => route.abort());
+      await fresh.goto("about:blank");
+      await fresh.goto(site.address + path);
+      const result = await settled();
+      await fresh.unrouteAll();
+      if (result === "ready") continue;
+      failures += 1;
+      assert.match(await fresh.textContent("[role=status]") ?? "", /could not be loaded|failed/i, url);
+      if (failures % 6 !== 1) continue;  // modules are alike
+      await fresh.click("[role=status] button");
+      await fresh.waitForFunction(() => !document.querySelector("[role=status] button"));
+      assert.equal(await settled(), "ready", url);
+    }
+    console.log(`${requests.size} requests, ${failures} of them needed to start`);
+    assert.ok(failures > 10);
+    await fresh.close();
+  });
+}
 
 test("a policy acts, and its scores are shown", async () => {
   await page.goto("about:blank");

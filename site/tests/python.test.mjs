@@ -43,7 +43,7 @@ test("episodes equal Python's", async () => {
     const worst = { 1: 0, 20: 0, 100: 0, end: 0 };
     const unequal = [];
     for (const { name, task, scene, mjcf, taken, actions, glances, score: right } of chosen) {
-      const simulation = new Simulation(mujoco, mjcf, scene), done = taken ? taking(taken) : (/** @type {any} */ action) => action;
+      const simulation = new Simulation(mujoco, mjcf, scene), [done = (/** @type {any} */ action) => action] = taken?.map(taking) ?? [];
       let now = scene;
       actions.forEach((/** @type {number | number[]} */ action, /** @type {number} */ i) => {
         now = simulation.act(done(action));

@@ -49,7 +49,7 @@ def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> 
     for task, facts in contents["tasks"].items():
         solved = magical_mj.Scene.from_json(json.dumps(facts["solved"]))
         assert magical_mj.score(task, magical_mj.sample_scene(task, "Demo", 0), solved) == 1.0
-        assert facts["goal"].endswith(".")
+        assert facts["hint"].endswith(".")
         parts = sections(task)
         assert {"Summary", "Goal", "What varies", "Score", "Differences from the original"} <= set(parts)
         assert all(parts.values())
@@ -156,6 +156,7 @@ def test_a_study_has_practice_a_least_score_and_a_code(tmp_path: Path) -> None:
     me = collection.participant(None)
     practice = collection.next(me)["next"]
     assert practice["practice"]
+    assert (practice["number"], practice["of"]) == (1, 1)
     collection.keep(played(practice), me, {})
     offer = collection.next(me)["next"]
     assert not offer["practice"]

@@ -1,40 +1,67 @@
 // @ts-check
 /**
  * Parses the part of an address after `#`: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
- * `#FindDupe-Demo-0?shifts=clutter:3` with a shift or another body: `#SweepToTop-Layout-2?shifts=body:longstick`.
+ * `#FindDupe-Demo-0?shifts=clutter:3,friction:2` with shifts, or another body: `#SweepToTop-Layout-2?shifts=body:longstick`.
  * @typedef {{task: string, variant: string, seed: number, shifts: string}} SceneId  shifts: "" without shifts
  * @typedef {SceneId & {method: string, unknown: string}} Wish
  *   method: "" without a method; unknown: the error in the address and the scene shown instead, "" without an error
- * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with its available shifts
+ * @typedef {{task: string, variant: string, shifts: Record<string, string[]>}} Environment  shifts: axis -> strengths, or bodies
  */
 
 /**
  * @param {string} hash
- * @param {{environments: Environment[]}} catalogue
+ * @param {{environments: Environment[], exclusive?: string[][]}} catalogue  exclusive: pairs of axes that cannot be combined
  * @returns {Wish}
  */
-export function parseAddress(hash, { environments }) {
-  const [all, method = ""] = decodeURIComponent(hash.slice(1)).split("@");
+export function parseAddress(hash, { environments, exclusive = [] }) {
+  const [all, method = ""] = decoded(hash.slice(1)).split("@");
   const [name, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
   const [asked, variantAsked = "", ...rest] = name.split("-"), seedAsked = rest.join("-");
   const tasks = [...new Set(environments.map(({ task }) => task))], task = nearest(asked, tasks);
   const variants = environments.filter((one) => one.task === task).map(({ variant }) => variant), variant = nearest(variantAsked, variants);
-  const there = shiftsOf({ task, variant }, environments), shifts = nearest(shiftsAsked, ["", ...there]);
+  const there = shiftsOf({ task, variant }, environments), { shifts, wrong: wrongShifts } = chosenShifts(shiftsAsked, there, exclusive);
   const isNumber = /^\d+$/.test(seedAsked) && Number.isSafeInteger(Number(seedAsked)), seed = isNumber ? Number(seedAsked) : 0;
   const wrong = [
     asked && asked !== task ? `no task “${asked}”` : "", variantAsked && variantAsked !== variant ? `no variant “${variantAsked}” of ${task}` : "",
-    shiftsAsked !== shifts ? `no shift “${shiftsAsked}” of ${task}-${variant}` : "", seedAsked && !isNumber ? `no scene “${seedAsked}”` : "",
+    ...wrongShifts.map((one) => `no shift “${one}” of ${task}-${variant}`), seedAsked && !isNumber ? `no scene “${seedAsked}”` : "",
   ].filter(Boolean);
   const found = { task, variant, seed, shifts };
   return { ...found, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${addressOf(found)}` : "" };
 }
 
+/** The text that is encoded in an address. Text that is not encoded correctly stays. @param {string} text */
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
+
 /** The address of a scene, without `#`. @param {SceneId} sceneId */
 export const addressOf = ({ task, variant, seed, shifts }) => `${task}-${variant}-${seed}${shifts && `?shifts=${shifts}`}`;
 
-/** @param {{task: string, variant: string}} name @param {Environment[]} environments */
+/** @param {{task: string, variant: string}} name @param {Environment[]} environments @returns {Record<string, string[]>} */
 export const shiftsOf = ({ task, variant }, environments) =>
-  environments.find((one) => one.task === task && one.variant === variant)?.shifts ?? [];
+  environments.find((one) => one.task === task && one.variant === variant)?.shifts ?? {};
+
+/**
+ * The available shifts most similar to the requested ones, in the order of `there`, and the requested ones that are not available.
+ * @param {string} asked  such as "clutter:3,friction:2" @param {Record<string, string[]>} there  axis -> strengths, or bodies
+ * @param {string[][]} exclusive  pairs of axes of which only the first one is taken
+ */
+function chosenShifts(asked, there, exclusive) {
+  /** @type {Record<string, string>} */
+  const found = {}, wrong = [];
+  for (const one of asked.split(/[,+]/).filter(Boolean)) {
+    const all = Object.entries(there).flatMap(([axis, levels]) => levels.map((level) => `${axis}:${level}`));
+    const name = all.length ? nearest(one, all) : "", [axis, level] = name.split(":");
+    const isTaken = axis in found || exclusive.some((pair) => pair.includes(axis) && pair.some((other) => other in found));
+    if (name !== one || isTaken) wrong.push(one);
+    if (name && !isTaken) found[axis] = level;
+  }
+  return { shifts: Object.keys(there).filter((axis) => axis in found).map((axis) => `${axis}:${found[axis]}`).join(","), wrong };
+}
 
 /** The name most similar to the requested one. The first one if none is requested. @param {string} asked @param {string[]} names */
 export function nearest(asked, names) {

@@ -39,7 +39,7 @@ export function onChoice(catalogue, chosen) {
  */
 export function sceneIdOf({ task, variant, seed, shifts = "", scene }, catalogue) {
   if (!task || !variant || !seed || !scene) return null;
-  const { body } = JSON.parse(scene).robot, all = [shifts, body ? `body:${body}` : ""].filter(Boolean).join("+");
+  const { body } = JSON.parse(scene).robot, all = [shifts, body ? `body:${body}` : ""].filter(Boolean).join(",");
   const { unknown, method, ...sceneId } = parseAddress(`#${task}-${variant}-${seed}?${new URLSearchParams({ shifts: all })}`, catalogue);
   return unknown ? null : sceneId;
 }

@@ -38,6 +38,7 @@ let choices = 0;  // only the last choice is shown, in whatever order they are l
 /** @param {string} what @param {boolean} isWrong */
 function say(what, isWrong = false) {
   const message = element("message");
+  element("download").hidden = true;
   message.textContent = what;
   message.classList.toggle("wrong", isWrong);
 }
@@ -54,7 +55,6 @@ async function open(name, address, read, isNew = false) {
   try {
     const [mujoco, { text, sceneId, files, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
-    element("download").hidden = true;
     const inspected = new InspectedModel(mujoco, text, files);
     shown.inspected?.close();
     Object.assign(shown, { turned: shown.last, inspected, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
@@ -65,8 +65,13 @@ async function open(name, address, read, isNew = false) {
     say("");
   } catch (error) {
     if (choice !== choices) return;
+    const text = `${name} cannot be shown.\n${/** @type {Error} */ (error).message}`;
+    say(text, true);
     if (shown.inspected) showAddress(shown.address, false);
-    say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
+    else /** @type {any} */ (window).showFailure(text, () => {
+      say("Loading …");
+      open(name, address, read, isNew);
+    });
   }
   showChoice(catalogue, shown.sceneId);
 }
@@ -265,13 +270,17 @@ async function openFiles(files) {
   const main = models.find((file) => !included.includes(file)) ?? models[0];
   if (!main) return say("A model is an .xml file: open it together with the files that it needs.", true);
   const text = texts[models.indexOf(main)];
-  await open(main.name, "#file", async () => ({
+  reopen = () => open(main.name, "#file", async () => ({
     text,
     sceneId: await offered(text),
     files: new Map(await Promise.all(all.filter((file) => file !== main).map(
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
-  }));
+  }), true);
+  await reopen();
 }
+
+/** Opens the files of the visitor again, until the page is left. @type {(() => Promise<void>) | null} */
+let reopen = null;
 
 /** @type {any} */
 let catalogue = null;
@@ -304,7 +313,11 @@ async function openScene(sceneId, isNew = true) {
 /** Opens the scene in the address, such as `#FindDupe-All-3`, or the file that the server was given. */
 async function openAddress() {
   const { hash } = location, given = catalogue.model;
-  if (hash === "#file" && !given) return say("Open the model again: the page keeps no files.");
+  if (hash === "#file" && reopen) return reopen();
+  if (hash === "#file" && !given) {
+    showChoice(catalogue, null);
+    return say("The page keeps no files: open the model again, or choose a task.");
+  }
   if (given && (!hash || hash === "#file")) {
     return open(given.name, hash, async () => {
       const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
@@ -379,6 +392,5 @@ try {
   await (files.length ? openFiles(files) : openAddress());
   element("poster").remove();
 } catch (error) {
-  const { message } = /** @type {Error} */ (error);
-  say(/WebGL/.test(message) ? "This browser cannot draw solids here: allow WebGL 2, or try another browser." : `${message}\nReload the page to try again.`, true);
+  /** @type {any} */ (window).showFailure(/** @type {Error} */ (error).message);
 }

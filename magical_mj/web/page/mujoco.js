@@ -27,7 +27,7 @@ export function loadMujoco() {
     .catch((error) => {
       loading = null;
       failures += 1;
-      throw new Error(`MuJoCo could not be loaded (${error.message}): try again`);
+      throw new Error(`MuJoCo could not be loaded (${error.message})`);
     });
   return loading;
 }

@@ -21,23 +21,19 @@ import { remembered, Seat } from "./server.js";
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 const arena = element("arena");
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
-const catalogue = await fetchJson("catalogue.json").catch((error) => {
-  element("status").textContent = error.message;
-  throw error;
-});
+const catalogue = await fetchJson("catalogue.json");
 /** The features that participants of a study may use. Without a study, all of them. @param {string} what */
 const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
 const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
 const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times real time
-const seat = catalogue.simulation === "server" ? new Seat() : null;
-/** @type {Record<string, string>} the methods with stored actions, by the names of their entries */
-const methods = seat ? {} : await fetchJson("replays/index.json").catch(() => ({}));
-const BC = "bc";  // the name in addresses of the policies that run in the page
-const OWN = "own";  // the name of the visitor's policy
+const seat = catalogue.simulation === "server" ? new Seat(tell) : null;
+/** @type {Record<string, {name: string, seeds: Record<string, number[]>}>} the methods with stored actions, and the seeds of these by environment */
+const methods = seat ? {} : await fetchJson("replays/index.json");
+const BC = "bc", OWN = "own", EXPERT = "expert", DEMO = "demo-";  // names in addresses: policies that run in the page, and known actions
 /** @type {Uint8Array | null} the visitor's policy */
 let own = null;
 /** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
-const policies = seat ? {} : await fetchJson("policies/scores.json").catch(() => ({}));
+const policies = seat ? {} : await fetchJson("policies/scores.json");
 onProgress((share) => {
   if (shown.game) return;
   element("time").value = share;
@@ -54,7 +50,7 @@ const open = seat?.open ?? inBrowser(ready);
 /** The current state of the page. */
 const shown = {
   task: "", variant: "", seed: -1, shifts: "", horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
-  /** the method whose stored actions are watched, or "" */ method: "",
+  /** what is watched, as in addresses, or "" */ method: "", /** whether the player has taken over */ taken: false,
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
@@ -66,14 +62,14 @@ let choices = 0;  // only the last choice is shown, in whatever order they are l
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {{shifts?: string, script?: Script | null, method?: string, isAddress?: boolean, unknown?: string}} [how]
- *   script: actions to watch, or null for playing. method: the method whose stored actions to watch instead.
- *   unknown: the error in the address
+ * @param {{shifts?: string, method?: string, isAddress?: boolean, unknown?: string}} [how]
+ *   method: what to watch, or "" for playing. unknown: the error in the address
  */
-async function choose(task, variant, seed, { shifts = "", script = null, method = "", isAddress = false, unknown = "" } = {}) {
+async function choose(task, variant, seed, how = {}) {
+  const { shifts = "", method = "", isAddress = false, unknown = "" } = how;
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
-  const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
+  const failed = (/** @type {Error} */ error) => choice === choices ? say(error, () => choose(task, variant, seed, how)) : undefined;
   shown.note = "";  // messages that appear while the scene is loaded remain
   const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts;
   const environment = isOther ? await loadEnvironment(task, variant, shifts).catch(failed) : shown.environment;
@@ -82,12 +78,14 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null, horizon: environment.horizon } : environment.scenes[0]);
   const acts = method === OWN ? own !== null : method === BC && task in policies;
-  const replay = !method || acts ? script : shifts ? null : await replayOf(method, task, variant, entry.seed);
+  const replay = acts ? null : await actionsOf(method, task, variant, entry, environment).catch(failed);
   if (choice !== choices) return;
-  const watched = acts || replay !== null ? method : "";
+  if (replay === undefined) return stay(isAddress);
+  const watching = acts || Boolean(replay?.length), watched = watching ? method : "";
   element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts })}`;
   const horizon = entry.horizon ?? environment.horizon;
-  Object.assign(shown, { task, variant, seed: entry.seed, shifts, horizon, environment, watching: acts || replay !== null, method: watched });
+  Object.assign(shown, { task, variant, seed: entry.seed, shifts, horizon, environment, watching, method: watched, taken: false });
+  shown.helped ||= watching;
   showChoice(isOther, !isAddress);
   if (unknown) say(unknown);
   else if (method && !watched) say(`There are no actions of “${method}” in this scene`);
@@ -99,6 +97,7 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   else element("status").textContent = pending;
   const actions = typeof replay === "string" ? fromLetters(replay) : replay;
   const next = () => {
+    if (shown.taken) return controls.next();
     if (policy) return policy.next(game.actions.length);
     if (actions) return actions[game.actions.length] ?? 0;
     if (game.actions.length) return controls.next();
@@ -144,42 +143,89 @@ function unsent() {
 const replays = {};
 
 /**
- * The actions of a leaderboard entry in a scene, as letters. Null if they are unknown.
- * @param {string} method @param {string} task @param {string} variant @param {number} seed
+ * The known actions of what is watched in a scene. Null if there are none.
+ * @param {string} method @param {string} task @param {string} variant @param {Entry} entry @param {import("./scenes.js").Environment} environment
+ * @returns {Promise<Script | null>}
  */
-async function replayOf(method, task, variant, seed) {
-  if (!methods[method]) return null;
+async function actionsOf(method, task, variant, { seed, expert, shifts }, { demonstrations, scenes }) {
+  if (method === EXPERT) return scenes.length === 1 ? scenes[0].expert : expert;  // all seeds of Demo have one scene
+  if (method.startsWith(DEMO)) return demonstrations[Number(method.slice(DEMO.length)) - 1] ?? null;
+  const name = `${task}-${variant}`;
+  if (shifts || !methods[method]?.seeds[name]?.includes(seed)) return null;
   replays[method] ??= fetchJson(`replays/${method}.json`);
-  const all = await replays[method].catch(() => delete replays[method] && {});
-  return /** @type {any} */ (all)[`${task}-${variant}`]?.[seed] ?? null;
+  replays[method].catch(() => delete replays[method]);
+  return (await replays[method])[name][seed];
+}
+
+/** The names of everything that can be watched in the current scene, by their names in addresses, in groups. @returns {Record<string, [string, string][]>} */
+function watchable() {
+  const { task, variant, seed, shifts, environment: { demonstrations, scenes } } = shown, name = `${task}-${variant}`;
+  const entry = scenes.find((one) => one.seed === seed || scenes.length === 1);
+  return {
+    "This scene": [
+      ...entry?.expert.length ? [/** @type {[string, string]} */ ([EXPERT, "The expert (H)"])] : [],
+      ...demonstrations.map((_, i) => /** @type {[string, string]} */ ([`${DEMO}${i + 1}`, `Demonstration ${i + 1}`])),
+    ],
+    "Policies that act in this page": seat ? [] : [
+      ...task in policies ? [/** @type {[string, string]} */ ([BC, "BC from states (B)"])] : [], [OWN, "A policy of yours: open a file …"],
+    ],
+    "Recorded episodes of the leaderboard": shifts ? [] : Object.entries(methods).filter(([, { seeds }]) => seeds[name]?.includes(seed))
+      .map(([method, { name }]) => /** @type {[string, string]} */ ([method, name])),
+  };
+}
+
+/** Lists what can be watched. */
+function showWatchable() {
+  const groups = Object.entries(watchable()).filter(([, choices]) => choices.length).map(([label, choices]) => {
+    const group = document.createElement("optgroup");
+    group.label = label;
+    group.append(...choices.map(([value, text]) => new Option(text, value)));
+    return group;
+  });
+  element("watch").replaceChildren(new Option("nobody", ""), ...groups);
+  element("watch").value = shown.method;
+  element("watching").hidden = !groups.length || !may("expert");
+  element("take").hidden = !shown.watching || shown.taken;
 }
 
 /** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
   const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
-  element("method").value = method in methods ? method : "";
   element("seed").value = shown.seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
-  const others = shiftsOf(shown, catalogue.environments);
-  element("shifted").hidden = !others.length;
-  element("shifts").replaceChildren(new Option("none", ""), ...others.map((name) => new Option(name.replace(":", " "), name)));
-  element("shifts").value = shifts;
+  const chosen = Object.fromEntries(shifts.split(",").map((one) => one.split(":")));
+  element("shifts").replaceChildren(...Object.entries(shiftsOf(shown, catalogue.environments)).map(([axis, levels]) => {
+    const label = document.createElement("label"), select = document.createElement("select");
+    select.name = axis;
+    select.append(new Option(axis === "body" ? "gripper" : "0", ""), ...levels.map((level) => new Option(level)));
+    select.value = chosen[axis] ?? "";
+    label.append(`${axis[0].toUpperCase()}${axis.slice(1)} `, select);
+    return label;
+  }));
+}
+
+/** Applies the chosen shifts. An exclusive one replaces others. @param {Event} event */
+function changeShifts({ target }) {
+  const all = /** @type {HTMLSelectElement[]} */ ([...element("shifts").querySelectorAll("select")]), chosen = /** @type {HTMLSelectElement} */ (target);
+  const isLeft = (/** @type {HTMLSelectElement} */ { name }) => name === chosen.name
+    || !catalogue.exclusive.some((/** @type {string[]} */ pair) => pair.includes(name) && pair.includes(chosen.name));
+  const shifts = all.filter((one) => one.value && isLeft(one)).map(({ name, value }) => `${name}:${value}`).join(",");
+  choose(shown.task, shown.variant, shown.seed, { shifts, method: shown.method });
 }
 
 /** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
 function showChoice(isOther, isNew) {
   const { task, seed, environment } = shown;
-  const { summary, goal, solved } = catalogue.tasks[task];
+  const { summary, hint, solved } = catalogue.tasks[task];
   showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
-  element("words").textContent = goal;
-  element("expert").disabled = !expertActions()?.length;
-  element("bc").disabled = !(task in policies);
-  element("demo").disabled = !environment.demonstrations.length;
+  element("words").textContent = hint;
+  element("about").href = `../${task === "SweepToTop" ? "bodies" : task}.html`;
+  showWatchable();
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
     element("scenes").replaceChildren(...environment.scenes.map(sceneButton));
@@ -231,20 +277,32 @@ function show(initial, scene) {
   element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not contain shifts
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
-    : watching ? (shown.method ? `Watching ${methods[shown.method] ?? (shown.method === OWN ? "your policy" : bcWords())}` : "Watching") : done ? "Playing" : "Press a key or button to start";
+    : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
-/** The watched policy or method, with its mean score. */
-function bcWords() {
+/** What is watched. A policy of the page with its mean scores. */
+function watchedWords() {
+  const { method } = shown;
+  if (method === EXPERT) return "the expert";
+  if (method.startsWith(DEMO)) return `demonstration ${method.slice(DEMO.length)}`;
+  if (method !== BC) return methods[method]?.name ?? "your policy";
   const scores = Object.entries(policies[shown.task]).map(([variant, score]) => `${score.toFixed(2)} in ${variant}`);
   return `BC from states: on average it scores ${scores.join(", ")}`;
 }
 
-/** Shows a message until another scene is shown. @param {Error | string} what */
-function say(what) {
+/** Shows a message until another scene is shown. @param {Error | string} what @param {() => void} [retry] */
+function say(what, retry = again) {
   shown.note = what instanceof Error ? what.message : what;
   element("status").textContent = shown.note;
+  if (what instanceof Error && !shown.game) /** @type {any} */ (window).showFailure(`${shown.note}.`, retry);
+}
+
+/** Shows that the connection broke, and what was shown before when it is restored. @param {string} text */
+function tell(text) {
+  if (text) shown.note = text;
+  else if (shown.note.endsWith("trying again …")) shown.note = "";
+  element("status").textContent = shown.note || pending;
 }
 
 /** @param {number} time */
@@ -257,9 +315,10 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Plays this scene of the current environment from its start. @param {number} seed @param {{script?: Script | null, method?: string}} [how] */
+/** Plays this scene of the current environment from its start. @param {number} seed @param {{method?: string}} [how] */
 function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
+  if (!element("ending").hidden && !may("scenes")) return;  // nothing is left to play
   if (!shown.task) return start();  // the first scene is not loaded yet, or loading failed
   return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, ...how });
 }
@@ -269,21 +328,21 @@ function next() {
   return play(seat && seeds.length > 1 ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length], { method: shown.method });
 }
 
-/** The expert's actions in this scene, if they are known. All seeds of Demo have the same scene. */
-function expertActions() {
-  const { scenes } = shown.environment;
-  return scenes.find(({ seed }) => seed === shown.seed || scenes.length === 1)?.expert;
+const again = () => play(shown.seed);
+
+/** Watches something in this scene from its start, if the scene has it. @param {string} method */
+function watch(method) {
+  if (method === OWN) return element("policy").click();
+  const exists = Object.values(watchable()).flat().some(([value]) => value === method);
+  if (!method || (exists && may("expert"))) return play(shown.seed, { method });
 }
 
-const again = () => play(shown.seed);
-const bc = () => play(shown.seed, { method: BC });
-const expert = () => (shown.helped = true) && play(shown.seed, { script: expertActions() });
-
-let demonstration = 0;  // they are shown one after the other
-function demo() {
-  const list = shown.environment.demonstrations;
-  shown.helped = true;
-  return play(shown.seed, { script: list[demonstration++ % list.length] });
+/** Lets the player continue the watched episode from its current state. */
+function take() {
+  shown.taken = true;
+  controls.tapped.clear();
+  showWatchable();
+  arena.focus({ preventScroll: true });
 }
 
 /** Sends the episode to the server, and shows the next scene in its reply. */
@@ -296,11 +355,11 @@ async function send() {
     const about = { speed, watched: shown.helped };
     const { score, next, ...rest } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol), about });
     game.sent = true;
-    const kept = shown.practice ? `That was for practice, with score ${score.toFixed(2)}.` : `Kept, with score ${score.toFixed(2)}. Thank you!`;
+    const kept = shown.practice ? `That was practice, with score ${score.toFixed(2)}.` : `Kept, with score ${score.toFixed(2)}. Thank you!`;
     if (choices !== choice) return say(kept);  // another scene was chosen in the meantime
     const opened = await chooseWanted(next);
     if (next && choices !== choice + 1) return say(kept);  // or while the next one was loaded
-    const after = !next ? ending(rest) : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
+    const after = !next ? end(rest) : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
     say(`${kept} ${after}`);
   } catch (error) {
     say(/** @type {Error} */ (error));
@@ -320,7 +379,7 @@ async function arrive(seat) {
   if (reply.next) await chooseWanted(reply.next);
   else {
     if (may("scenes")) await chooseByAddress();
-    say(ending(reply));
+    say(end(reply));
   }
 }
 
@@ -338,13 +397,23 @@ function agreement(text) {
   });
 }
 
-/** The reason why no scene is offered, and the participants' completion code. @param {{why?: string, code?: string}} reply */
-const ending = ({ why, code }) => `${why ?? "That was everything"}${code ? ` Your code: ${code}` : ""}`;
+/** Shows, until the page is left, why no scene is offered, and the participant's completion code. @param {{why?: string, code?: string}} reply */
+function end({ why, code }) {
+  const text = `${why ?? "That was everything"}${code ? ` Your code: ${code}` : ""}`;
+  element("ending").textContent = text;
+  element("ending").hidden = false;
+  element("turn").hidden = true;
+  return text;
+}
 
-/** @param {{task: string, variant: string, seed: number, practice: boolean} | null} wanted */
+/** @param {{task: string, variant: string, seed: number, practice: boolean, number: number, of: number | null} | null} wanted */
 async function chooseWanted(wanted) {
   Object.assign(shown, { helped: false, practice: wanted?.practice ?? false });
-  return wanted && choose(wanted.task, wanted.variant, wanted.seed);
+  if (!wanted) return null;
+  const { task, variant, seed, practice, number, of } = wanted, count = `${number}${of ? ` of ${of}` : ""}`;
+  element("turn").textContent = practice ? `Practice ${count}: this episode does not count.` : `Episode ${count}`;
+  element("turn").hidden = false;
+  return choose(task, variant, seed);
 }
 
 /** @param {string | undefined} text */
@@ -369,7 +438,9 @@ function start() {
 }
 
 /** @type {Record<string, string>} the buttons by key */
-const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert", KeyB: "bc" };
+const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyT: "take" };
+/** @type {Record<string, string>} what to watch, by key */
+const WATCHED = { KeyH: EXPERT, KeyB: BC };
 
 /** Fields keep the focus if they are used by keyboard. After a use by pointer, the arena gets it. */
 for (const [id, changed] of Object.entries({ task: changeNames, variant: changeNames, seed: changeSeed })) {
@@ -386,26 +457,29 @@ function changeNames() {
   const task = element("task").value, variant = element("variant").value;
   const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
-  choose(task, exists ? variant : there[0].variant, 0, { method: shown.method });
+  const { method, shifts } = shown, found = exists ? variant : there[0].variant;
+  const kept = parseAddress(`#${task}-${found}-0?shifts=${shifts}`, catalogue);  // the shifts that the other environment has as well
+  choose(task, found, 0, { method, shifts: kept.unknown ? "" : kept.shifts });
 }
 
 function changeSeed() {
   if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value));
 }
 
-element("shifts").onchange = () => choose(shown.task, shown.variant, shown.seed, { shifts: element("shifts").value, method: shown.method });
-element("own").onclick = () => element("policy").click();
+element("shifts").onchange = changeShifts;
+element("watch").onchange = () => watch(element("watch").value);
+element("policy").oncancel = showWatchable;
 element("policy").onchange = async () => {
   own = new Uint8Array(await element("policy").files[0].arrayBuffer());
   play(shown.seed, { method: OWN });
 };
-element("method").onchange = () => play(shown.seed, { method: element("method").value });
-for (const [id, press] of Object.entries({ again, next, expert, demo, bc })) element(id).onclick = () => press();
+for (const [id, press] of Object.entries({ again, next, take })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
   if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are next to each other
+  if (WATCHED[event.code]) watch(WATCHED[event.code]);
   const button = element(SHORTCUTS[event.code] ?? "arena");
   if (button.id !== "arena" && !button.hidden) button.click();
 });
@@ -413,22 +487,18 @@ addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
-element("own").hidden = element("bc").hidden = !Object.keys(policies).length;
-element("methods").hidden = !Object.keys(methods).length;
-element("method").append(...Object.entries(methods).map(([name, text]) => new Option(text, name)));
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
 element("seed-label").hidden = !seat;
-element("inspect").hidden = seat !== null;
+for (const link of ["inspect", "about", "docs"]) element(link).hidden = seat !== null;
 if (seat) element("home").removeAttribute("href");
 requestAnimationFrame(frame);
 if (catalogue.collects) {
   element("save").textContent = "Send";
   element("instructions").hidden = !catalogue.instructions;
   element("instructions").textContent = catalogue.instructions;
-  if (catalogue.title) document.title = catalogue.title;
+  if (catalogue.title) document.title = element("home").textContent = catalogue.title;
 }
 for (const choice of ["task", "variant", "seed"]) element(choice).parentElement.hidden ||= !may("scenes");
 for (const choice of ["next", "more"]) element(choice).hidden = !may("scenes");
-for (const help of ["expert", "demo"]) element(help).hidden = !may("expert");
 await start();
 

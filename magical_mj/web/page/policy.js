@@ -33,7 +33,7 @@ function loadRuntime() {
  * @param {Seen} simulation  at the start
  */
 export async function loadPolicy(file, simulation) {
-  const ort = await loadRuntime().catch(() => { throw new Error("The runtime of policies could not be loaded: try again"); });
+  const ort = await loadRuntime().catch(() => { throw new Error("The runtime of policies could not be loaded"); });
   try {
     return await Policy.open(ort, file, simulation);
   } catch (error) {

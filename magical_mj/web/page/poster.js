@@ -38,7 +38,7 @@ function drawPoster(look, scene) {
   draw(canvas, look, scene, "allo");
 }
 
-if (waits) wait().catch(() => {});  // the error is shown when the user starts
+if (waits) wait();
 await asked;
 begun.abort();
 message.textContent = loading;

@@ -6,7 +6,7 @@
  * @typedef {{shape: string, colour: string, x: number, y: number, angle: number}} Block
  * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number, border?: string}} Region
  * @typedef {{robot: Robot, blocks: Block[], regions: Region[], half_width?: number, pebbles?: {x: number, y: number}[],
- *   stains?: number[][]}} Scene  half_width: of the arena, by default 1; stains: x, y, radius, darkness
+ *   stains?: number[][], dynamics?: Record<string, number>}} Scene  half_width: of the arena, by default 1; stains: x, y, radius, darkness
  * @typedef {{robot: number[], fingers: number[], blocks: number[][], pebbles?: number[][]}} Poses
  *   robot and each block as x, y, angle; pebbles as x, y
  */

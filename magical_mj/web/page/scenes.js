@@ -3,12 +3,12 @@
  * The scenes of an environment, and their simulation in the browser.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./game.js").Episode} Episode
- * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[]}} Entry
+ * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[][]}} Entry
  *   a scene, an expert's actions in it (letters, or vectors of speeds), the indices of its model's elements,
- *   its shifts, its horizon if its body has another one, and the executed actions with slip or latency (see `taking`)
+ *   its shifts, its horizon if its body has another one, and the executed actions with slip or latency (see `taking`), a list for each
  * @typedef {{scenes: Entry[], horizon: number, elements?: string[], demonstrations: string[]}} Environment
  *   horizon: actions of an episode; demonstrations: actions in its only scene
- * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null, taken?: number[]}, task: string, variant: string) => Promise<Episode>} Opener
+ * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null, taken?: number[][]}, task: string, variant: string) => Promise<Episode>} Opener
  */
 import { taking } from "./actions.js";
 import { loadMujoco } from "./mujoco.js";
@@ -18,13 +18,58 @@ import { Simulation } from "./simulation.js";
  * An environment's scenes.
  * @param {string} task
  * @param {string} variant
- * @param {string} [shifts]  a shift with its strength, such as "clutter:3", or another body, such as "body:longstick"
+ * @param {string} [shifts]  shifts with their strengths, such as "clutter:3,friction:2", or another body, such as "body:longstick"
  * @returns {Promise<Environment>}
  */
 export async function loadEnvironment(task, variant, shifts = "") {
-  if (!shifts) return fetchJson(`scenes/${task}-${variant}.json`);
-  const all = await fetchJson(`shifted/${task}-${variant}-${shifts.split(":")[0]}.json`);
-  return { ...all, scenes: all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === shifts) };
+  const names = shifts.split(",").filter(Boolean), placed = names.find((name) => !CHANGED.includes(name.split(":")[0])) ?? "";
+  const others = names.filter((name) => name !== placed);
+  const [all, changes] = await Promise.all([
+    fetchJson(placed ? `shifted/${task}-${variant}-${placed.split(":")[0]}.json` : `scenes/${task}-${variant}.json`),
+    others.length ? fetchJson(`shifted/${task}-${variant}.json`) : null,
+  ]);
+  const scenes = placed ? all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === placed) : all.scenes;
+  return changes ? changed({ ...all, scenes }, names.join("+"), others, changes) : { ...all, scenes };
+}
+
+/** The axes that change numbers of the model, or the actions, and can be combined with any scene. */
+const CHANGED = ["latency", "slip", "friction"];
+
+/**
+ * An environment with changed dynamics, or changed actions.
+ * @param {Environment} environment @param {string} label  all its shifts
+ * @param {string[]} names  those to apply, in order @param {Record<string, Record<string, Change>>} changes  seed -> shift -> its effects
+ * @returns {Environment}
+ * @typedef {{dynamics?: Record<string, number>, attributes?: Record<string, Record<string, string>>, taken?: number[]}} Change
+ *   attributes: element of the model -> its changed attributes
+ */
+function changed(environment, label, names, changes) {
+  const elements = [...environment.elements ?? []], all = environment.scenes;
+  const scenes = Object.entries(changes).flatMap(([seed, of]) => {
+    const entry = all.find((one) => one.seed === Number(seed)) ?? (all.length === 1 ? all[0] : null);  // Demo has one scene
+    if (!entry) return [];
+    const effects = names.map((name) => of[name]), dynamics = Object.assign({}, ...effects.map((effect) => effect.dynamics));
+    const scene = /** @type {Scene} */ ({ ...entry.scene, dynamics: { ...entry.scene.dynamics, ...dynamics } });
+    const attributes = effects.reduce((/** @type {Record<string, Record<string, string>>} */ sum, effect) => {
+      for (const [name, values] of Object.entries(effect.attributes ?? {})) sum[name] = { ...sum[name], ...values };
+      return sum;
+    }, { "text seed": { data: seed }, "text shifts": { data: label } });
+    const mjcf = entry.mjcf?.map((i) => elements.push(withAttributes(elements[i], attributes, scene, label)) - 1);
+    return [{ ...entry, seed: Number(seed), shifts: label, scene, mjcf, expert: "", taken: effects.flatMap(({ taken }) => taken ? [taken] : []) }];
+  });
+  return { ...environment, scenes, elements };
+}
+
+/**
+ * An element of a model, as text, with other attributes.
+ * @param {string} element @param {Record<string, Record<string, string>>} attributes @param {Scene} scene @param {string} label
+ */
+function withAttributes(element, attributes, scene, label) {
+  const [, tag, name] = /<(\w+)\b[^>]*?\sname="([^"]*)"/.exec(element) ?? [];
+  if (name === "scene") return element.replace(/"dynamics":\{[^}]*\}/, () => `"dynamics":${JSON.stringify(scene.dynamics)}`);
+  const values = Object.entries(attributes[`${tag} ${name}`] ?? {});
+  const text = values.reduce((text, [key, value]) => text.replace(new RegExp(`(\\s${key}=)"[^"]*"`), (_, start) => `${start}"${value}"`), element);
+  return name === "seed" && !label.match(/pose|clutter|body/) ? `${text}\n    <text name="shifts" data="${label}"/>` : text;
 }
 
 /** @param {string} path  relative to the page */
@@ -36,7 +81,7 @@ export const fetchFile = async (path) => new Uint8Array(await (await fetched(pat
 /** @param {string} path */
 async function fetched(path) {
   const reply = await fetch(path).catch(() => null);
-  if (!reply?.ok) throw new Error(`${path} could not be loaded${reply ? ` (${reply.status})` : ""}: try again`);
+  if (!reply?.ok) throw new Error(`${path} could not be loaded${reply ? ` (${reply.status})` : ""}`);
   return reply;
 }
 
@@ -50,7 +95,7 @@ export function inBrowser(asked) {
   return async ({ elements = [] }, { scene, mjcf = [], taken }) => {
     if (!scene) throw new Error("this scene is not available here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
-    const done = taken && taking(taken);
-    return { scene, act: (action) => simulation.act(done ? done(Number(action)) : action), close: () => simulation.close(), simulation };
+    const steps = taken?.map(taking) ?? [];
+    return { scene, act: (action) => simulation.act(steps.reduce((now, step) => step(Number(now)), action)), close: () => simulation.close(), simulation };
   };
 }

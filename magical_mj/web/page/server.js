@@ -5,8 +5,10 @@
  */
 import { moved } from "./scene.js";
 
-const GONE = "There is no connection to the server: try again";
-const LOST = "The connection to the server was lost: play this scene again (R)";
+/** There is no connection to the server, or it broke before the answer. */
+class Disconnected extends Error {}
+const GONE = "There is no connection to the server: trying again …";
+const PAUSES = [500, 1000, 2000, 5000];  // milliseconds before each attempt to reconnect; the last one is repeated
 /** Milliseconds without an answer before a connection counts as broken, because interrupted connections give no error. */
 const PATIENCE = 20_000;
 const REFUSED = "The server refuses this address: open the link that it printed; see also its option --origin";
@@ -15,8 +17,11 @@ export class Seat {
   /** @type {string | null} the participant's id, if the server runs a study */
   #participant = null;
   #connected = false;  // whether a connection was ever open
+  #tell;
 
-  constructor() {
+  /** @param {(text: string) => void} tell  called when the connection broke, and with "" when a request is answered again */
+  constructor(tell) {
+    this.#tell = tell;
     this.#connect();
   }
 
@@ -32,7 +37,7 @@ export class Seat {
         this.#connected = true;
         resolve(null);
       });
-      this.socket.addEventListener("close", () => reject(new Error(this.#connected ? GONE : REFUSED)));
+      this.socket.addEventListener("close", () => reject(this.#connected ? new Disconnected(GONE) : new Error(REFUSED)));
     });
     this.opened.catch(() => {});  // requests report the error
     this.socket.addEventListener("message", ({ data }) => {
@@ -41,19 +46,36 @@ export class Seat {
       else asked?.resolve(reply);
     });
     this.socket.addEventListener("close", () => {
-      for (const { reject } of waiting.splice(0)) reject(new Error(GONE));
+      for (const { reject } of waiting.splice(0)) reject(new Disconnected(GONE));
     });
   }
 
-  /** Sends a request, over a new connection if the last one broke. @param {object} question @returns {Promise<any>} */
-  async ask(question) {
-    if (this.socket.readyState > WebSocket.OPEN) {
-      this.#connect();
-      if (this.#participant) await this.#send({ return: this.#participant });
+  /** Sends a request. If the connection breaks, reconnects and sends it again, until it is answered. @param {object} question @returns {Promise<any>} */
+  ask(question) {
+    return this.#persist(async () => {
+      if (this.socket.readyState > WebSocket.OPEN) {
+        this.#connect();
+        if (this.#participant) await this.#send({ return: this.#participant });
+      }
+      const reply = await this.#send(question);
+      this.#participant = reply.participant ?? this.#participant;
+      return reply;
+    });
+  }
+
+  /** Repeats an attempt while there is no connection. @template T @param {() => Promise<T>} attempt @returns {Promise<T>} */
+  async #persist(attempt) {
+    for (let failures = 0; ; failures++) {
+      try {
+        const reply = await attempt();
+        if (failures) this.#tell("");
+        return reply;
+      } catch (error) {
+        if (!(error instanceof Disconnected)) throw error;
+        this.#tell(GONE);
+        await new Promise((resolve) => { setTimeout(resolve, PAUSES[Math.min(failures, PAUSES.length - 1)]); });
+      }
     }
-    const reply = await this.#send(question);
-    this.#participant = reply.participant ?? this.#participant;
-    return reply;
   }
 
   /** @param {object} question @returns {Promise<any>} */
@@ -64,11 +86,11 @@ export class Seat {
     try {
       return await new Promise((resolve, reject) => {
         late = setTimeout(() => {
-          reject(new Error(GONE));
+          reject(new Disconnected(GONE));
           socket.close();
         }, PATIENCE);
         opened.then(() => {
-          if (socket.readyState !== WebSocket.OPEN) throw new Error(GONE);
+          if (socket.readyState !== WebSocket.OPEN) throw new Disconnected(GONE);
           waiting.push({ resolve, reject });
           socket.send(JSON.stringify(question));
         }).catch(reject);
@@ -80,13 +102,23 @@ export class Seat {
 
   /** @type {Opener} */
   open = async (_environment, { seed }, task, variant) => {
-    const { scene } = await this.ask({ open: { task, variant, seed } });
-    const { socket } = this;  // the connection whose server simulates this episode
-    const act = async (/** @type {number} */ action) => {
-      if (this.socket !== socket || socket.readyState !== WebSocket.OPEN) throw new Error(LOST);
-      return moved(scene, (await this.#send({ act: action })).poses);
-    };
-    return { scene, act, close: () => {} };
+    const open = () => this.ask({ open: { task, variant, seed } });
+    const { scene } = await open();
+    let { socket } = this, isOpen = true;  // the connection whose server simulates this episode
+    /** @type {number[]} */
+    const actions = [];
+    const act = (/** @type {number} */ action) => this.#persist(async () => {
+      if (!isOpen) throw new Error("this episode was left");
+      if (this.socket !== socket || socket.readyState !== WebSocket.OPEN) {  // the episode is repeated up to here over a new connection
+        await open();
+        ({ socket } = this);
+        for (const earlier of actions) await this.#send({ act: earlier });
+      }
+      const { poses } = await this.#send({ act: action });
+      actions.push(action);
+      return moved(scene, poses);
+    });
+    return { scene, act, close: () => { isOpen = false; } };
   };
 }
 

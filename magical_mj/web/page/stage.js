@@ -308,7 +308,7 @@ export class Stage {
 }
 
 const SURROUND = ["floor", "surround"];
-const isDark = () => matchMedia("(prefers-color-scheme: dark)").matches;
+const isDark = () => document.documentElement.dataset.theme === "dark";
 const WHITE = new THREE.Color(0xffffff);
 const UNIT = {
   box: new THREE.BoxGeometry(2, 2, 2), sphere: new THREE.SphereGeometry(1, 16, 12),
