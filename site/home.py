@@ -11,7 +11,6 @@ from conf import PAPER, REPOSITORY
 from pictures import film
 from standings_page import headline
 
-from magical_mj import __version__
 from magical_mj.engine import Engine
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
@@ -25,8 +24,7 @@ TEMPLATE: Final = """<p class="question">A robot has seen ten demonstrations of 
 the task if poses, colours, shapes or the number of objects change? MAGICAL measures this with 8 tasks and 60
 environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p>
 
-<p class="links"><a href="{paper}">Paper</a> {code}<a href="play/">Play</a> <a href="standings.html">Leaderboard</a>
-<span>Version {version}</span></p>
+<p class="links"><a href="{paper}">Paper</a> {code}<a href="play/">Play</a> <a href="standings.html">Leaderboard</a></p>
 
 <div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
 
@@ -59,7 +57,6 @@ def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
     return TEMPLATE.format(
         paper=PAPER,
         code=f'<a href="{REPOSITORY}">Code</a> ' if REPOSITORY else "",
-        version=__version__,
         sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
         install=install(),
         cards=cards,
@@ -71,7 +68,7 @@ def install() -> str:
     """The commands that install the package, in a shell."""
     pip = 'pip install ".[video]"'
     if not REPOSITORY:
-        return f"# in a checkout of the repository, with Python 3.11 or newer\n{pip}"
+        return f"# in a checkout of the repository\n{pip}"
     return f"git clone --depth 1 {REPOSITORY}\ncd {REPOSITORY.rpartition('/')[2]}\n{pip}"
 
 

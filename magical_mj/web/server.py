@@ -168,7 +168,7 @@ class PlayServer:
                 return None
             data = environment_scenes(task, variant)
             if self.collection is not None and "expert" not in self.collection.study.shows:
-                data = {"demonstrations": [], "scenes": [{**scene, "expert": ""} for scene in data["scenes"]]}
+                data |= {"demonstrations": [], "scenes": [{**scene, "expert": ""} for scene in data["scenes"]]}
             return json.dumps(data, separators=(",", ":")).encode()
         return self._files.get(name)
 

@@ -200,8 +200,12 @@ test("the lists show the displayed scene, and are empty for other models", async
     assert.equal(await page.evaluate("location.hash"), "#file");
   }
   assert.ok(await page.isDisabled("#seed") && await page.isDisabled("#variant"));
+  await page.selectOption("#task", "FindDupe");
+  await untilOpen("FindDupe-Demo-0");
+  await page.goBack();
+  await untilOpen("cartpole.xml");
   await page.reload();
-  await page.waitForFunction(() => document.getElementById("message")?.textContent?.startsWith("Open the model again"));
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.startsWith("The page keeps no files"));
   assert.deepEqual(await choice(), NOTHING);
   await page.selectOption("#task", "FindDupe");
   await untilOpen("FindDupe-Demo-0");
@@ -211,6 +215,27 @@ test("the lists show the displayed scene, and are empty for other models", async
   assert.deepEqual(await choice(), before, "what is displayed stays, and so does what is said of it");
   assert.equal(await page.evaluate("location.hash"), "#FindDupe-Demo-0");
   assert.deepEqual(complaints, []);
+});
+
+test("without WebGL, scenes are drawn flat; touch buttons drive", async () => {
+  const plain = await browser.context.newPage();
+  await plain.addInitScript(() => {
+    const get = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = /** @type {any} */ (function (/** @type {string} */ kind, /** @type {any[]} */ ...rest) {
+      return /webgl/.test(kind) ? null : get.call(/** @type {any} */ (this), kind, ...rest);
+    });
+  });
+  await plain.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
+  const opened = () => plain.waitForFunction(() => document.title.startsWith("MoveToCorner") && document.getElementById("message")?.textContent === "");
+  await opened();
+  const picture = () => plain.$eval("#solids", (canvas) => /** @type {HTMLCanvasElement} */ (canvas).toDataURL());
+  const before = await picture();
+  await plain.dispatchEvent("[data-command=forward]", "click");
+  await plain.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.4);
+  assert.notEqual(await picture(), before);
+  await plain.setInputFiles("#file", { name: "other.xml", mimeType: "text/xml", buffer: Buffer.from("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>") });
+  await plain.waitForFunction(() => document.getElementById("message")?.textContent?.includes("can draw only scenes of the benchmark"));
+  await plain.close();
 });
 
 test("errors of a model are shown, and the previous model stays", async () => {

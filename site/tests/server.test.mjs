@@ -61,11 +61,10 @@ test("participants play at the server and send their episodes", async () => {
         server.kill();
         await once(server, "exit");
         await page.click("#save");
-        await untilStatus(page, "no connection to the server: try again");
+        await untilStatus(page, "no connection to the server: trying again");
         server = serve(...options, "--port", new URL(address).port);
         assert.equal(await addressOf(server), address);
-      }
-      await page.click("#save");
+      } else await page.click("#save");
       await untilStatus(page, "Kept");
     }
     assert.deepEqual(questions, Array(2).fill("This episode was not sent. Leave it?"));
@@ -81,6 +80,52 @@ test("participants play at the server and send their episodes", async () => {
     await page.waitForFunction(() => document.getElementById("people")?.textContent === "1 participant");
     assert.deepEqual(await barriers(page), []);
     assert.deepEqual(complaints.filter((text) => !text.includes("ERR_CONNECTION_REFUSED")), []);
+  } finally {
+    await browser.close();
+    server.kill();
+  }
+});
+
+test("a study counts its episodes, survives a restart within one, and keeps the completion code", async () => {
+  const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
+  await writeFile(`${folder}.toml`, ['title = "Pushing blocks"', 'completion_code = "MAGIC-42"', "episodes = 2", "practice = 1",
+    "[environments]", "MoveToRegion-Demo = 9"].join("\n"));
+  const options = ["--collect", folder, "--study", `${folder}.toml`];
+  let server = serve(...options);
+  const browser = await launch();
+  try {
+    const address = await addressOf(server), page = await browser.context.newPage();
+    await page.goto(address);
+    for (const turn of ["Practice 1 of 1: this episode does not count.", "Episode 1 of 2", "Episode 2 of 2"]) {
+      await page.waitForFunction((turn) => document.getElementById("turn")?.textContent === turn, turn);
+      await untilStatus(page, "ress a key");
+      assert.equal(await page.textContent("h1"), "Pushing blocks");
+      await page.keyboard.press("ArrowUp");
+      if (turn.startsWith("Episode 1")) {
+        await page.keyboard.down("ArrowUp");
+        await untilStatus(page, "Playing");
+        await page.waitForFunction(() => /** @type {any} */ (document.getElementById("time")).value > 0.1);
+        server.kill();
+        await once(server, "exit");
+        await untilStatus(page, "no connection to the server: trying again");
+        server = serve(...options, "--port", new URL(address).port);
+        await addressOf(server);
+        await untilStatus(page, "Playing");
+        await page.keyboard.up("ArrowUp");
+      }
+      await untilStatus(page, "Over");
+      await page.click("#save");
+      await untilStatus(page, turn.startsWith("Practice") ? "That was practice" : "Kept");
+    }
+    for (const key of ["", "r", "n"]) {
+      if (key) await page.keyboard.press(key);
+      assert.match(await page.textContent("#ending") ?? "", /everything.*Your code: MAGIC-42/);
+    }
+    await page.reload();
+    await page.waitForSelector("#ending:not([hidden])");
+    assert.match(await page.textContent("#ending") ?? "", /MAGIC-42/);
+    const [participant] = await readdir(folder);
+    assert.equal((await readdir(join(folder, participant))).length, 2);
   } finally {
     await browser.close();
     server.kill();
@@ -107,9 +152,8 @@ test("if a server stops answering, no episode is lost, and the page soon reports
     await page.keyboard.press("n");
     assert.deepEqual(questions, ["This episode was not sent. Leave it?"]);
     await page.clock.fastForward(60000);
-    await untilStatus(page, "no connection to the server: try again");
+    await untilStatus(page, "no connection to the server: trying again");
     server.kill("SIGCONT");
-    await page.click("#save");
     await untilStatus(page, "Kept");
     await page.evaluate("confirm = () => true");  // another scene is chosen before the answer arrives, and loaded after it
     /** @type {() => unknown} */

@@ -9,6 +9,7 @@ import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
 import { download } from "./recording.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
+import { FlatStage } from "./flat.js";
 import { Stage } from "./stage.js";
 import { InspectedModel } from "./inspected.js";
 
@@ -18,10 +19,10 @@ const SLOW = 60;  // milliseconds between pictures
 const LATE = 0.25;  // seconds: a longer delay is not caught up
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
-/** @type {Stage} */
+/** @type {Stage | FlatStage} */
 let stage;
 const plots = new Plots(element("plot"), element("plotted"));
-const controls = new Controls(element("solids"), []);
+const controls = new Controls(element("solids"), document.querySelectorAll("[data-command]"));
 
 /** The current state of the page. */
 const shown = {
@@ -59,7 +60,7 @@ async function open(name, address, read, isNew = false) {
     shown.inspected?.close();
     Object.assign(shown, { turned: shown.last, inspected, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
-    stage.open(inspected);
+    stage.open(inspected, text);
     showModel(inspected);
     showAddress(address, isNew);
     say("");
@@ -79,7 +80,7 @@ async function open(name, address, read, isNew = false) {
 /** @param {InspectedModel} inspected */
 function showModel(inspected) {
   document.title = `${shown.name} · Inspect a model · MAGICAL`;
-  element("legend").hidden = !inspected.acts;
+  for (const id of ["legend", "pad"]) element(id).hidden = !inspected.acts;
   element("expert").hidden = !shown.expert.length;
   element("model").href = `data:text/xml;charset=utf-8,${encodeURIComponent(shown.text)}`;
   element("model").download = shown.name.endsWith(".xml") ? shown.name : `${shown.name}.xml`;
@@ -382,9 +383,13 @@ function connect() {
 }
 
 try {
-  stage = new Stage(element("solids"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
   onProgress((share) => { element("download").value = share; });
   catalogue = await fetchJson("catalogue.json");
+  const isSolid = document.createElement("canvas").getContext("webgl2") !== null;
+  const canvas = element("solids");
+  stage = isSolid ? new Stage(canvas, () => { Object.assign(shown, { stale: true, turned: shown.last }); }) : new FlatStage(canvas, catalogue.look);
+  element("switches").hidden = !isSolid;
+  canvas.classList.toggle("flat", !isSolid);
   if (catalogue.simulation === "server") element("home").removeAttribute("href");
   connect();
   requestAnimationFrame(frame);

@@ -496,7 +496,10 @@ if (catalogue.collects) {
   element("save").textContent = "Send";
   element("instructions").hidden = !catalogue.instructions;
   element("instructions").textContent = catalogue.instructions;
-  if (catalogue.title) document.title = element("home").textContent = catalogue.title;
+  if (catalogue.title) {
+    document.title = element("home").textContent = catalogue.title;
+    document.body.classList.add("titled");
+  }
 }
 for (const choice of ["task", "variant", "seed"]) element(choice).parentElement.hidden ||= !may("scenes");
 for (const choice of ["next", "more"]) element(choice).hidden = !may("scenes");

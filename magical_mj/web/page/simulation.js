@@ -8,6 +8,35 @@ import { moved } from "./scene.js";
 import { speedSignal, vector } from "./speeds.js";
 import { stateVector } from "./state.js";
 
+/** @typedef {{robot: number, fingers: number[], blocks: number[], pebbles?: number[]}} Addresses  indices in qpos of the first coordinate of each object */
+
+/** @param {any} mujoco @param {any} model @param {Scene} scene @returns {Addresses} */
+export function addressesOf(mujoco, model, scene) {
+  const address = (/** @type {string} */ joint) => {
+    const id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT.value, joint);
+    return id < 0 ? -1 : model.jnt_qposadr[id];
+  };
+  return {
+    robot: address("robot_x"),
+    fingers: ["left_finger", "right_finger"].map(address).filter((at) => at >= 0),  // sticks have none
+    blocks: scene.blocks.map((_, i) => address(`block${i}_x`)),
+    pebbles: scene.pebbles?.map((_, i) => address(`pebble${i}_x`)),
+  };
+}
+
+/** A scene with the poses in a state. @param {Scene} scene @param {Addresses} addresses @param {Float64Array} qpos */
+export function sceneAt(scene, addresses, qpos) {
+  const [robot, ...blocks] = planar(addresses, qpos);
+  const pebbles = addresses.pebbles?.map((first) => [...qpos.subarray(first, first + 2)]);
+  return moved(scene, { robot, fingers: fingers(scene, addresses, qpos), blocks, pebbles });
+}
+
+/** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Addresses} addresses @param {Float64Array} values  each joint has one */
+const planar = ({ robot, blocks }, values) => [robot, ...blocks].map((first) => [values[first], values[first + 1], values[first + 2]]);
+
+/** The angles of the fingers. For a body without fingers, those of the scene. @param {Scene} scene @param {Addresses} addresses @param {Float64Array} qpos */
+const fingers = ({ robot }, addresses, qpos) => addresses.fingers.length ? addresses.fingers.map((at) => qpos[at]) : robot.fingers;
+
 export class Simulation {
   /**
    * @param {any} mujoco  the module that its loader gives
@@ -23,16 +52,7 @@ export class Simulation {
     mujoco.mj_resetDataKeyframe(this.model, this.data, 0);
     this.controls = this.#numbers("controls");  // a row for each action, or empty if actions are speeds
     [this.substeps] = this.#numbers("substeps");
-    const address = (/** @type {string} */ joint) => {
-      const id = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_JOINT.value, joint);
-      return id < 0 ? -1 : this.model.jnt_qposadr[id];
-    };
-    this.addresses = {
-      robot: address("robot_x"),
-      fingers: ["left_finger", "right_finger"].map(address).filter((at) => at >= 0),  // sticks have none
-      blocks: scene.blocks.map((_, i) => address(`block${i}_x`)),
-      pebbles: scene.pebbles?.map((_, i) => address(`pebble${i}_x`)),
-    };
+    this.addresses = addressesOf(mujoco, this.model, scene);
   }
 
   /**
@@ -50,30 +70,18 @@ export class Simulation {
       ctrl.set(speedSignal(typeof action === "number" ? vector(action) : action, fingers, ctrl, this.substeps, this.model.opt.timestep));
     }
     for (let i = 0; i < this.substeps; i++) this.mujoco.mj_step(this.model, this.data);
-    const [robot, ...blocks] = this.#planar(this.data.qpos);
-    const pebbles = this.addresses.pebbles?.map((first) => [...this.data.qpos.subarray(first, first + 2)]);
-    return moved(this.scene, { robot, fingers: this.#fingers(), blocks, pebbles });
+    return sceneAt(this.scene, this.addresses, this.data.qpos);
   }
 
   /** The current state vector for policies. */
   state() {
-    return stateVector(this.scene, this.#planar(this.data.qpos), this.#planar(this.data.qvel), this.#fingers());
+    const { scene, addresses, data: { qpos, qvel } } = this;
+    return stateVector(scene, planar(addresses, qpos), planar(addresses, qvel), fingers(scene, addresses, qpos));
   }
 
   /** The renderer of pictures for policies. */
   raster() {
     return new Raster(this.mujoco, this.model, this.mjcf, this.scene);
-  }
-
-  /** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Float64Array} values  each joint has one */
-  #planar(values) {
-    return [this.addresses.robot, ...this.addresses.blocks].map((first) => [values[first], values[first + 1], values[first + 2]]);
-  }
-
-  /** The angles of the fingers. For a body without fingers, those of the scene. */
-  #fingers() {
-    const { fingers } = this.addresses;
-    return fingers.length ? fingers.map((at) => this.data.qpos[at]) : this.scene.robot.fingers;
   }
 
   /**

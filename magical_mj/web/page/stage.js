@@ -118,12 +118,13 @@ export class Stage {
     const colour = new THREE.Color().setRGB(rgba[0], rgba[1], rgba[2], THREE.SRGBColorSpace);
     const side = type === PLANE ? THREE.FrontSide : THREE.DoubleSide;
     const isCollision = GROUPS.collision.includes(group);
-    const look = { color: colour, side, transparent: rgba[3] < 1 || isCollision, opacity: isCollision ? 0.5 : rgba[3] };
+    const look = { color: colour, side, transparent: rgba[3] < 1 || isCollision, opacity: rgba[3] };
     const map = type === PLANE ? this.#texture(material, size) : null;
     const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ ...look, map }));
     if (isCollision) {
       mesh.material.color.set(0xd0503c);
-      if (model.body_weldid[model.geom_bodyid[geom]] === 0) Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });  // walls
+      Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });
+      mesh.add(new THREE.LineSegments(this.#edges(geometry), OUTLINE));
     }
     if (isDark() && SURROUND.includes(this.inspected.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
@@ -157,6 +158,13 @@ export class Stage {
     map.repeat.set(isUniform ? x * (size[0] || 50) : x, isUniform ? y * (size[1] || 50) : y);
     map.needsUpdate = true;
     return map;
+  }
+
+  /** The edges of a geometry. @param {any} geometry */
+  #edges(geometry) {
+    const { geometries } = this;
+    if (!geometries.has(geometry.uuid)) geometries.set(geometry.uuid, new THREE.EdgesGeometry(geometry, 20));
+    return geometries.get(geometry.uuid);
   }
 
   /** The geometry of a geom. Geoms of the same size share it. @param {number} type @param {number[]} size @param {number} dataid */
@@ -310,6 +318,7 @@ export class Stage {
 const SURROUND = ["floor", "surround"];
 const isDark = () => document.documentElement.dataset.theme === "dark";
 const WHITE = new THREE.Color(0xffffff);
+const OUTLINE = new THREE.LineBasicMaterial({ color: 0xd0503c });
 const UNIT = {
   box: new THREE.BoxGeometry(2, 2, 2), sphere: new THREE.SphereGeometry(1, 16, 12),
   cylinder: new THREE.CylinderGeometry(1, 1, 2, 20).rotateX(Math.PI / 2), rod: new THREE.CylinderGeometry(1, 1, 1, 8).rotateX(Math.PI / 2).translate(0, 0, 0.5),
