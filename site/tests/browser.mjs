@@ -32,7 +32,7 @@ export async function serve(folder, { compress = false } = {}) {
       const hosted = compress ? { "cache-control": "max-age=600", "content-encoding": "gzip" } : {};
       response.writeHead(200, { "content-type": type, ...hosted }).end(compress ? gzipSync(content) : content);
     } catch {
-      response.writeHead(404).end();
+      response.writeHead(404, { "content-type": "text/html" }).end(await readFile(join(folder, "404.html")).catch(() => ""));
     }
   });
   await new Promise((resolve) => server.listen(0, "127.0.0.1", () => resolve(null)));
@@ -54,7 +54,7 @@ export async function launch({ keeps = false } = {}) {
     ? await firefox.launchPersistentContext(profile, { channel: "moz-firefox", executablePath: "/usr/bin/firefox-esr", headless: !process.env.DISPLAY, ...screen })
     : await chromium.launchPersistentContext(profile, { executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, ...screen });
   if (!keeps) await context.addInitScript(() => { Object.defineProperty(Navigator.prototype, "serviceWorker", { value: undefined }); });
-  context.setDefaultTimeout(120000);  // machines of continuous integration may be slow
+  context.setDefaultTimeout(40000);  // machines of continuous integration may be slow
   const close = async () => {
     await context.close();
     await rm(profile, { recursive: true, force: true });

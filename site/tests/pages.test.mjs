@@ -35,6 +35,32 @@ test("axe finds no accessibility problems, and no page is wider than a phone", a
   await page.setViewportSize({ width: 1280, height: 800 });
 });
 
+test("the first screen says what this is, and links work from a missing page at any depth", async () => {
+  for (const [width, height] of [[1280, 800], [390, 844]]) {
+    await page.setViewportSize({ width, height });
+    await page.goto(`${site.address}index.html`);
+    const seen = await page.evaluate(() => [...document.querySelectorAll("h1, .question, .links a, .install pre")].filter(
+      (one) => one.getBoundingClientRect().bottom <= innerHeight).map((one) => /** @type {HTMLElement} */ (one).innerText).join(" "));
+    for (const word of ["MAGICAL on MuJoCo: a benchmark for robust imitation learning", "Gymnasium", "Paper", "Play", "Leaderboard", "pip install"]) assert.ok(seen.includes(word), word);
+  }
+  await page.setViewportSize({ width: 1280, height: 800 });
+  for (const missing of ["missing.html", "play/missing/deeper/still"]) {
+    const reply = await page.goto(site.address + missing);
+    assert.equal(reply?.status(), 404);
+    await page.waitForSelector("base", { state: "attached" });
+    await page.getByText("Play").click();
+    await page.waitForFunction(() => document.getElementById("status"));
+    assert.equal(await page.evaluate("location.pathname"), "/sub/path/play/");
+  }
+});
+
+test("the search finds pages by what they are about, before objects of the API", async () => {
+  for (const [query, title] of [["how to add a task", "Adding a task"], ["demonstrations", "The demonstrations"], ["clutter", "Shifts"], ["evaluate my agent", "Evaluating an agent"]]) {
+    await page.goto(`${site.address}search.html?q=${encodeURIComponent(query)}`);
+    await page.waitForFunction((title) => [...document.querySelectorAll("#search-results li > a")].slice(0, 2).some((one) => one.textContent === title), title);
+  }
+});
+
 test("the gallery animates cards, filters them, and links to the page for playing", async () => {
   await page.goto(`${site.address}gallery.html#axis=colour`);
   const shown = page.locator(".gallery .card:visible");
