@@ -73,7 +73,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/research/physics_picture.py
 	$(BIN)/python -m tools.tables
 
-site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
+site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, in out/site; SITE_URL, SITE_REPOSITORY: their addresses
 	PYTHONPATH=.:site $(BIN)/python site/docs.py
 	PYTHONPATH=.:site $(BIN)/python site/play.py
 

@@ -54,7 +54,7 @@ export async function launch({ keeps = false } = {}) {
     ? await firefox.launchPersistentContext(profile, { channel: "moz-firefox", executablePath: "/usr/bin/firefox-esr", headless: !process.env.DISPLAY, ...screen })
     : await chromium.launchPersistentContext(profile, { executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, ...screen });
   if (!keeps) await context.addInitScript(() => { Object.defineProperty(Navigator.prototype, "serviceWorker", { value: undefined }); });
-  context.setDefaultTimeout(40000);  // machines of continuous integration may be slow
+  context.setDefaultTimeout(120000);  // machines of continuous integration may be slow
   const close = async () => {
     await context.close();
     await rm(profile, { recursive: true, force: true });
