@@ -4,8 +4,6 @@ import os
 import re
 from typing import Any
 
-from home import PAPER, REPOSITORY
-
 from magical_mj import __version__
 
 PAPER = "https://arxiv.org/abs/2011.00401"
