@@ -25,6 +25,8 @@ POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
 LATER: Final = ("onnx", "policies", "replays", "shifted", "three")
 """The folders with files that are stored for offline visits only after their first use."""
+LISTS: Final = ("policies/scores.json", "replays/index.json")
+"""The files in these folders that the page needs to start."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
@@ -82,7 +84,8 @@ def _worker(folder: Path) -> str:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     everything = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
     names = [path.relative_to(folder).as_posix() for path in files]
-    kept = [name for name in names if name.partition("/")[0] not in LATER and name != "index.html"]
+    kept = [name for name in names if name.partition("/")[0] not in LATER or name in LISTS]
+    kept.remove("index.html")  # it is stored as "./"
     text = (OFFLINE / "worker.js").read_text(encoding="utf-8")
     return text.replace("@HASH@", everything[:16]).replace("@FILES@", " ".join(["./", *kept]))
 
