@@ -111,7 +111,7 @@ def test_names_in_the_text_exist() -> None:
         *ROOT.glob("site/pages/*.md"),
         *ROOT.glob("magical_mj/**/*.py"),
     ]
-    entry_points = {"magical_mj.methods", "magical_mj.policy_folders", "magical_mj.tasks"}
+    entry_points = {"magical_mj.methods", "magical_mj.policy_folders", "magical_mj.task_languages", "magical_mj.tasks"}
     found = {
         name for page in pages for name in re.findall(r"`(magical_mj(?:\.\w+)+)", page.read_text("utf-8"))
     } - entry_points

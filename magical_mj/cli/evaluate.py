@@ -245,5 +245,5 @@ def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
         known = read_settings(folder)
     except EvaluationError:
         return False
-    now = settings.recorded(sources(TOURED))
+    now = settings.recorded() | {"policies": [source.described() for source in sources(TOURED)]}
     return all(known.get(name) == now[name] for name in SAME)

@@ -36,6 +36,8 @@ TASK_HELP = (
 )
 VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
 
+METAVARS = {"control": "<control>"}
+"""Names of options' values, where the list of choices would be wider than a narrow terminal."""
 COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
 
 Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(KNOWN))]
@@ -80,7 +82,11 @@ def add_options(command: Callable[..., None], settings: type, *names: str) -> No
             declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
             kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
             option = typer.Option(
-                *declared, help=setting.description, min=setting.least, autocompletion=COMPLETIONS.get(name)
+                *declared,
+                help=setting.description,
+                min=setting.least,
+                metavar=METAVARS.get(name),
+                autocompletion=COMPLETIONS.get(name),
             )
             parameters[name] = inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=setting.default, annotation=Annotated[kind, option]

@@ -133,7 +133,10 @@ class EvaluationSettings(Settings):
     ] = False
     control: Annotated[
         Control | None,
-        Meta(description="Control experiment: policies receive the demonstrations or instruction of another task."),
+        Meta(
+            description="wrong-demonstrations or wrong-instruction: a control experiment in which policies receive those of "
+            "another task."
+        ),
     ] = None
 
     def __post_init__(self) -> None:

@@ -48,6 +48,7 @@ COMMANDS = [
     ["demos", "generate", *SHORT, "--count", "1", "--jobs", "1", "--out", "{}/demos"],
     ["demos", "rollouts", *SHORT, "--steps", "1", "--preset", "State", "--jobs", "1", "--out", "{}/rollouts"],
     ["demos", "video", *SHORT, "--count", "1", "--size", "32", "--out", "{}/demos.mp4"],
+    ["demos", "intents", "robot in()", "--per-intent", "1", "--jobs", "1", "--folder", "{}/intents"],
     ["demos", "export", *SHORT, "--preset", "State", "--out", "{}/a.npz"],
     ["view", "MoveToRegion", "--size", "32", "--out", "{}/a/" + "two\nlines" + 237 * "x" + ".png"],
     ["export", "MoveToRegion", "--out", "{}/models"],
