@@ -1,4 +1,4 @@
-"""The policies, which plan in a copy of the simulation to reach an intent, and their file goals.json in a run's folder."""
+"""The policies, which plan in a copy of the simulation to reach an intent, and their file in a run's folder."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ class InferredGoal:
 
     def reset(self, episode: Episode) -> None:
         """Begins an episode."""
-        ends = tuple(map(ends_of, episode.demonstrations))
+        demonstrations: tuple[Any, ...] = episode.demonstrations
+        ends = tuple(map(ends_of, demonstrations))
         if ends not in self._inferred:
             self._inferred[ends] = infer(ends)[:SHOWN]
         self._next = follower(self._inferred[ends], episode)

@@ -1,0 +1,181 @@
+"""Plays the test intents with baselines, and writes their table into docs/intents.md.
+
+    python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
+    python -m tools.intent_baselines play OUT goals-4   or some
+    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the table
+    python -m tools.intent_baselines write              writes the table
+
+It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.scores import read
+from magical_mj.tasks.languages import members
+from magical_mj.tasks.registry import task_name
+from tools.tables import ROOT, filled, table
+
+DATA: Final = ROOT / "docs" / "intent-baselines.csv"
+PAGE: Final = ROOT / "docs" / "intents.md"
+TESTS: Final = ("seen", "combined", "selector", "relation", "long")
+VARIANTS: Final = ("Demo", "Layout", "All")
+INTENTS: Final = 6
+"""The number of intents of each set that a baseline plays."""
+FEW: Final = 3
+"""The same for baselines that are trained for each intent."""
+EPISODES: Final = 1
+"""The number of episodes of each intent in each variant."""
+SHOWN: Final = 4
+"""The number of demonstrations that a policy is given."""
+
+
+class Baseline(NamedTuple):
+    """A row of the table: a policy, what it is given, and the settings of its evaluation."""
+
+    method: str
+    given: str
+    policy: str
+    settings: Mapping[str, Any] = {}
+    intents: int = INTENTS
+
+
+def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
+    """The settings for demonstrations in some demo scenes."""
+    return {"demonstrations": SHOWN, "scenes": scenes, "contrasting": contrasting}
+
+
+GOALS: Final = "magical_goals.policy:InferredGoal"
+BASELINES: Final = {
+    "noop": Baseline("Doing nothing", "", "noop"),
+    "random": Baseline("Random actions", "", "random"),
+    "cloned-1": Baseline(
+        "BC for each intent", "demonstrations in 1 scene", "magical_intents.cloning:Cloned", shown(1), FEW
+    ),
+    "goals-1": Baseline("Intent inference", "demonstrations in 1 scene", GOALS, shown(1)),
+    "goals-4": Baseline("Intent inference", "demonstrations in 4 random scenes", GOALS, shown(4)),
+    "goals-4-contrasting": Baseline(
+        "Intent inference", "demonstrations in 4 contrasting scenes", GOALS, shown(4, contrasting=True)
+    ),
+    "expert": Baseline("Expert", "the intent", "expert"),
+}
+"""Name -> row."""
+
+
+class Mean(NamedTuple):
+    """The mean score of a baseline with an intent in a variant."""
+
+    baseline: str
+    set: str
+    number: int
+    variant: str
+    score: float
+
+
+def played(intents: int) -> dict[tuple[str, int], str]:
+    """Set and number -> the name of the task, of the first intents of each set."""
+    return {
+        (name, number): task_name(task)
+        for name in TESTS
+        for number, task in enumerate(members(f"intent:{name}")[:intents])
+    }
+
+
+def play(out: Path, names: Iterable[str]) -> None:
+    """Plays some baselines; each has a folder in `out`."""
+    for name in names:
+        baseline, folder = BASELINES[name], out / name
+        magical_mj.evaluate(
+            baseline.policy,
+            name=baseline.method,
+            tasks=list(played(baseline.intents).values()),
+            variants=list(VARIANTS),
+            episodes=EPISODES,
+            jobs=1,
+            out=folder,
+            resume=folder.exists(),
+            **baseline.settings,
+        )
+
+
+def gather(out: Path) -> list[Mean]:
+    """The means of the baselines that were played to the end."""
+    means = []
+    for name in filter(lambda name: (out / name).exists(), BASELINES):
+        scores: dict[tuple[str, str], list[float]] = {}
+        for row in read(out / name):
+            scores.setdefault((row.task, row.variant), []).append(row.score)
+        of_rows = {
+            (name, *place, variant): scores.get((task, variant), [])
+            for place, task in played(BASELINES[name].intents).items()
+            for variant in VARIANTS
+        }
+        if all(of_rows.values()):
+            means += [Mean(*key, float(np.mean(each))) for key, each in of_rows.items()]
+    return means
+
+
+def stored() -> list[Mean]:
+    """The means in the file."""
+    with DATA.open(encoding="utf-8", newline="") as file:
+        rows = csv.DictReader(file)
+        return [Mean(r["baseline"], r["set"], int(r["number"]), r["variant"], float(r["score"])) for r in rows]
+
+
+def store(means: Sequence[Mean]) -> None:
+    """Writes the file."""
+    with DATA.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Mean._fields)
+        writer.writerows((*mean[:-1], f"{mean.score:.4g}") for mean in means)
+
+
+def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
+    """The mean over variants of each intent, shape (intents,)."""
+    found: dict[tuple[str, int], list[float]] = {}
+    for mean in means:
+        found.setdefault((mean.set, mean.number), []).append(mean.score)
+    return np.array([np.mean(scores) for scores in found.values()])
+
+
+def baselines(means: Sequence[Mean]) -> str:
+    """The table: means by set over the variants, by variant over the sets, and of all, with intervals over intents."""
+    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
+    kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
+    rows = []
+    for name, baseline in BASELINES.items():
+        own = [mean for mean in means if mean.baseline == name]
+        if own:
+            parts = [f"{over_intents(filter(kind, own)).mean():.2f}" for kind in kinds]
+            every = over_intents(own)
+            low, high = mean_interval([over_intents(m for m in own if m.set == group) for group in TESTS])
+            rows.append((baseline.method, baseline.given, *parts, f"{every.mean():.2f} ({low:.2f} to {high:.2f})"))
+    return table(("Method", "Given", *TESTS, *VARIANTS, "mean"), rows)
+
+
+def write() -> None:
+    """Writes the table."""
+    text = filled(PAGE.read_text("utf-8"), {"baselines": baselines(stored())}, "python -m tools.intent_baselines")
+    PAGE.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["play", out, *names]:
+            play(Path(out), names or BASELINES)
+        case ["write", *out]:
+            if out:
+                store(gather(Path(out[0])))
+            write()
+        case _:
+            sys.exit(__doc__)
