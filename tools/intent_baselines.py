@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -24,6 +25,7 @@ from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import read
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
+from magical_mj.utils.errors import EvaluationError
 from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
@@ -111,10 +113,11 @@ def play(out: Path, names: Iterable[str]) -> None:
 def gather(out: Path) -> list[Mean]:
     """The means of the baselines that were played to the end."""
     means = []
-    for name in filter(lambda name: (out / name).exists(), BASELINES):
+    for name in BASELINES:
         scores: dict[tuple[str, str], list[float]] = {}
-        for row in read(out / name):
-            scores.setdefault((row.task, row.variant), []).append(row.score)
+        with suppress(EvaluationError):  # nothing was played yet
+            for row in read(out / name):
+                scores.setdefault((row.task, row.variant), []).append(row.score)
         of_rows = {
             (name, *place, variant): scores.get((task, variant), [])
             for place, task in played(BASELINES[name].intents).items()
