@@ -1,17 +1,20 @@
-"""Plays the test intents with baselines, and writes their table into docs/intents.md.
+"""Plays the test intents with baselines, and writes their tables into docs/intents.md.
 
     python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT goals-4   or some
-    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the table
-    python -m tools.intent_baselines write              writes the table
+    python -m tools.intent_baselines infer              writes docs/inferred-intents.csv, or what it lacks
+    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the tables
+    python -m tools.intent_baselines write              writes the tables
 
-It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played.
+It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Two policies
+are trained on other intents before, with python -m magical_intents.train KIND OUT/KIND (sentence or demonstrations).
 """
 
 from __future__ import annotations
 
 import csv
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,14 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.evaluation.given import demonstrations_given, intent_of
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.intents import parse
+from magical_mj.intents.ambiguity import ends_of
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.utils.errors import EvaluationError
 from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
+INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
 PAGE: Final = ROOT / "docs" / "intents.md"
 TESTS: Final = ("seen", "combined", "selector", "relation", "long")
 VARIANTS: Final = ("Demo", "Layout", "All")
@@ -57,12 +65,21 @@ def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
     return {"demonstrations": SHOWN, "scenes": scenes, "contrasting": contrasting}
 
 
+KINDS: Final = ("sentence", "demonstrations")
+"""The trained policies: folders in `OUT`."""
 GOALS: Final = "magical_goals.policy:InferredGoal"
 BASELINES: Final = {
     "noop": Baseline("Doing nothing", "", "noop"),
     "random": Baseline("Random actions", "", "random"),
     "cloned-1": Baseline(
         "BC for each intent", "demonstrations in 1 scene", "magical_intents.cloning:Cloned", shown(1), FEW
+    ),
+    "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
+    "demonstrations-policy-1": Baseline(
+        "Policy for many intents", "demonstrations in 1 scene", "demonstrations", shown(1)
+    ),
+    "demonstrations-policy-4": Baseline(
+        "Policy for many intents", "demonstrations in 4 random scenes", "demonstrations", shown(4)
     ),
     "goals-1": Baseline("Intent inference", "demonstrations in 1 scene", GOALS, shown(1)),
     "goals-4": Baseline("Intent inference", "demonstrations in 4 random scenes", GOALS, shown(4)),
@@ -72,6 +89,9 @@ BASELINES: Final = {
     "expert": Baseline("Expert", "the intent", "expert"),
 }
 """Name -> row."""
+
+
+MISREADINGS: Final = ("the intent", "its relations, other blocks or places", "fewer relations", "other relations")
 
 
 class Mean(NamedTuple):
@@ -98,7 +118,7 @@ def play(out: Path, names: Iterable[str]) -> None:
     for name in names:
         baseline, folder = BASELINES[name], out / name
         magical_mj.evaluate(
-            baseline.policy,
+            str(out / baseline.policy) if baseline.policy in KINDS else baseline.policy,
             name=baseline.method,
             tasks=list(played(baseline.intents).values()),
             variants=list(VARIANTS),
@@ -166,16 +186,70 @@ def baselines(means: Sequence[Mean]) -> str:
     return table(("Method", "Given", *TESTS, *VARIANTS, "mean"), rows)
 
 
+class Reading(NamedTuple):
+    """What intent inference makes of an intent's demonstrations."""
+
+    baseline: str
+    set: str
+    number: int
+    intent: str
+    inferred: str
+
+
+def infer_all() -> None:
+    """Writes the file of readings, or those that it lacks."""
+    from magical_goals.inference import infer  # in a package that may not be installed
+
+    tasks, known = played(INTENTS), {reading[:3] for reading in readings()}
+    for name in (name for name, baseline in BASELINES.items() if baseline.policy == GOALS):
+        left = {place: task for place, task in tasks.items() if (name, *place) not in known}
+        how: dict[str, Any] = {"tasks": list(left.values()), "variants": "Demo", **BASELINES[name].settings}
+        given = demonstrations_given(EvaluationSettings(**how)) if left else {}
+        for place, task in left.items():
+            inferred = infer([ends_of(demonstration) for demonstration in given[task]])[0].intent
+            with INFERRED.open("a", encoding="utf-8", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerow((name, *place, intent_of(task), inferred))
+
+
+def readings() -> list[Reading]:
+    """The readings in the file."""
+    with INFERRED.open(encoding="utf-8", newline="") as file:
+        return [
+            Reading(r["baseline"], r["set"], int(r["number"]), r["intent"], r["inferred"]) for r in csv.DictReader(file)
+        ]
+
+
+def misreading(reading: Reading) -> str:
+    """One of `MISREADINGS`."""
+    if reading.intent == reading.inferred:
+        return "the intent"
+    true, read = (Counter(one.relation for one in parse(text).conjuncts) for text in reading[-2:])
+    if true == read:
+        return "its relations, other blocks or places"
+    return "fewer relations" if read < true else "other relations"
+
+
+def misread(every: Sequence[Reading]) -> str:
+    """The table of what is inferred: the number of intents."""
+    rows = []
+    for name in dict.fromkeys(reading.baseline for reading in every):
+        counts = Counter(misreading(reading) for reading in every if reading.baseline == name)
+        rows.append((BASELINES[name].given, *(str(counts[kind]) for kind in MISREADINGS)))
+    return table(("Given", *MISREADINGS), rows)
+
+
 def write() -> None:
-    """Writes the table."""
-    text = filled(PAGE.read_text("utf-8"), {"baselines": baselines(stored())}, "python -m tools.intent_baselines")
-    PAGE.write_text(text, "utf-8")
+    """Writes the tables."""
+    tables = {"baselines": baselines(stored()), "misread": misread(readings())}
+    PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, "python -m tools.intent_baselines"), "utf-8")
 
 
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["play", out, *names]:
             play(Path(out), names or BASELINES)
+        case ["infer"]:
+            infer_all()
         case ["write", *out]:
             if out:
                 store(gather(Path(out[0])))
