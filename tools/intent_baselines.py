@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.evaluation.given import demonstrations_given, intent_of
+from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import EvaluationSettings
@@ -206,7 +206,7 @@ def infer_all() -> None:
         how: dict[str, Any] = {"tasks": list(left.values()), "variants": "Demo", **BASELINES[name].settings}
         given = demonstrations_given(EvaluationSettings(**how)) if left else {}
         for place, task in left.items():
-            inferred = infer([ends_of(demonstration) for demonstration in given[task]])[0].intent
+            inferred = infer([ends_of(demonstration) for demonstration in with_states(given[task])])[0].intent
             with INFERRED.open("a", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerow((name, *place, intent_of(task), inferred))
 

@@ -21,8 +21,8 @@ from torch import nn
 from magical_intents.network import Conditioned, moments_of, words_of
 from magical_intents.policy import POLICY
 from magical_mj.demos import Transitions
-from magical_mj.demos.intents import Example
 from magical_mj.intents import SETS, Intent, dataset
+from magical_mj.intents.expert_data import Example
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
 from magical_mj.policies.interface import histories

@@ -52,8 +52,10 @@ def test_policies_use_what_they_are_given(given: str, data: list[Lesson], tmp_pa
     how = {} if reads else {"demonstrations": 2}
     right = magical_mj.evaluate(policy, **asked, **how)
     assert right["failure"].isna().all()
-    assert set(right["given"]) == {"sentence" if reads else "2 demonstrations"}
-    wrong = magical_mj.evaluate(policy, control=f"wrong-{given}", **asked, **how)
+    assert set(right["given"]) == {"instruction" if reads else "2 demonstrations"}
+    wrong = magical_mj.evaluate(
+        policy, control="wrong-instruction" if reads else "wrong-demonstrations", **asked, **how
+    )
     assert list(wrong["actions"]) != list(right["actions"])
 
 
