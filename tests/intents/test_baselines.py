@@ -29,12 +29,16 @@ from tools.tables import filled
 TEXT = PAGE.read_text("utf-8")
 PROSE = " ".join(TEXT.replace("**", "").split())
 MEANS, READINGS = stored(), readings()
-ONE, RANDOM, CONTRASTING = "goals-1", "goals-4", "goals-4-contrasting"
+ONE, RANDOM, CONTRASTING, CLONED = "goals-1", "goals-4", "goals-4-contrasting", "cloned-1"
 
 
 def score(name: str, *groups: str) -> float:
     chosen = [mean for mean in MEANS if mean.baseline == name and mean.set in (groups or TESTS)]
     return float(over_intents(chosen).mean())
+
+
+def in_variant(name: str, variant: str) -> float:
+    return float(over_intents(mean for mean in MEANS if (mean.baseline, mean.variant) == (name, variant)).mean())
 
 
 def gain(name: str, other: str) -> tuple[float, float, float]:
@@ -62,6 +66,9 @@ def statements() -> list[str]:
         f"and {right(CONTRASTING)} from four contrasting ones.",
         f"In the set long, it scores {score(ONE, 'long'):.2f}, {score(RANDOM, 'long'):.2f}",
         f"and {score(CONTRASTING, 'long'):.2f}.",
+        "BC anew for each intent scores {:.2f} in Demo, {:.2f} in Layout and {:.2f} in All".format(
+            *(in_variant(CLONED, variant) for variant in VARIANTS)
+        ),
         f"The expert scores {score('expert'):.2f}, and random actions {score('random'):.2f}.",
     ]
 
