@@ -96,23 +96,23 @@ class Judge:
         used = {one.selector for one in conjuncts if RELATIONS[one.relation].of_blocks and one.selector != REST}
         self._table = _table_of(conjuncts, sorted(used) or [ALL])
         place = {conjunct: number for number, conjunct in enumerate(conjuncts)}
-        self._places = [
-            sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in self.intents
-        ]  # `others` come last
+        places = [sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in self.intents]
+        self._places = np.array(places, np.int64).reshape(-1, 2)  # `others` come last
 
     def reached(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
         """Which intents the episode has reached at its end, and not at its start. Shape (intents,)."""
-        return self._hold(initial, final) & ~self._hold(initial, initial)
+        return self.holds(initial, final) & ~self.holds(initial, initial)
 
-    def _hold(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+    def holds(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+        """Which intents hold in the final scene and are about something in the initial one. Shape (intents,)."""
         truths = _truths(self._table, initial, final)
-        flags = np.zeros(len(self.intents), np.bool_)
-        for number, (one, two) in enumerate(self._places):
-            rest = truths.rest.get(self._table.conjuncts[two])
-            flags[number] = truths.holds[one] and (
-                truths.holds[two] if rest is None else rest[self._table.selector[one]]
-            )
-        return flags
+        one, two = self._places.T
+        holds = truths.holds[two]
+        for number, conjunct in enumerate(self._table.conjuncts):
+            if conjunct in truths.rest:
+                with_others = two == number
+                holds[with_others] = truths.rest[conjunct][self._table.selector[one[with_others]]]
+        return truths.holds[one] & holds
 
 
 class _Table(NamedTuple):

@@ -1,1 +1,1 @@
-"""A method in a separate package. It infers a goal from the final states of demonstrations, and plans to reach it."""
+"""A method in a separate package. It infers an intent from the ends of demonstrations, and plans to reach it."""

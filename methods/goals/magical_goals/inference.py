@@ -1,119 +1,145 @@
-"""Infers a goal from demonstrations, by minimum description length (Rissanen, 1978).
+"""Infers an intent from demonstrations, by minimum description length (Rissanen, 1978).
 
-The goal is the relation that gives the final states of the demonstrations the shortest description: the bits of the
-relation itself, plus the bits that select each final state among all layouts that fulfil the relation. The fewer
-layouts fulfil a relation, the fewer bits this takes. So the strictest of the relations that hold in all final states
-is preferred. In Bayesian concept learning this is called the size principle (Tenenbaum, 1999).
+The intent is the one that gives the final scenes of the demonstrations the shortest description: the bits of the intent
+itself, plus the bits that select each final scene among all those in which the intent holds. The fewer scenes satisfy
+an intent, the fewer bits this takes. So the strictest of the intents that all demonstrations have reached is preferred.
+In Bayesian concept learning this is called the size principle (Tenenbaum, 1999). The bits that an intent saves are the
+logarithm of its posterior probability, up to a constant.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from magical_goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
-from magical_goals.regions import LANDMARKS, WHO, Near, RobotInside, formulas
-from magical_goals.relation import Floats, Layouts, Relation, Situation, layouts_of, random_layouts
+from magical_mj.intents import Intent, rivals
+from magical_mj.intents.ambiguity import Ends, Judge
+from magical_mj.intents.intent import MOST_CONJUNCTS, conjunct_bits, intent_of
+from magical_mj.intents.plans import plan
+from magical_mj.intents.relations import Conjunct
+from magical_mj.intents.selectors import REST
 from magical_mj.scene import Scene
-from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.utils.errors import TrainingError
+from magical_mj.scene.scene import Pose
+from magical_mj.tasks.planning import REACHABLE, Noise, scene_after
+from magical_mj.utils.errors import PlacementError, TrainingError
 
-FAILURE: Final = 0.05
-"""The expected share of demonstrations that miss the goal."""
-UNTRUE: Final = 0.25
-"""The largest share of the demonstrations that can be left out when limits are fitted."""
+BITS: Final = 28.0
+"""The longest intents of one or two relations that are considered, before others are added."""
+MOST: Final = 2000
+"""The number of the simplest of them that are compared."""
+EXTENDED: Final = 8
+"""The number of the best to which another relation is added, and then a third one."""
+PLANS: Final = 2
+"""The number of plans in each scene that estimate how likely another relation holds anyway."""
+SAMPLES: Final = 50
+"""The number of random ends of each demonstration, for estimating how likely an intent holds by chance."""
+MOVED: Final = 0.05
+"""The distance (units) from its start at which a block, or the robot, counts as moved."""
 
-Example = tuple[Scene, Scene]
-"""The first and the last scene of a demonstration."""
 
+class Goal(NamedTuple):
+    """An intent, and the number of bits that it saves in the description of the demonstrations."""
 
-@dataclass(frozen=True)
-class InferredGoal:
-    """A relation with limits.
-
-    Attributes:
-        relation: the relation that should hold at the end.
-        limits: the largest deviations that fulfil it, one for each measure.
-        saved: the number of bits that it saves in the description of the demonstrations.
-    """
-
-    relation: Relation
-    limits: tuple[float, ...]
+    intent: Intent
     saved: float
 
-    def score(self, initial: Scene, now: Scene) -> float:
-        """The share of blocks (or of the robot) within the limits; 1 if the goal is reached."""
-        off = self.relation.deviations(layouts_of(initial, [now]))
-        return float((off <= self.limits).all(axis=2).mean())
 
-    def subgoals(self, initial: Scene, now: Scene, noise: Noise, stuck: Collection[int] = ()) -> tuple[Subgoal, ...]:
-        """The remaining subgoals. Empty if the goal is reached. In lines and groups, stuck blocks stay, if possible."""
-        if self.score(initial, now) == 1.0:
-            return ()
-        return tuple(self.relation.subgoals(Situation(initial, now, self.limits, noise, stuck)))
+def infer(ends: Sequence[Ends]) -> list[Goal]:
+    """The intents that all demonstrations have reached, the best first. They are the same for the same scenes.
 
-    def __str__(self) -> str:
-        return self.relation.text.format(*self.limits)
-
-
-def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
-    """All relations that are meaningful in these initial scenes."""
-    blocks = min(len(scene.blocks) for scene in scenes)
-    if all(scene.regions for scene in scenes):
-        yield RobotInside()
-        if blocks:
-            yield from formulas(scenes)
-    if blocks:
-        yield from (InLine(), Together(), *(Grouped(attribute) for attribute in ATTRIBUTES))
-    for who in WHO if blocks else ("the robot",):
-        yield from (Near(who, landmark) for landmark in LANDMARKS)
-
-
-def infer(examples: Sequence[Example]) -> list[InferredGoal]:
-    """The goals that shorten the description, the best first. Equal ones are in the order of the vocabulary.
+    Args:
+        ends: the first and the last scene of each demonstration.
 
     Raises:
         TrainingError: if there are none.
     """
-    rng = np.random.default_rng(0)
-    chance = {initial: random_layouts(initial, rng) for initial, _ in examples}
-    fitted = [_fitted(relation, examples, chance) for relation in vocabulary(list(chance))]
-    goals = sorted((goal for goal in fitted if goal.saved > 0), key=lambda goal: -goal.saved)
-    if not goals:
+    found = rivals(ends, BITS)[:MOST]
+    if not found:
         raise TrainingError(
-            f"the {len(examples)} demonstrations show no goal: every relation of blocks, robot, regions and corners "
-            "fails at the end of too many of them, or already held at the start, or is likely to hold by chance"
+            f"the {len(ends)} demonstrations show no goal: every intent fails at the end of some of them, or already "
+            "held at the start"
         )
-    return goals
+    rng = np.random.default_rng(0)
+    starts = [start for start, _ in ends]
+    random = [list(_random_ends(*pair, rng)) for pair in ends]
+    reached = _holds(found, starts, random) & ~_holds(found, starts, [[start] for start in starts])
+    chance = (reached.sum(2) + 1) / (SAMPLES + 2)  # with Laplace smoothing
+    saved = -np.log2(chance).sum(1)
+    longest = [Goal(intent, float(bits) - intent.bits) for intent, bits in zip(found, saved, strict=True)]
+    goals = {goal.intent: goal for goal in longest}
+    parts = sorted({one for intent in found for one in intent.conjuncts if one.selector != REST})
+    scenes = list(dict.fromkeys(starts))
+    while longest:
+        best = [goal for goal in sorted(longest, key=_order) if _may_be_extended(goal.intent)][:EXTENDED]
+        longest = [longer for goal in best for longer in _extended(goal, parts, scenes, rng)]
+        goals |= {goal.intent: goal for goal in longest}
+    return sorted(goals.values(), key=_order)
 
 
-def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> InferredGoal:
-    """The relation with the limits that save most. They hold in all final states, or in all except the worst few."""
-    deviations = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
-    worst = np.array([off[1].max(axis=0) for off in deviations])  # (demonstrations, measures)
-    order = (worst / np.maximum(worst.max(axis=0), 1e-9)).max(axis=1).argsort(kind="stable")
-    by_chance = {initial: relation.deviations(layouts).max(axis=1) for initial, layouts in chance.items()}
-    options = []
-    for missed in range(int(UNTRUE * len(examples)) + 1):
-        limits = worst[order[: len(order) - missed]].max(axis=0)
-        share = {initial: _share(off, limits) for initial, off in by_chance.items()}
-        saved = sum(_saved(off, limits, share[initial]) for off, (initial, _) in zip(deviations, examples, strict=True))
-        options.append(InferredGoal(relation, tuple(limits.tolist()), saved - relation.bits))
-    return max(options, key=lambda goal: goal.saved)
+def _order(goal: Goal) -> tuple[float, float, str]:
+    """The best goal is first; of equally good ones the simplest, then in the order of their texts."""
+    return -round(goal.saved, 6), round(goal.intent.bits, 6), str(goal.intent)
 
 
-def _share(off: Floats, limits: Floats) -> float:
-    """The share of random layouts that fulfil the relation, with Laplace smoothing."""
-    return float(((off <= limits).all(axis=1).sum() + 1) / (len(off) + 2))
+def _may_be_extended(intent: Intent) -> bool:
+    """Whether one more relation is possible, and does not change the meaning of `others`."""
+    return len(intent.conjuncts) < MOST_CONJUNCTS and all(one.selector != REST for one in intent.conjuncts)
 
 
-def _saved(off: Floats, limits: Floats, share: float) -> float:
-    """The bits saved for one demonstration. 0 if the relation already held at its start."""
-    true = off <= limits
-    if not true[1].all():
-        return math.log2(FAILURE)
-    return 0.0 if true[0].all() else math.log2((1 - FAILURE) / share + FAILURE)
+def _extended(
+    goal: Goal, parts: Sequence[Conjunct], starts: Sequence[Scene], rng: np.random.Generator
+) -> Iterator[Goal]:
+    """The goal with each part that saves bits in addition: all demonstrations reach it, and plans for the goal do not.
+
+    What is a coincidence in a scene repeats in all its demonstrations, so each scene counts once.
+    """
+    noise = Noise(rng, 1.0)
+    planned = [[_planned(goal.intent, start, noise) for _ in range(PLANS)] for start in starts]
+    held = _holds([Intent((part,)) for part in parts], starts, planned).sum((1, 2))
+    for part, count in zip(parts, held, strict=True):
+        bits = -math.log2((count + 0.5) / (len(starts) * PLANS + 1))
+        gain = len(starts) * bits - conjunct_bits(part)
+        longer = intent_of([*goal.intent.conjuncts, part])
+        if gain > 0 and len(longer.conjuncts) > len(goal.intent.conjuncts):  # the part does not follow
+            yield Goal(longer, goal.saved + gain)
+
+
+def _planned(intent: Intent, start: Scene, noise: Noise) -> Scene:
+    """The scene after a plan for an intent."""
+    try:
+        return scene_after(start, plan(intent, start, start, noise))
+    except PlacementError:
+        return start
+
+
+def _random_ends(start: Scene, final: Scene, rng: np.random.Generator) -> Iterator[Scene]:
+    """Scenes with as many blocks as were moved, and the robot if it was, at random positions."""
+    poses = [block.pose for block in start.blocks]
+    moved = sum(_apart(block.pose, pose) for block, pose in zip(final.blocks, poses, strict=True))
+    drove = _apart(start.robot.pose, final.robot.pose)
+    for _ in range(SAMPLES):
+        changed = list(poses)
+        for index in rng.permutation(len(poses))[:moved]:
+            changed[index] = _pose(rng)
+        yield start.moved(_pose(rng) if drove else start.robot.pose, changed)
+
+
+def _pose(rng: np.random.Generator) -> Pose:
+    x, y = rng.uniform(-REACHABLE, REACHABLE, 2).tolist()
+    return x, y, 0.0
+
+
+def _apart(pose: Pose, other: Pose) -> bool:
+    """Whether the positions differ by more than `MOVED`."""
+    return math.dist(pose[:2], other[:2]) > MOVED
+
+
+def _holds(intents: Sequence[Intent], starts: Sequence[Scene], ends: Sequence[Sequence[Scene]]) -> NDArray[np.bool_]:
+    """Which intents hold at the ends of each start, shape (intents, starts, ends)."""
+    judge = Judge(intents)
+    rows = [[judge.holds(start, end) for end in group] for start, group in zip(starts, ends, strict=True)]
+    return np.moveaxis(np.array(rows, np.bool_), 2, 0)

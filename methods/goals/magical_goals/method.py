@@ -6,19 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from magical_goals.inference import InferredGoal, infer
+from magical_goals.inference import Goal, infer
 from magical_goals.policy import GOALS, GoalPolicy, from_json, to_json
-from magical_mj.demos import Demonstration
+from magical_mj.intents.ambiguity import ends_of
 from magical_mj.learners.data import chosen
 from magical_mj.learners.learner import Method
 from magical_mj.learners.settings import STATE, TrainingSettings
-from magical_mj.scene import Scene
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 
 class GoalInference(Method):
-    """Infers the goal of each task from the first and last states of its demonstrations; see `infer`."""
+    """Infers the intent of each task from the first and last states of its demonstrations; see `infer`."""
 
     parts: ClassVar[tuple[str, ...]] = ()
 
@@ -36,16 +35,16 @@ class GoalInference(Method):
         _check_states(settings)
 
     def update(self) -> Mapping[str, float]:
-        """Infers all goals. Returns the minima of the saved bits, and of the lead over the second-best goal."""
-        goals_of: dict[str, list[InferredGoal]] = {}
+        """Infers all intents. Returns the minima of the saved bits, and of the lead over the second-best goal."""
+        goals_of: dict[str, list[Goal]] = {}
         for task in self.settings.tasks:
-            goals_of[task] = infer([ends(demonstration) for demonstration in chosen(self.settings, task)])
+            goals_of[task] = infer([ends_of(demonstration) for demonstration in chosen(self.settings, task)])
         self._pursue(to_json(goals_of))
         saved = [[*(goal.saved for goal in goals), 0.0] for goals in goals_of.values()]
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
 
     def policy(self) -> GoalPolicy:
-        """The policy that plans to reach the best goal of each task."""
+        """The policy that plans to reach the intent of each task."""
         return self._policy
 
     def save_policy(self, folder: Path) -> None:
@@ -68,9 +67,3 @@ class GoalInference(Method):
 def _check_states(settings: TrainingSettings) -> None:
     if not settings.states:
         raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
-
-
-def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
-    """The first and the last scene of a demonstration."""
-    scenes = demonstration.scenes()
-    return scenes[0], scenes[-1]

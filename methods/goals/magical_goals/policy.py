@@ -1,48 +1,43 @@
-"""The policy, which plans in a copy of the simulation to reach the goal, and its file, goals.json in a run's folder."""
+"""The policies, which plan in a copy of the simulation to reach an intent, and their file in a run's folder."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
-from magical_goals.arrangements import Grouped, InLine, Together
-from magical_goals.inference import InferredGoal
-from magical_goals.regions import Belonging, Near, RobotInside
-from magical_goals.relation import Relation
+from magical_goals.inference import Goal, infer
+from magical_mj.engine import Engine
+from magical_mj.intents import Intent, parse
+from magical_mj.intents.ambiguity import Ends, ends_of
+from magical_mj.intents.plans import plan
 from magical_mj.learners.settings import STATE
 from magical_mj.policies.expert.driving import Lookahead
 from magical_mj.policies.expert.planner import PlanFollower, Planner
-from magical_mj.policies.interface import Episode
+from magical_mj.policies.interface import NOOP, Episode
+from magical_mj.scene import Scene
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
 
 CANDIDATES: Final = 4  # manoeuvres tried in one situation
-PATIENCE: Final = 2  # after this number of failures, a block is left alone
 BUDGET: Final = 16  # simulated steps per step of the episode; after them, no new plan is started
 
 GOALS: Final = "goals.json"
 """The policy's file in a run's folder."""
-SHOWN: Final = 5
-"""The number of alternatives that are listed for each task, for comparison only."""
-RELATIONS: Final[Mapping[str, type[Relation]]] = MappingProxyType(
-    {kind.__name__: kind for kind in (Belonging, RobotInside, Near, InLine, Grouped, Together)}
-)
-"""The relations by their names in the file."""
+SHOWN: Final = 20
+"""The number of intents that are kept for each task, for scenes in which the best one means nothing."""
 
 
 class GoalPolicy:
-    """Plans to reach the goal of the task's demonstrations.
+    """Plans to reach the intent of the task's demonstrations.
 
     It has access to the simulation. It uses the initial and the current state, the number of remaining steps, and a
     copy of the simulation for planning. It uses neither the task's score nor its plan (which the experts use).
 
     Attributes:
-        goals: task -> goal.
+        goals: task -> its intents, the most probable one first.
         tasks: the tasks that it can play.
         preset: the name of the preset of states.
     """
@@ -50,58 +45,92 @@ class GoalPolicy:
     uses_simulation = True
     preset = STATE
 
-    def __init__(self, goals: Mapping[str, InferredGoal], tasks: Sequence[str] = ()) -> None:
+    def __init__(self, goals: Mapping[str, Sequence[Goal]], tasks: Sequence[str] = ()) -> None:
         self.goals, self.tasks = dict(goals), tuple(tasks or goals)
 
     def reset(self, episode: Episode) -> None:
         """Begins an episode."""
-        env, goal = episode.env, self.goals.get(episode.task)
-        if goal is None:
+        goals = self.goals.get(episode.task)
+        if goals is None:
             raise SettingsError(f"this policy was trained on {', '.join(self.tasks)} and cannot play {episode.task}")
-        if env is None or env.horizon is None:
-            raise SettingsError("a planning policy needs the simulation itself and cannot play in vector environments")
-        initial = env.initial_scene
-
-        def planner() -> Planner:
-            return Planner(
-                partial(goal.score, initial),
-                partial(goal.subgoals, initial),
-                Lookahead(env),
-                tries=CANDIDATES,
-                patience=PATIENCE,
-                steady=True,
-            )
-
-        self._next = PlanFollower(env, env.horizon, planner, episode.rng, BUDGET)
+        self._next = follower(goals, episode)
 
     def __call__(self, _: Any) -> int:
         """The next action. The policy has no observations."""
         return self._next()
 
 
-def to_json(goals_of: Mapping[str, Sequence[InferredGoal]]) -> str:
-    """The goals of each task, the best first. `from_json` reads only the best one."""
+class InferredGoal:
+    """Infers the intent from the demonstrations that it is given at test time, and plans to reach it.
+
+    It has the same access to the simulation as `GoalPolicy`, and uses the first and the last scene of each
+    demonstration.
+    """
+
+    uses_simulation = True
+    uses_demonstrations = True
+
+    def __init__(self) -> None:
+        self._inferred: dict[tuple[Ends, ...], list[Goal]] = {}
+
+    def reset(self, episode: Episode) -> None:
+        """Begins an episode."""
+        demonstrations: tuple[Any, ...] = episode.demonstrations
+        ends = tuple(map(ends_of, demonstrations))
+        if ends not in self._inferred:
+            self._inferred[ends] = infer(ends)[:SHOWN]
+        self._next = follower(self._inferred[ends], episode)
+
+    def __call__(self, _: Any) -> int:
+        """The next action. The policy has no observations."""
+        return self._next()
+
+
+def follower(goals: Sequence[Goal], episode: Episode) -> Callable[[], int]:
+    """A function that returns the action for the current state: one that leads to `chosen`; no-ops if it is None."""
+    env = episode.env
+    if env is None or env.horizon is None:
+        raise SettingsError("a planning policy needs the simulation itself and cannot play in vector environments")
+    initial = env.initial_scene
+    intent = chosen(goals, initial)
+    if intent is None:
+        return lambda: NOOP
+    return PlanFollower(env, env.horizon, partial(_planner, intent, initial, env), episode.rng, BUDGET)
+
+
+def chosen(goals: Sequence[Goal], initial: Scene) -> Intent | None:
+    """The first intent that is about something in a scene and does not hold in it yet. None if there is none."""
+    intents = (goal.intent for goal in goals)
+    return next((one for one in intents if one.grounded(initial) and not one.holds(initial, initial)), None)
+
+
+def _planner(intent: Intent, initial: Scene, env: Engine) -> Planner:
+    return Planner(
+        partial(intent.score, initial),
+        lambda scene, noise, _: tuple(plan(intent, initial, scene, noise)),
+        Lookahead(env),
+        tries=CANDIDATES,
+        steady=True,
+    )
+
+
+def to_json(goals_of: Mapping[str, Sequence[Goal]]) -> str:
+    """The intents of each task with the bits that they save, the best first."""
     table = {
-        task: {
-            "goal": str(goals[0]),
-            "relation": {"kind": type(goals[0].relation).__name__, **asdict(goals[0].relation)},
-            "limits": goals[0].limits,
-            "saved_bits": goals[0].saved,
-            "instead": {str(goal): round(goal.saved, 1) for goal in goals[1 : 1 + SHOWN]},
-        }
+        task: {"goal": goals[0].intent.sentence, "intents": {str(goal.intent): goal.saved for goal in goals[:SHOWN]}}
         for task, goals in goals_of.items()
     }
     return json.dumps(table, indent=2) + "\n"
 
 
-def from_json(text: str) -> dict[str, InferredGoal]:
-    """The goal of each task.
+def from_json(text: str) -> dict[str, list[Goal]]:
+    """The intents of each task.
 
     Raises:
         TrainingError: if the text is not valid.
     """
     try:
-        return {task: _goal(entry) for task, entry in json.loads(text).items()}
+        return {task: _goals(entry["intents"]) for task, entry in json.loads(text).items()}
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, MagicalError) as error:
         raise TrainingError(f"the goals are invalid: {type(error).__name__}: {error}") from error
 
@@ -119,15 +148,8 @@ def load_goals(folder: Path | str) -> GoalPolicy:
         raise TrainingError(f"cannot read {path}: {error}") from error
 
 
-def _goal(entry: Mapping[str, Any]) -> InferredGoal:
-    fields = dict(entry["relation"])
-    relation = RELATIONS[fields.pop("kind")](**{name: _frozen(value) for name, value in fields.items()})
-    limits = tuple(float(limit) for limit in entry["limits"])
-    if len(limits) != relation.measures or not all(math.isfinite(limit) for limit in limits):
-        raise ValueError(f"the relation {relation} needs {relation.measures} finite limits, not {limits}")
-    return InferredGoal(relation, limits, float(entry["saved_bits"]))
-
-
-def _frozen(value: Any) -> Any:
-    """Converts lists back to tuples."""
-    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
+def _goals(saved: Mapping[str, float]) -> list[Goal]:
+    goals = [Goal(parse(text), float(bits)) for text, bits in saved.items()]
+    if not goals or not all(math.isfinite(goal.saved) for goal in goals):
+        raise ValueError("each task needs intents, with finite numbers of bits")
+    return goals

@@ -1,0 +1,258 @@
+"""Plays the test intents with baselines, and writes their tables into docs/intents.md.
+
+    python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
+    python -m tools.intent_baselines play OUT goals-4   or some
+    python -m tools.intent_baselines infer              writes docs/inferred-intents.csv, or what it lacks
+    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the tables
+    python -m tools.intent_baselines write              writes the tables
+
+It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Two policies
+are trained on other intents before, with python -m magical_intents.train KIND OUT/KIND (sentence or demonstrations).
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
+from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.intents import parse
+from magical_mj.intents.ambiguity import ends_of
+from magical_mj.tasks.languages import members
+from magical_mj.tasks.registry import task_name
+from magical_mj.utils.errors import EvaluationError
+from tools.tables import ROOT, filled, table
+
+DATA: Final = ROOT / "docs" / "intent-baselines.csv"
+INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
+PAGE: Final = ROOT / "docs" / "intents.md"
+TESTS: Final = ("seen", "combined", "selector", "relation", "long")
+VARIANTS: Final = ("Demo", "Layout", "All")
+INTENTS: Final = 6
+"""The number of intents of each set that a baseline plays."""
+FEW: Final = 3
+"""The same for baselines that are trained for each intent."""
+EPISODES: Final = 1
+"""The number of episodes of each intent in each variant."""
+SHOWN: Final = 4
+"""The number of demonstrations that a policy is given."""
+
+
+class Baseline(NamedTuple):
+    """A row of the table: a policy, what it is given, and the settings of its evaluation."""
+
+    method: str
+    given: str
+    policy: str
+    settings: Mapping[str, Any] = {}
+    intents: int = INTENTS
+
+
+def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
+    """The settings for demonstrations in some demo scenes."""
+    return {"demonstrations": SHOWN, "scenes": scenes, "contrasting": contrasting}
+
+
+KINDS: Final = ("sentence", "demonstrations")
+"""The trained policies: folders in `OUT`."""
+GOALS: Final = "magical_goals.policy:InferredGoal"
+BASELINES: Final = {
+    "noop": Baseline("Doing nothing", "", "noop"),
+    "random": Baseline("Random actions", "", "random"),
+    "cloned-1": Baseline(
+        "BC for each intent", "demonstrations in 1 scene", "magical_intents.cloning:Cloned", shown(1), FEW
+    ),
+    "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
+    "demonstrations-policy-1": Baseline(
+        "Policy for many intents", "demonstrations in 1 scene", "demonstrations", shown(1)
+    ),
+    "demonstrations-policy-4": Baseline(
+        "Policy for many intents", "demonstrations in 4 random scenes", "demonstrations", shown(4)
+    ),
+    "goals-1": Baseline("Intent inference", "demonstrations in 1 scene", GOALS, shown(1)),
+    "goals-4": Baseline("Intent inference", "demonstrations in 4 random scenes", GOALS, shown(4)),
+    "goals-4-contrasting": Baseline(
+        "Intent inference", "demonstrations in 4 contrasting scenes", GOALS, shown(4, contrasting=True)
+    ),
+    "expert": Baseline("Expert", "the intent", "expert"),
+}
+"""Name -> row."""
+
+
+MISREADINGS: Final = ("the intent", "its relations, other blocks or places", "fewer relations", "other relations")
+
+
+class Mean(NamedTuple):
+    """The mean score of a baseline with an intent in a variant."""
+
+    baseline: str
+    set: str
+    number: int
+    variant: str
+    score: float
+
+
+def played(intents: int) -> dict[tuple[str, int], str]:
+    """Set and number -> the name of the task, of the first intents of each set."""
+    return {
+        (name, number): task_name(task)
+        for name in TESTS
+        for number, task in enumerate(members(f"intent:{name}")[:intents])
+    }
+
+
+def play(out: Path, names: Iterable[str]) -> None:
+    """Plays some baselines; each has a folder in `out`."""
+    for name in names:
+        baseline, folder = BASELINES[name], out / name
+        magical_mj.evaluate(
+            str(out / baseline.policy) if baseline.policy in KINDS else baseline.policy,
+            name=baseline.method,
+            tasks=list(played(baseline.intents).values()),
+            variants=list(VARIANTS),
+            episodes=EPISODES,
+            jobs=1,
+            out=folder,
+            resume=folder.exists(),
+            **baseline.settings,
+        )
+
+
+def gather(out: Path) -> list[Mean]:
+    """The means of the baselines that were played to the end."""
+    means = []
+    for name in BASELINES:
+        scores: dict[tuple[str, str], list[float]] = {}
+        with suppress(EvaluationError):  # nothing was played yet
+            for row in read(out / name):
+                scores.setdefault((row.task, row.variant), []).append(row.score)
+        of_rows = {
+            (name, *place, variant): scores.get((task, variant), [])
+            for place, task in played(BASELINES[name].intents).items()
+            for variant in VARIANTS
+        }
+        if all(of_rows.values()):
+            means += [Mean(*key, float(np.mean(each))) for key, each in of_rows.items()]
+    return means
+
+
+def stored() -> list[Mean]:
+    """The means in the file."""
+    with DATA.open(encoding="utf-8", newline="") as file:
+        rows = csv.DictReader(file)
+        return [Mean(r["baseline"], r["set"], int(r["number"]), r["variant"], float(r["score"])) for r in rows]
+
+
+def store(means: Sequence[Mean]) -> None:
+    """Writes the file."""
+    with DATA.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Mean._fields)
+        writer.writerows((*mean[:-1], f"{mean.score:.4g}") for mean in means)
+
+
+def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
+    """The mean over variants of each intent, shape (intents,)."""
+    found: dict[tuple[str, int], list[float]] = {}
+    for mean in means:
+        found.setdefault((mean.set, mean.number), []).append(mean.score)
+    return np.array([np.mean(scores) for scores in found.values()])
+
+
+def baselines(means: Sequence[Mean]) -> str:
+    """The table: means by set over the variants, by variant over the sets, and of all, with intervals over intents."""
+    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
+    kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
+    rows = []
+    for name, baseline in BASELINES.items():
+        own = [mean for mean in means if mean.baseline == name]
+        if own:
+            parts = [f"{over_intents(filter(kind, own)).mean():.2f}" for kind in kinds]
+            every = over_intents(own)
+            low, high = mean_interval([over_intents(m for m in own if m.set == group) for group in TESTS])
+            rows.append((baseline.method, baseline.given, *parts, f"{every.mean():.2f} ({low:.2f} to {high:.2f})"))
+    return table(("Method", "Given", *TESTS, *VARIANTS, "mean"), rows)
+
+
+class Reading(NamedTuple):
+    """What intent inference makes of an intent's demonstrations."""
+
+    baseline: str
+    set: str
+    number: int
+    intent: str
+    inferred: str
+
+
+def infer_all() -> None:
+    """Writes the file of readings, or those that it lacks."""
+    from magical_goals.inference import infer  # in a package that may not be installed
+
+    tasks, known = played(INTENTS), {reading[:3] for reading in readings()}
+    for name in (name for name, baseline in BASELINES.items() if baseline.policy == GOALS):
+        left = {place: task for place, task in tasks.items() if (name, *place) not in known}
+        how: dict[str, Any] = {"tasks": list(left.values()), "variants": "Demo", **BASELINES[name].settings}
+        given = demonstrations_given(EvaluationSettings(**how)) if left else {}
+        for place, task in left.items():
+            inferred = infer([ends_of(demonstration) for demonstration in with_states(given[task])])[0].intent
+            with INFERRED.open("a", encoding="utf-8", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerow((name, *place, intent_of(task), inferred))
+
+
+def readings() -> list[Reading]:
+    """The readings in the file."""
+    with INFERRED.open(encoding="utf-8", newline="") as file:
+        return [
+            Reading(r["baseline"], r["set"], int(r["number"]), r["intent"], r["inferred"]) for r in csv.DictReader(file)
+        ]
+
+
+def misreading(reading: Reading) -> str:
+    """One of `MISREADINGS`."""
+    if reading.intent == reading.inferred:
+        return "the intent"
+    true, read = (Counter(one.relation for one in parse(text).conjuncts) for text in reading[-2:])
+    if true == read:
+        return "its relations, other blocks or places"
+    return "fewer relations" if read < true else "other relations"
+
+
+def misread(every: Sequence[Reading]) -> str:
+    """The table of what is inferred: the number of intents."""
+    rows = []
+    for name in dict.fromkeys(reading.baseline for reading in every):
+        counts = Counter(misreading(reading) for reading in every if reading.baseline == name)
+        rows.append((BASELINES[name].given, *(str(counts[kind]) for kind in MISREADINGS)))
+    return table(("Given", *MISREADINGS), rows)
+
+
+def write() -> None:
+    """Writes the tables."""
+    tables = {"baselines": baselines(stored()), "misread": misread(readings())}
+    PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, "python -m tools.intent_baselines"), "utf-8")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["play", out, *names]:
+            play(Path(out), names or BASELINES)
+        case ["infer"]:
+            infer_all()
+        case ["write", *out]:
+            if out:
+                store(gather(Path(out[0])))
+            write()
+        case _:
+            sys.exit(__doc__)
