@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj import demos
-from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.replay import inconsistency, obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
-from magical_mj.intents.names import task_intent
+from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import solved
 from magical_mj.intents.readings import Shown, ending, moved_blocks
 from magical_mj.policies.interface import actions_of
@@ -83,7 +82,7 @@ def task_ends(task: str) -> tuple[Ends, ...]:
     For an intent, these are its demo scenes and the ends of its plans there.
     """
     if in_language(task):
-        intent = intent_of(task)
+        intent = task_intent(task)
         return tuple((demo, solved(intent, demo) or demo) for demo in task_spec(task).demos)
     scenes = [demonstration.scenes() for demonstration in demos.load(task)]
     return tuple((shown[0], shown[-1]) for shown in scenes)
@@ -99,7 +98,7 @@ def task_shown(task: str) -> Shown:
 @lru_cache(maxsize=RECENT)
 def task_rivals(task: str) -> tuple[Intent, ...]:
     """The rivals that the demonstrations of a task leave, without the task's own intent; the simplest first."""
-    return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != intent_of(task))
+    return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != task_intent(task))
 
 
 def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
@@ -130,7 +129,7 @@ def unfit(
 
     The arguments are those of `magical_mj.evaluation.replay.obstacle`.
     """
-    if task_intent(episode.task) is None:
+    if not has_intent(episode.task):
         return f"{episode.task} has no intent in the language"
     if episode.shift:
         return f"it was played with the shift {episode.shift}"
@@ -181,7 +180,7 @@ def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, shown: Sho
         episode,
         initial,
         final,
-        ending(intent_of(episode.task), shown, initial, final, solved=success),
+        ending(task_intent(episode.task), shown, initial, final, solved=success),
         moved_blocks(initial, final),
         {} if success else _shares(judge, initial, final),
         0.0 if success else remaining(episode, (initial, final)),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
-from magical_mj.intents.names import task_intent
+from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.selectors import UngroundedError
 from magical_mj.intents.sets import tasks_in
 from magical_mj.intents.tasks import PREFIX
@@ -111,11 +111,11 @@ def intent_of(task: str) -> Intent:
     Raises:
         SettingsError: if there is none.
     """
-    if (intent := task_intent(task)) is None:
+    if not has_intent(task):
         raise SettingsError(
             f"controls are for intents and for tasks that have some, {', '.join(EIGHT)}, not for {task}"
         )
-    return intent
+    return task_intent(task)
 
 
 def other_tasks(task: str) -> list[str]:

@@ -34,9 +34,14 @@ class Language:
         return tuple(str(with_settings(task, found[3] or "")) for task in tasks_in(found[1]))
 
 
-def task_intent(task: str) -> Intent | None:
-    """The intent of a task by its stored name; None if there is none in the language."""
-    return task_of(task.removeprefix(PREFIX)).intent if task.startswith(PREFIX) else EIGHT.get(task)
+def has_intent(task: str) -> bool:
+    """Whether the language has the intent of a task, by its stored name."""
+    return task.startswith(PREFIX) or task in EIGHT
+
+
+def task_intent(task: str) -> Intent:
+    """The intent of a task that has one."""
+    return task_of(task.removeprefix(PREFIX)).intent if task.startswith(PREFIX) else EIGHT[task]
 
 
 def _task(text: str) -> Task:
