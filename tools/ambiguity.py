@@ -148,7 +148,9 @@ def nothing(case: Case) -> Left:
 
 def median(found: Sequence[Left]) -> list[str]:
     """The medians of the numbers of rivals and of the missing bits, as cells."""
-    return [f"{np.median([one.rivals for one in found]):,.0f}", f"{np.median([one.bits for one in found]):.1f}"]
+    number = float(np.median([one.rivals for one in found]))
+    cell = f"{number:,.0f}" if number.is_integer() else f"{number:,.1f}"
+    return [cell, f"{np.median([one.bits for one in found]):.1f}"]
 
 
 Curves = dict[str, list[list[Left]]]
@@ -211,11 +213,11 @@ def draw(curves: Sequence[Curves], titles: Sequence[str]) -> None:
             (line,) = axes.plot(numbers, middle, marker="o", label=name)
             axes.fill_between(numbers, low, high, color=line.get_color(), alpha=0.15)
         axes.set_yscale("symlog", linthresh=1)
-        axes.set_ylim(bottom=0)
         axes.set_title(title)
         axes.set_xlabel("demo scenes")
         axes.grid(alpha=0.3)
     panels[0].set_ylabel(f"rivals left, of up to {BITS:.0f} bits")
+    panels[0].set_ylim(bottom=0)
     panels[1].legend()
     figure.savefig(PICTURE, dpi=100)
 

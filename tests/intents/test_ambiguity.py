@@ -19,6 +19,7 @@ from tools.ambiguity import (
     curve,
     eight,
     left,
+    median,
     nothing,
     of_set,
     quartiles,
@@ -78,3 +79,22 @@ def test_the_page_has_the_figures_of_the_table() -> None:
         f"leaves from {missing['relation']} bits (`relation`) to {missing['long']} bits (`long`) missing. "
         f"An intent of these sets has {bits['relation']} and {bits['long']}."
     ) in " ".join(PAGE.split())
+
+
+def test_the_page_says_what_scenes_pictures_and_sentences_leave() -> None:
+    known = rows_of("known")
+    picture, one = known["a picture of the solved scene"], known["demonstrations in one scene"]
+    contrasting, random = known["in 8 scenes: contrasting"], known["in 8 scenes: random colours and poses"]
+    text = " ".join(PAGE.split())
+    assert (
+        f"leave {contrasting[3]} bits of the 25 intents missing, "
+        f"and eight scenes with random colours and poses {random[3]}."
+    ) in text
+    assert known["one scene and the sentence"] == ["0", "0.0", "0", "0.0"]
+    assert (
+        f"a picture of the solved scene leaves {picture[1]} bits missing, "
+        f"demonstrations in one scene {one[1]}, and eight contrasting scenes {contrasting[1]}."
+    ) in text
+    group = list(eight().values())
+    assert known["nothing"][:2] == median([nothing(case) for case in group])
+    assert one[:2] == median([left(case, rivals(case.first)) for case in group])
