@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,11 +19,14 @@ import numpy as np
 from magical_mj import demos
 from magical_mj.evaluation.replay import inconsistency, obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
-from magical_mj.intents import EIGHT, Intent, rivals
-from magical_mj.intents.ambiguity import Judge
+from magical_mj.intents import Intent, rivals
+from magical_mj.intents.ambiguity import Ends, Judge
+from magical_mj.intents.names import has_intent, task_intent
+from magical_mj.intents.plans import solved
 from magical_mj.intents.readings import Shown, ending, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
+from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.planning import Noise
 from magical_mj.tasks.registry import check_rules, task_spec
 from magical_mj.utils.errors import PhysicsError
@@ -36,6 +39,8 @@ BITS: Final = 24.0
 """The longest description of a rival."""
 CHUNK: Final = 50
 """The number of episodes that a worker replays before it reports."""
+RECENT: Final = 64
+"""The number of tasks whose rivals are kept in memory."""
 
 
 @dataclass(frozen=True)
@@ -70,23 +75,30 @@ class Unexplained:
     problem: str
 
 
-@lru_cache(maxsize=len(EIGHT))
-def task_ends(task: str) -> tuple[tuple[Scene, Scene], ...]:
-    """The initial and the final scene of each shipped demonstration."""
+@lru_cache(maxsize=RECENT)
+def task_ends(task: str) -> tuple[Ends, ...]:
+    """The initial and the final scene of each shipped demonstration.
+
+    For an intent, these are its demo scenes and the ends of its plans there.
+    """
+    if in_language(task):
+        intent = task_intent(task)
+        return tuple((demo, solved(intent, demo) or demo) for demo in task_spec(task).demos)
     scenes = [demonstration.scenes() for demonstration in demos.load(task)]
     return tuple((shown[0], shown[-1]) for shown in scenes)
 
 
-@lru_cache(maxsize=len(EIGHT))
+@lru_cache(maxsize=RECENT)
 def task_shown(task: str) -> Shown:
-    """What the shipped demonstrations of a task show."""
-    return Shown.of(task_ends(task))
+    """What the demonstrations in the first demo scene of a task show."""
+    ends = task_ends(task)
+    return Shown.of([pair for pair in ends if pair[0] == ends[0][0]])
 
 
-@lru_cache(maxsize=len(EIGHT))
+@lru_cache(maxsize=RECENT)
 def task_rivals(task: str) -> tuple[Intent, ...]:
-    """The rivals that the shipped demonstrations of a task leave, without the task's own intent; the simplest first."""
-    return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != EIGHT[task])
+    """The rivals that the demonstrations of a task leave, without the task's own intent; the simplest first."""
+    return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != task_intent(task))
 
 
 def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
@@ -104,9 +116,8 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
         group.sort(key=lambda episode: (episode.seed, episode.policy, episode.run))
         chunks += [group[start : start + CHUNK] for start in range(0, len(group), CHUNK)]
     chunks.sort(key=lambda chunk: -sum(len(episode.actions) for episode in chunk))
-    knowledge = {task: (task_shown(task), task_rivals(task)) for task, *_ in alike}
-    work = partial(_attribute, knowledge=knowledge)
-    results = map(work, chunks) if jobs == 1 or len(chunks) < 2 else map_unordered(work, chunks, jobs)
+    work = [(chunk, task_shown(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
+    results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
     for result in results:
         yield from result
 
@@ -118,7 +129,7 @@ def unfit(
 
     The arguments are those of `magical_mj.evaluation.replay.obstacle`.
     """
-    if episode.task not in EIGHT:
+    if not has_intent(episode.task):
         return f"{episode.task} has no intent in the language"
     if episode.shift:
         return f"it was played with the shift {episode.shift}"
@@ -127,13 +138,11 @@ def unfit(
     return obstacle(episode, recorded, trusted)
 
 
-Knowledge = Mapping[str, tuple[Shown, tuple[Intent, ...]]]
-
-
-def _attribute(chunk: Sequence[EpisodeResult], knowledge: Knowledge) -> list[Attribution | Unexplained]:
-    """The work of one process: some episodes of one environment."""
-    task = chunk[0].task
-    shown, intents = knowledge[task]
+def _attribute(
+    work: tuple[Sequence[EpisodeResult], Shown, tuple[Intent, ...]],
+) -> list[Attribution | Unexplained]:
+    """The work of one process: some episodes of one environment, what demonstrations show, and the rivals."""
+    chunk, shown, intents = work
     judge, results = Judge(intents), []
     with closing(engine_for(chunk[0])) as engine:
         for episode in chunk:
@@ -166,15 +175,15 @@ def replay_problem(episode: EpisodeResult, engine: Engine) -> str | None:
 
 
 def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, shown: Shown) -> Attribution:
-    initial, final, solved = engine.initial_scene, engine.scene, episode.score == 1.0
+    initial, final, success = engine.initial_scene, engine.scene, episode.score == 1.0
     return Attribution(
         episode,
         initial,
         final,
-        ending(EIGHT[episode.task], shown, initial, final, solved=solved),
+        ending(task_intent(episode.task), shown, initial, final, solved=success),
         moved_blocks(initial, final),
-        {} if solved else _shares(judge, initial, final),
-        0.0 if solved else remaining(episode, (initial, final)),
+        {} if success else _shares(judge, initial, final),
+        0.0 if success else remaining(episode, (initial, final)),
     )
 
 

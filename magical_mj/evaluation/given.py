@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
+from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.selectors import UngroundedError
 from magical_mj.intents.sets import tasks_in
-from magical_mj.intents.tasks import PREFIX, task_of
+from magical_mj.intents.tasks import PREFIX
 from magical_mj.scene import Scene
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import sample_scene
@@ -110,11 +111,11 @@ def intent_of(task: str) -> Intent:
     Raises:
         SettingsError: if there is none.
     """
-    if task in EIGHT:
-        return EIGHT[task]
-    if task.startswith(PREFIX):
-        return task_of(task.removeprefix(PREFIX)).intent
-    raise SettingsError(f"controls are for intents and for tasks that have some, {', '.join(EIGHT)}, not for {task}")
+    if not has_intent(task):
+        raise SettingsError(
+            f"controls are for intents and for tasks that have some, {', '.join(EIGHT)}, not for {task}"
+        )
+    return task_intent(task)
 
 
 def other_tasks(task: str) -> list[str]:

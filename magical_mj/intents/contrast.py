@@ -22,30 +22,36 @@ CANDIDATES: Final = 12
 
 
 def demo_scenes(intent: Intent, rng: np.random.Generator, number: int, *, contrasting: bool) -> tuple[Scene, ...]:
-    """Demo scenes of an intent. The first does not depend on the number.
-
-    Further ones have other colours and poses. If `contrasting`, they also have other shapes and counts, and each is the
-    one of `CANDIDATES` that refutes most of the simplest rivals which the scenes before leave.
+    """Demo scenes of an intent. The first does not depend on the number; the others are `further_scenes`.
 
     Raises:
         IntentError: if no scene was found.
     """
     first = demo_scene(intent, rng)
-    scenes, left = [first], rivals([_ends(intent, first)], BITS) if contrasting and number > 1 else []
+    return (first, *further_scenes(intent, rng, first, number - 1, contrasting=contrasting))
+
+
+def further_scenes(
+    intent: Intent, rng: np.random.Generator, first: Scene, number: int, *, contrasting: bool
+) -> list[Scene]:
+    """Demo scenes after the first one, with other colours and poses.
+
+    If `contrasting`, they also have other shapes and counts, and each is the one of `CANDIDATES` that refutes most of
+    the simplest rivals which the scenes before leave.
+    """
+    if not contrasting:
+        return [redrawn(intent, rng, first, colours_rule) for _ in range(number)]
+    scenes, left = list[Scene](), rivals([planned(intent, first)], BITS) if number else []
     while len(scenes) < number:
-        if contrasting:
-            rules = (count_rule, colours_rule, shapes_rule)
-            candidates = [redrawn(intent, rng, first, *rules) for _ in range(CANDIDATES)]
-            judge = Judge(left)
-            reached = [judge.reached(*_ends(intent, scene)) for scene in candidates]
-            best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
-            left = list(compress(left, reached[best]))
-            scenes.append(candidates[best])
-        else:
-            scenes.append(redrawn(intent, rng, first, colours_rule))
-    return tuple(scenes)
+        candidates = [redrawn(intent, rng, first, count_rule, colours_rule, shapes_rule) for _ in range(CANDIDATES)]
+        judge = Judge(left)
+        reached = [judge.reached(*planned(intent, scene)) for scene in candidates]
+        best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
+        left = list(compress(left, reached[best]))
+        scenes.append(candidates[best])
+    return scenes
 
 
-def _ends(intent: Intent, scene: Scene) -> Ends:
+def planned(intent: Intent, scene: Scene) -> Ends:
     """A scene, and the scene after a plan that satisfies the intent."""
     return scene, solved(intent, scene) or scene

@@ -17,7 +17,6 @@ from magical_mj.intents.intent import Intent
 from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
 from magical_mj.scene import Scene
-from magical_mj.tasks.rules import shuffled
 
 BITS: Final = 24.0
 """The longest rivals."""
@@ -31,15 +30,18 @@ DRAWS: Final = 100
 """The number of scenes that are drawn for a rival before another one is tried."""
 
 
-def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene) -> Scene:
-    """A scene that refutes one of the simplest rivals, all equally likely. Without rivals, any scene.
+def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) -> Scene:
+    """A scene that refutes one of the simplest rivals, in turn by seed. Without rivals, any scene.
 
     Args:
         intent: the intent.
         rng: the random generator.
         demo: the first demo scene, perhaps with another body of the robot.
+        seed: selects the rival. If no scene is found for it, the next one is tried.
     """
-    for rival in shuffled(rng, simplest_rivals(intent, demo)):
+    simplest = simplest_rivals(intent, demo)
+    for number in range(len(simplest)):
+        rival = simplest[(seed + number) % len(simplest)]
         for _ in range(DRAWS):
             scene = _redrawn(intent, rng, demo)
             if refutes(intent, rival, scene):

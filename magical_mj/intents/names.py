@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from magical_mj.intents import EIGHT
+from magical_mj.intents.intent import Intent
 from magical_mj.intents.sets import NAMES, tasks_in
-from magical_mj.intents.tasks import Task, spec_of, task_of, with_settings
+from magical_mj.intents.tasks import PREFIX, Task, spec_of, task_of, with_settings
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import IntentError
 
@@ -30,6 +32,16 @@ class Language:
         if found is None or found[1] not in NAMES or found[2] is not None:
             return ()
         return tuple(str(with_settings(task, found[3] or "")) for task in tasks_in(found[1]))
+
+
+def has_intent(task: str) -> bool:
+    """Whether the language has the intent of a task, by its stored name."""
+    return task.startswith(PREFIX) or task in EIGHT
+
+
+def task_intent(task: str) -> Intent:
+    """The intent of a task that has one."""
+    return task_of(task.removeprefix(PREFIX)).intent if task.startswith(PREFIX) else EIGHT[task]
 
 
 def _task(text: str) -> Task:

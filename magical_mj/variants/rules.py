@@ -54,6 +54,9 @@ The result must be a scene of the task (`VariationRules.check`). Poses usually s
 rule adds may have any pose, since they are placed afterwards. But a block that belongs in a goal region must be in it.
 """
 
+DiagnoseRule = Callable[[np.random.Generator, Scene, int], Scene]
+"""Draws the scene of a seed, in which a reading of the demonstrations is wrong that the seed selects."""
+
 _ROUNDING: Final = 1e-9
 WIDER: Final = 0.2
 """The most (world units) that a region may be wider than the arena, as x-magical's goal zone is."""
@@ -98,8 +101,8 @@ class VariationRules:
     colour: AxisRule | None = None
     shape: AxisRule | None = None
     count: AxisRule | None = None
-    diagnose: AxisRule | None = None
-    """Draws a whole scene of the variant Diagnose, in which other readings of the demonstrations are wrong."""
+    diagnose: DiagnoseRule | None = None
+    """Draws a whole scene of the variant Diagnose."""
     jitter: bool = True
     """Whether poses may change a little."""
     layout: bool | AxisRule = True
@@ -223,13 +226,13 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
         demo = replace(demo, robot=replace(demo.robot, body=body))
         demo = demo if "layout" in rngs else with_room(demo)
     for _ in range(MAX_REDRAWS):
-        scene = _varied(rules, demo, rngs)
+        scene = _varied(rules, demo, rngs, seed)
         if not rngs or rules.accepts is None or rules.accepts(scene):
             return scene
     raise PlacementError(f"none of {MAX_REDRAWS} scenes of {rules.name}-{variant} with seed {seed} is a good start")
 
 
-def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.Generator]) -> Scene:
+def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.Generator], seed: int) -> Scene:
     """The demo scene with new draws of some axes.
 
     Dynamics are drawn first, since a task's rules may change them. Counts follow, because the other axes depend on
@@ -247,7 +250,7 @@ def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.G
     if dynamics is not None and scene.dynamics == rules.demo.dynamics:
         scene = replace(scene, dynamics=dynamics)  # lost if a rule made a new scene instead of changing its argument
     if "diagnose" in rngs:
-        return _draw(rules, "diagnose", rngs["diagnose"], scene)
+        return _draw(rules, "diagnose", rngs["diagnose"], scene, seed)
     if "jitter" in rngs:
         scene = jitter(scene, rngs["jitter"], rules.region_size)
     if "layout" in rngs:
@@ -263,9 +266,9 @@ def draw_dynamics(rng: np.random.Generator, drive_forces: tuple[float, float]) -
     return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in ranges.items()})
 
 
-def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene, *seed: int) -> Scene:
     """The scene that the task's rule for this axis returns."""
-    drawn: Any = getattr(rules, axis)(rng, scene)
+    drawn: Any = getattr(rules, axis)(rng, scene, *seed)
     if not isinstance(drawn, Scene):
         raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {short_repr(drawn)}")
     return drawn

@@ -16,10 +16,13 @@ import magical_mj
 from magical_mj import Engine, demos
 from magical_mj.evaluation.attribution import Attribution, Unexplained, attribute, remaining, task_rivals, unfit
 from magical_mj.evaluation.entry import read_entry
+from magical_mj.evaluation.reports.explained import Explanation, write_explanation
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.turning import turning
-from magical_mj.intents import EIGHT
+from magical_mj.intents import EIGHT, parse
+from magical_mj.intents.diagnose import simplest_rivals
 from magical_mj.intents.readings import ENDINGS
+from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP
 from tests.helpers.commands import Shell
@@ -120,6 +123,32 @@ def test_what_cannot_be_explained_says_why() -> None:
     (result,) = attribute([replace(good, score=0.5)], jobs=1)
     assert isinstance(result, Unexplained)
     assert "its actions lead to 0" in result.problem
+
+
+def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:
+    """The expert pursues one of the ten simplest rivals, in the scenes that refute it."""
+    intent = parse("in(colour=red, region)")
+    task, (rival, *_) = f"intent:{intent}", simplest_rivals(intent, intent.spec().demo)
+    episodes = []
+    for seed in (0, 10):
+        with closing(Engine(task, "Diagnose", seed=seed)) as engine:
+            expert, actions = Expert(engine, f"intent:{rival}"), list[int]()
+            while not engine.step(action := expert()):
+                actions.append(action)
+        episodes.append(played(task, "Diagnose", seed, actions))
+    results = [attributed(episode) for episode in episodes]
+    number = task_rivals(task).index(rival)
+    assert all(result.episode.score < 1.0 and number in result.rivals for result in results)
+    write_explanation(Explanation(results), tmp_path)
+    rows = pd.read_csv(tmp_path / "rivals.csv").set_index("rival")
+    assert rows.loc[str(rival), "reached"] == 1.0
+    assert rows.loc[str(rival), "sentence"] == rival.sentence
+    assert rows["reached"].idxmax() in map(str, simplest_rivals(intent, intent.spec().demo))
+    assert rows["task"].unique().tolist() == [task]
+    page = (tmp_path / "explained.md").read_text("utf-8")
+    assert rival.sentence[:-1] in page
+    for target in re.findall(r"\]\(([^)]+)\)", page):
+        assert (tmp_path / target).exists(), target
 
 
 def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:

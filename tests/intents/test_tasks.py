@@ -113,8 +113,7 @@ def test_scenes_of_diagnose_refute_the_simplest_rivals() -> None:
     assert set(simplest) <= set(rivals([(spec.demo, solved(intent, spec.demo) or spec.demo)]))
     scenes = [sample_scene(name, "Diagnose", seed) for seed in range(30)]
     refuted = [[refutes(intent, rival, scene) for rival in simplest] for scene in scenes]
-    assert all(any(flags) for flags in refuted)
-    assert all(any(flags[number] for flags in refuted) for number in range(10))
+    assert all(flags[seed % 10] for seed, flags in enumerate(refuted))
     assert all(accepts(intent, scene) for scene in scenes)
     alone = sample_scene("intent:robot in()", "Diagnose", 0)  # without rivals
     assert accepts(parse("robot in()"), alone)

@@ -24,7 +24,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, recorded_settings
 from magical_mj.evaluation.turning import FAILURES, Turning, turnings
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
-from magical_mj.tasks.registry import TASKS, VARIANTS
+from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import counted
@@ -207,7 +207,7 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
                 _percent(sum(_share(result, alike) > 0 for result in group) / len(group)),
             )
         )
-        name = f"{policy}-{task}-{number}.png".replace("/", "-")
+        name = f"{policy}-{task_spec(task).name}-{number}.png".replace("/", "-")
         reached = [result for result in group if _share(result, alike)]
         examples = sorted(reached, key=lambda result: -_share(result, alike))[:EXAMPLES]
         files.write(out / name, _png([_pair(result.episode) for result in examples]), overwrite=True)
@@ -330,8 +330,10 @@ def _method(episode: EpisodeResult) -> tuple[str, ...]:
     return episode.policy, episode.task
 
 
-def _order(episode: EpisodeResult) -> tuple[str, int, int, int, int]:
-    return episode.policy, TASKS.index(episode.task), list(VARIANTS).index(episode.variant), episode.seed, episode.run
+def _order(episode: EpisodeResult) -> tuple[object, ...]:
+    place = TASKS.index(episode.task) if episode.task in TASKS else len(TASKS)
+    variant = EVERY_VARIANT.index(episode.variant)
+    return episode.policy, place, episode.task, variant, episode.seed, episode.run
 
 
 def _share(result: Attribution, rivals: Sequence[int]) -> float:

@@ -1,0 +1,100 @@
+"""How ambiguous demonstrations are: the measures, and what docs/intents.md says about them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magical_mj.intents import EIGHT, parse, rivals
+from magical_mj.intents.contrast import planned
+from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.tasks import task_of
+from tools.ambiguity import (
+    KINDS,
+    SCENES,
+    Case,
+    by_picture,
+    by_sentence,
+    case_of,
+    curve,
+    eight,
+    left,
+    median,
+    nothing,
+    of_set,
+    quartiles,
+)
+from tools.intents import TESTS
+from tools.tables import ROOT
+
+PAGE = (ROOT / "docs" / "intents.md").read_text("utf-8")
+
+
+def rows_of(name: str) -> dict[str, list[str]]:
+    """The rows of a generated table, by their first cells."""
+    body = PAGE.partition(f"<!-- {name}: written by python -m tools.ambiguity -->")[2].partition("<!--")[0]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in body.strip().splitlines()]
+    return {first: rest for first, *rest in cells[2:]}
+
+
+def test_missing_bits_are_the_weight_of_what_is_possible_relative_to_the_true_intent() -> None:
+    true, same, longer = parse("robot wall(left)"), parse("robot wall(top)"), parse("wall(all, left)")
+    case = Case(true, ())
+    assert left(case, [true]) == (0, 0.0)
+    assert left(case, [true, same]) == (1, 1.0)
+    assert left(case, [same, longer]).bits == pytest.approx(np.log2(2 + 2.0 ** (true.bits - longer.bits)))
+    assert nothing(case).bits < true.bits  # the weights of all intents sum to less than 1
+
+
+@pytest.mark.parametrize("text", ["near(shape=star, to=blue)", "robot in()"])
+def test_more_scenes_leave_fewer_rivals_and_the_sentence_none(text: str) -> None:
+    case = case_of(task_of(text))
+    counts = {kind: [found.rivals for found in curve(case, kind)] for kind in KINDS}
+    for kind in KINDS:
+        assert len(counts[kind]) == SCENES
+        assert counts[kind] == sorted(counts[kind], reverse=True)
+    assert counts["contrasting"][1] <= counts["random"][1]
+    assert by_sentence(case) == (0, 0.0)
+    assert by_picture(case).rivals >= counts["random"][0]
+    assert by_picture(case).bits <= nothing(case).bits
+
+
+def test_a_weaker_intent_is_left_by_every_scene() -> None:
+    """Unless it holds at the start, so that the demonstration does not reach it."""
+    case = Case(EIGHT["MatchRegions"], eight()["MatchRegions"].first)
+    weaker = parse("in(colour=region, region)")
+    assert weaker in rivals([*case.first, planned(case.intent, case.first[0][0])])
+
+
+def test_the_page_has_the_figures_of_the_table() -> None:
+    rows = rows_of("rivals-by-set")
+    for name in TESTS:
+        assert rows[name][0] == quartiles([task.intent.bits for task in tasks_in(name)])
+    assert rows["relation"] == of_set("relation")
+    bits, missing = ({name: row[column].split()[0] for name, row in rows.items()} for column in (0, 3))
+    for of in (bits, missing):
+        assert min(of, key=lambda name: int(of[name])) == "relation"
+        assert max(of, key=lambda name: int(of[name])) == "long"
+    assert (
+        f"leaves from {missing['relation']} bits (`relation`) to {missing['long']} bits (`long`) missing. "
+        f"An intent of these sets has {bits['relation']} and {bits['long']}."
+    ) in " ".join(PAGE.split())
+
+
+def test_the_page_says_what_scenes_pictures_and_sentences_leave() -> None:
+    known = rows_of("known")
+    picture, one = known["a picture of the solved scene"], known["demonstrations in one scene"]
+    contrasting, random = known["in 8 scenes: contrasting"], known["in 8 scenes: random colours and poses"]
+    text = " ".join(PAGE.split())
+    assert (
+        f"leave {contrasting[3]} bits of the 25 intents missing, "
+        f"and eight scenes with random colours and poses {random[3]}."
+    ) in text
+    assert known["one scene and the sentence"] == ["0", "0.0", "0", "0.0"]
+    assert (
+        f"a picture of the solved scene leaves {picture[1]} bits missing, "
+        f"demonstrations in one scene {one[1]}, and eight contrasting scenes {contrasting[1]}."
+    ) in text
+    group = list(eight().values())
+    assert known["nothing"][:2] == median([nothing(case) for case in group])
+    assert one[:2] == median([left(case, rivals(case.first)) for case in group])
