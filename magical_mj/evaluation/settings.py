@@ -134,8 +134,7 @@ class EvaluationSettings(Settings):
     control: Annotated[
         Control | None,
         Meta(
-            description="wrong-demonstrations or wrong-instruction: a control experiment in which policies receive those of "
-            "another task."
+            description="wrong-demonstrations or wrong-instruction: policies receive those of another task, as a control."
         ),
     ] = None
 
