@@ -134,7 +134,7 @@ class EvaluationSettings(Settings):
     control: Annotated[
         Control | None,
         Meta(
-            description="wrong-demonstrations or wrong-instruction: policies receive those of another task, as a control."
+            description="A control, wrong-demonstrations or wrong-instruction: policies receive those of another task."
         ),
     ] = None
 
