@@ -3,7 +3,6 @@
     python -m tools.intents draw             writes magical_mj/intents/sets.txt
     python -m tools.intents show 200         prints random intents with their sentences
     python -m tools.intents expert OUT       plays the test sets with the expert; called again, it continues
-    python -m tools.intents rivals           counts the rivals that several demo scenes leave
 
 An intent is accepted if it has scenes, each of its relations adds something to the others, and random actions solve it
 in at most a fifth of the episodes. No test intent has the same meaning as a training intent: meanings are compared in
@@ -24,7 +23,7 @@ import numpy as np
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
-from magical_mj.intents import EIGHT, SETS, rivals, sets
+from magical_mj.intents import EIGHT, sets
 from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import RELATIONS, Conjunct
@@ -65,7 +64,6 @@ RELATIONS_DRAWN: Final = {
     "robot wall": 0.5, "robot near": 1.0, "corner": 2.0, "apart": 1.5,
 }  # fmt: skip
 VARIANTS: Final = ("Demo", "Layout", "All")
-NUMBERS: Final = (1, 2, 4, 8)
 TESTS: Final = ("seen", "combined", "selector", "relation", "long")
 TRAIN, DEV, TEST = 1000, 50, 50
 SPARE: Final = 5
@@ -285,25 +283,6 @@ def expert(out: str) -> None:
         print(f"- {row.task}, {row.variant}: {row.score:.2f}")
 
 
-# Rivals
-
-
-def left_over() -> None:
-    """Prints how many rivals, at most as long as the intent, are left by demonstrations in 1 to 8 demo scenes."""
-    intents = [intent for name in TESTS for intent in SETS[name][::4] if len(intent.conjuncts) < 3]
-    print(f"{len(intents)} intents. Medians of the rivals left, and the shares of intents without any:")
-    print(f"| Demo scenes | {' | '.join(map(str, NUMBERS))} |\n| --- |{' ---: |' * len(NUMBERS)}")
-    for contrasting in (False, True):
-        counts = []
-        for intent in intents:
-            demos = intent.spec(demos=max(NUMBERS), contrasting=contrasting).demos
-            pairs = [(demo, solved(intent, demo) or demo) for demo in demos]
-            counts.append([len(rivals(pairs[:number], intent.bits)) - 1 for number in NUMBERS])
-        table = np.array(counts)
-        cells = [f"{np.median(column):.0f} ({(column == 0).mean():.2f})" for column in table.T]
-        print(f"| {'contrasting' if contrasting else 'random'} | {' | '.join(cells)} |", flush=True)
-
-
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["draw"]:
@@ -312,7 +291,5 @@ if __name__ == "__main__":
             show(int(number))
         case ["expert", out]:
             expert(out)
-        case ["rivals"]:
-            left_over()
         case _:
             sys.exit(__doc__)
