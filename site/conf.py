@@ -2,6 +2,7 @@
 
 import os
 import re
+from pathlib import Path
 from typing import Any
 
 from magical_mj import __version__
@@ -35,7 +36,7 @@ html_theme_options = {
 html_logo = "logo.svg"
 html_favicon = "logo.svg"
 html_static_path = ["style"]
-html_search_scorer = "style/scorer.js"
+html_search_scorer = str(Path(__file__).parent / "style/scorer.js")
 html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_baseurl = os.environ.get("SITE_URL", "")
