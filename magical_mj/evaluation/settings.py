@@ -120,7 +120,7 @@ class EvaluationSettings(Settings):
     demonstrations: Annotated[
         Count | None,
         Meta(
-            description="Number of demonstrations of the task that policies with uses_demonstrations = True receive; "
+            description="How many demonstrations policies with uses_demonstrations = True receive; "
             f"by default {DEMONSTRATIONS_GIVEN}."
         ),
     ] = None
