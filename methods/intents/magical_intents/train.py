@@ -28,6 +28,7 @@ from magical_mj.learners.learner import seeded
 from magical_mj.policies.interface import histories
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import NOOP
+from magical_mj.utils.errors import DemonstrationError
 
 VARIANTS: Final = ("Demo", "Layout", "All")
 """Of each intent one demonstration in each: so what varies in an intent is seen."""
@@ -63,10 +64,14 @@ def trained_intents(number: int = INTENTS) -> list[Intent]:
 
 
 def lessons(intents: Sequence[Intent], folder: Path | None = None, jobs: int | None = 1) -> list[Lesson]:
-    """The intents with their demonstrations, which are kept in `folder`."""
-    return [
-        lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs)) for intent in intents
-    ]
+    """The intents with their demonstrations, which are kept in `folder`. Those that the expert fails are left out."""
+    found = []
+    for intent in intents:
+        try:
+            found.append(lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs)))
+        except DemonstrationError as error:
+            print(f"left out: {error}")
+    return found
 
 
 def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
