@@ -9,6 +9,7 @@ Called again with the same folder, it continues. The demonstrations are made by 
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -70,7 +71,7 @@ def lessons(intents: Sequence[Intent], folder: Path | None = None, jobs: int | N
         try:
             found.append(lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs)))
         except DemonstrationError as error:
-            print(f"left out: {error}")
+            warnings.warn(f"left out: {error}", stacklevel=2)
     return found
 
 
