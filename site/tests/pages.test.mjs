@@ -105,7 +105,7 @@ test("charts show their figures, and the leaderboard sorts, opens rows, and link
   const demo = (await whole.allTextContents()).map((text) => Number.parseFloat(text) || 0);
   assert.deepEqual(demo, [...demo].sort((one, other) => other - one));
   for (const heading of ["Demo (8)", "Method", "Runs"]) {  // the first one again, now rising: partial methods stay last
-    await table.getByRole("button", { name: heading, exact: true }).click();
+    await table.locator("thead").getByRole("button", { name: heading }).click();  // a sign for the order may follow
     const partial = await table.locator(":scope > tbody").evaluateAll((bodies) => bodies.map((body) => body.classList.contains("partial")));
     assert.ok(partial.includes(true));
     assert.deepEqual(partial, [...partial].sort((one, other) => Number(one) - Number(other)));
