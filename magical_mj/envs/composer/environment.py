@@ -141,14 +141,18 @@ class Environment(composer.Environment):
             InvalidSceneError: if the scene is illegal or does not belong to the task.
             InvalidSeedError: if the seed is negative or not an integer.
             StateError: if the state does not fit the task, or its episode has ended.
-            SettingsError: if more than one of seed, scene and state is given, or if the tree was changed in a way that
-                the scene does not allow.
+            SettingsError: if more than one of seed, scene and state is given, if the scene is fixed and a seed is
+                given, or if the tree was changed in a way that the scene does not allow.
         """
         self._opened()
         self.task.setup.check_start(seed=seed, scene=scene, state=state)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
             return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
+        if seed is not None and self._fixed:
+            raise SettingsError(
+                "every episode of load_scene starts in its scene, and no seed changes that: give a scene"
+            )
         if scene is None and self._fixed:
             scene = self.initial_scene
         if scene is not None:
