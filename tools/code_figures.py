@@ -21,7 +21,7 @@ def checking(node: ast.AST) -> Iterator[int]:
     """The numbers of the lines that check something."""
     for child in ast.iter_child_nodes(node):
         only_raises = isinstance(child, ast.If) and not child.orelse and isinstance(child.body[-1], ast.Raise)
-        if only_raises or isinstance(child, ast.Raise):
+        if isinstance(child, ast.stmt) and (only_raises or isinstance(child, ast.Raise)):
             yield from range(child.lineno, (child.end_lineno or child.lineno) + 1)
         else:
             yield from checking(child)

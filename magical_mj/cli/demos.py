@@ -415,6 +415,7 @@ def export(
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
     check_fits(context, to != "lerobot", "with other formats: LeRobot data sets need a new folder", "force")
+    check_fits(context, to != "xirl", "with other formats: XIRL has pictures of its own", "preset")
     demos = read_chosen(paths, tasks, variants, which)
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"

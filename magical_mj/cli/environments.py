@@ -37,7 +37,7 @@ Listed = Annotated[
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-Intents = Annotated[bool, typer.Option("--intents", help="List the sets of intents instead, or those in TASKS.")]
+Intents = Annotated[bool, typer.Option("--intents", help="List sets of intents instead: those named by TASKS, or all.")]
 Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
     Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
@@ -55,6 +55,8 @@ def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents =
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
     if intents:
+        if ids:
+            raise typer.BadParameter("--ids and --intents cannot be combined: intents have no registered ids.")
         for line in _intents(tasks):
             out.print(line, soft_wrap=True, markup=False, highlight=False)
         return

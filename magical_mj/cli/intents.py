@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from magical_mj.cli import option
-from magical_mj.cli.console import check_suffix, console, counting, how_to_continue, with_bar
+from magical_mj.cli.console import check_fits, check_suffix, console, counting, how_to_continue, with_bar
 from magical_mj.utils.errors import counted
 from magical_mj.utils.settings import LARGEST_SETTING
 
@@ -17,7 +17,10 @@ Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; 
 PerIntent = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
 ]
-Scenes = Annotated[int, typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.")]
+Scenes = Annotated[
+    int | None,
+    typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
+]
 Variants = Annotated[
     str, typer.Option(help="Variants, separated by commas.", autocompletion=option.COMPLETIONS["variants"])
 ]
@@ -37,9 +40,10 @@ Folder = Annotated[
 
 
 def intents(
+    context: typer.Context,
     chosen: Intents = "train",
     per_intent: PerIntent = 5,
-    scenes: Scenes = 1,
+    scenes: Scenes = None,
     variants: Variants = "Demo",
     to: Target = None,
     out: Out = None,
@@ -48,10 +52,11 @@ def intents(
     jobs: option.Jobs = None,
     force: option.Force = False,
 ) -> None:
-    """Make demonstrations of intents by the expert, and export them. Called again, the command continues."""
+    """Make demonstrations of intents by the expert; --to exports them. Called again, the command continues."""
     from magical_mj.demos.export import SUFFIXES, default_target, make_data_set
     from magical_mj.intents.expert_data import dataset
 
+    check_fits(context, to is not None, "with --to", "out", "preset", "force")
     screen, start = console(), time.monotonic()
     target = None if to is None else out or Path(default_target(to, f"intents-{chosen}", [], preset))
     if target is not None:

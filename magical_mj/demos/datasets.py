@@ -21,7 +21,6 @@ from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.export import default_target, make_data_set
 from magical_mj.demos.learning import observations
 from magical_mj.demos.shipped import DemonstrationSet
-from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
 
@@ -119,7 +118,7 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     env = gymnasium.make(name, **options)
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
         raise SettingsError(f"the observations of {name} are not one array: choose an id with LoRes... or State")
-    demos = demonstrations.load(kwargs["task"], body=options.get("body", GRIPPER))
+    demos = demonstrations.load(kwargs["task"], body=env.unwrapped.engine.setup.body)
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
     first = _arrays(demos[:1], kwargs["preset"])

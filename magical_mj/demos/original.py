@@ -111,7 +111,7 @@ def _fields(trajectory: Any) -> Iterator[tuple[Any, Any]]:
 def _row(part: Any) -> list[int] | None:
     """The integers of a row; None of anything else."""
     if not isinstance(part, list | tuple):
-        entries = part.array() if hasattr(part, "array") else None
+        entries = part.array() if isinstance(part, _Array) else None
         if entries is None or entries.ndim != 1 or entries.dtype.kind not in "iu":
             return None
         return entries.tolist()

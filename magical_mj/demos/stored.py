@@ -145,6 +145,7 @@ def _append(path: Path, stored: Stored) -> None:
         if (content := file.read()) and not content.endswith(b"\n"):
             file.truncate(content.rfind(b"\n") + 1)
         file.write(msgspec.json.encode(stored) + b"\n")
+        file.flush()  # while the file is locked
 
 
 def replay(stored: Stored, path: Path) -> Demonstration:

@@ -8,12 +8,16 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, Final, TypeVar
 
+import numpy as np
+
 from magical_mj.utils.errors import SettingsError, closest, short_repr, unknown_name
 
 _Init = TypeVar("_Init", bound=Callable[..., None])
 
 
 def _dense(wanted: Any) -> str | None:
+    if not isinstance(wanted, bool | np.bool_):
+        raise SettingsError(f'give reward="dense", or True or False, not {short_repr(wanted)}')
     return "dense" if wanted else None
 
 

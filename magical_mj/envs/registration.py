@@ -10,6 +10,7 @@ With x-magical's bodies: ``magical_mj/<Task>-<Body>-<State|Pixels>-<Allo|Ego>-<D
 from __future__ import annotations
 
 import itertools
+import zlib
 from typing import Final
 
 import gymnasium
@@ -45,8 +46,9 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
     """
     environment_axes(task, variant)
     preset_named(preset)
-    task = task_name(task)
-    return _register(task, task_spec(task).name, variant_name(variant), preset, task_spec(task).horizon())
+    task, spec = task_name(task), task_spec(task)
+    name = spec.name if not spec.further_demos else f"{spec.name}D{zlib.crc32(task.encode()):08x}"  # other demo scenes
+    return _register(task, name, variant_name(variant), preset, spec.horizon())
 
 
 class SingleWrappers(tuple[WrapperSpec, ...]):

@@ -75,7 +75,7 @@ class SpeedsEnv(MagicalEnv):
             variant,
             "State" if observation == "State" else Preset(((camera, 1),), "hwc", IMAGE_SIZE, "one picture"),
             body=body,
-            reward="none" if reward == "sparse" or task == SPEC.name else "dense",
+            reward="none" if reward == "sparse" else "dense",
             action="speeds",
             render_view=render_view or camera,
             **settings,
@@ -156,6 +156,7 @@ class XMagicalEnv(SpeedsEnv):
             render_size=render_size,
             limit=limit,
         )
+        self.reward = "none"  # `outcome` has x-magical's
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND

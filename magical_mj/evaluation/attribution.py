@@ -133,6 +133,10 @@ def unfit(
         return f"{episode.task} has no intent in the language"
     if episode.shift:
         return f"it was played with the shift {episode.shift}"
+    if episode.other:
+        return f"it was played as a control: the policy received what describes {episode.other}"
+    if "scene" in episode.given:
+        return f"the policy received {episode.given}, and rivals are those that the task's own demonstrations leave"
     if episode.failure is not None:
         return "the policy failed"
     return obstacle(episode, recorded, trusted)

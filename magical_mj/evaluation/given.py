@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
+from magical_mj.intents.expert_data import with_scenes
 from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.selectors import UngroundedError
 from magical_mj.intents.sets import tasks_in
-from magical_mj.intents.tasks import PREFIX
+from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.scene import Scene
-from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import sample_scene
 from magical_mj.utils.errors import DemonstrationError, SettingsError, counted
 
@@ -51,7 +51,6 @@ def demonstrations_given(
         IntentError: if an intent has too few demo scenes.
     """
     from magical_mj.demos import stored  # imported late: it loads the simulator
-    from magical_mj.intents.expert_data import with_scenes
 
     wrong, number = settings.control == "wrong-demonstrations", settings.number_given
     tasks = list(dict.fromkeys(task for task, _ in settings.environments))
@@ -59,11 +58,11 @@ def demonstrations_given(
     names = {
         task: with_scenes(other, settings.scenes, contrasting=settings.contrasting)
         for task, other in shown.items()
-        if in_language(other)
+        if other.startswith(PREFIX)
     }
     keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
     every = [key for group in keys.values() for key in group]
-    made = iter(stored.complete(every, stored.default_path(), watch=watch))
+    made = iter(stored.complete(every, stored.default_path(), jobs=settings.jobs, watch=watch))
     return {
         task: tuple(itertools.islice(made, number)) if task in keys else _shipped(other, settings)
         for task, other in shown.items()
@@ -79,7 +78,7 @@ def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ..
     known = demos.load(task)
     if len(known) < settings.number_given:
         count = counted(len(known), "demonstration")
-        raise DemonstrationError(f"{task} has {count}, fewer than {settings.number_given}: give --demonstrations")
+        raise DemonstrationError(f"{task} has {count}, so no policy can receive {settings.number_given}")
     return tuple(known[: settings.number_given])
 
 
@@ -121,16 +120,21 @@ def intent_of(task: str) -> Intent:
 def other_tasks(task: str) -> list[str]:
     """The other tasks of the benchmark, beginning with the next one.
 
-    For an intent, the other intents of its set. If it is in no set, the intents of the benchmark's tasks.
+    For an intent, the other intents of its set, with as many demo scenes. If it is in no set, the intents of the
+    benchmark's tasks.
     """
-    intent = intent_of(task)
-    names = list(EIGHT)
-    if task not in EIGHT:
-        names = next(
-            (list(each) for each in map(_names, SETS) if task in each), [f"{PREFIX}{e}" for e in EIGHT.values()]
-        )
+    if task in EIGHT:
+        return _after(task, list(EIGHT))
+    own = task_of(task.removeprefix(PREFIX))
+    name = f"{PREFIX}{replace(own, demos=1, contrasting=False)}"
+    names = next((list(each) for each in map(_names, SETS) if name in each), [f"{PREFIX}{e}" for e in EIGHT.values()])
+    return [with_scenes(other, own.demos, contrasting=own.contrasting) for other in _after(name, names)]
+
+
+def _after(task: str, names: list[str]) -> list[str]:
+    """The tasks with other intents, beginning with the one after this task."""
     after = names.index(task) + 1 if task in names else 0
-    return [name for name in (*names[after:], *names[:after]) if intent_of(name) != intent]
+    return [name for name in (*names[after:], *names[:after]) if intent_of(name) != intent_of(task)]
 
 
 def _names(name: str) -> tuple[str, ...]:
@@ -153,7 +157,9 @@ def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
     for other in others:
         if _can_be_pursued(intent_of(other), scene):
             return other
-    raise SettingsError(f"no other task can be pursued in {task} {variant}, seed {seed}: leave out {task}")
+    raise SettingsError(
+        f"no other task can be pursued in {task} {variant}, seed {seed}, so it cannot be played with this control"
+    )
 
 
 def _can_be_pursued(intent: Intent, scene: Scene) -> bool:
@@ -174,5 +180,6 @@ def with_other_score(episode: EpisodeResult) -> EpisodeResult:
     with closing(engine_for(episode)) as engine:
         if not _can_be_pursued(intent, initial := engine.initial_scene):
             return episode
-        replay_problem(episode, engine)
+        if replay_problem(episode, engine):
+            return episode
         return replace(episode, other_score=intent.score(initial, engine.scene))

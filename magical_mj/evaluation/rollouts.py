@@ -255,7 +255,7 @@ def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
     """The instruction (a sentence) of the current episode in each environment."""
     worlds: Any = envs.unwrapped
     if not hasattr(worlds, "get_attr"):  # batched environments, which have no shifts
-        return [task_spec(episode.task).summary for episode in episodes]
+        return ["" if episode.task == NEUTRAL else task_spec(episode.task).summary for episode in episodes]
     try:
         return worlds.get_attr("instruction")
     except AttributeError:

@@ -166,8 +166,10 @@ class EvaluationSettings(Settings):
                 f"{counted(self.number_given, 'demonstration')} cannot be spread over {self.scenes} scenes: give more "
                 "demonstrations, or fewer scenes"
             )
-        if self.control and (self.shifts or self.batched):
-            raise SettingsError(f"the control {self.control} is played in MuJoCo and without shifts: leave those out")
+        if self.control and (self.shifts or self.wrap or self.batched):
+            raise SettingsError(
+                f"the control {self.control} is played in MuJoCo, without shifts and wrappers: leave those out"
+            )
 
     @property
     def observed(self) -> str:

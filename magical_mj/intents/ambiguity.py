@@ -29,7 +29,8 @@ from magical_mj.intents.selectors import (
     names_one,
     selected,
 )
-from magical_mj.scene import Scene
+from magical_mj.scene import Scene, check_scene_type
+from magical_mj.utils.errors import SettingsError, short_repr
 
 MOST_IN_REGION: Final = 3
 """The largest number that rivals with "exactly" name."""
@@ -59,8 +60,16 @@ def rivals(demonstrations: Iterable[Shown | Ends], bits: float = 24.0) -> list[I
 
     Returns:
         The intents, the simplest first; those with the same number of bits in the order of their texts.
+
+    Raises:
+        SettingsError: if there are no demonstrations, or other objects.
     """
-    ends = [ends_of(shown) for shown in demonstrations]
+    ends = [] if isinstance(demonstrations, str) else [ends_of(shown) for shown in demonstrations]
+    if not ends:
+        raise SettingsError(
+            'rivals are of demonstrations, such as magical_mj.demos.load("FindDupe"), or of pairs of scenes: give at '
+            f"least one, not {short_repr(demonstrations)}"
+        )
     table = _table(bits)
     truths = [(_truths(table, start, start), _truths(table, start, end)) for start, end in ends]
     found = [Intent((table.conjuncts[index],)) for index in np.flatnonzero(_consistent(truths))]
@@ -76,27 +85,26 @@ def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
 def ends_of(shown: Shown | Ends) -> Ends:
     """The initial and the final scene of a demonstration."""
     if isinstance(shown, tuple):
+        for scene in shown:
+            check_scene_type(scene)
         return shown
     scenes = shown.scenes()
     return scenes[0], scenes[-1]
 
 
 class Judge:
-    """Says which of some intents episodes have reached, all at once.
-
-    Args:
-        intents: of one or two conjuncts.
-    """
+    """Says which of some intents episodes have reached. Intents that could be rivals are judged all at once."""
 
     def __init__(self, intents: Sequence[Intent]) -> None:
         self.intents = tuple(intents)
-        conjuncts = sorted(
-            {one for intent in intents for one in intent.conjuncts}, key=lambda one: one.selector == REST
-        )
+        together = np.array([_is_like_rivals(intent) for intent in self.intents], np.bool_)
+        self._together, self._alone = np.flatnonzero(together), np.flatnonzero(~together)
+        likes = [self.intents[number] for number in self._together]
+        conjuncts = sorted({one for intent in likes for one in intent.conjuncts}, key=lambda one: one.selector == REST)
         used = {one.selector for one in conjuncts if RELATIONS[one.relation].of_blocks and one.selector != REST}
         self._table = _table_of(conjuncts, sorted(used) or [ALL])
         place = {conjunct: number for number, conjunct in enumerate(conjuncts)}
-        places = [sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in self.intents]
+        places = [sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in likes]
         self._places = np.array(places, np.int64).reshape(-1, 2)  # `others` come last
 
     def reached(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
@@ -105,6 +113,8 @@ class Judge:
 
     def holds(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
         """Which intents hold in the final scene and are about something in the initial one. Shape (intents,)."""
+        reached = np.zeros(len(self.intents), np.bool_)
+        reached[self._alone] = [_holds_alone(self.intents[number], initial, final) for number in self._alone]
         truths = _truths(self._table, initial, final)
         one, two = self._places.T
         holds = truths.holds[two]
@@ -112,7 +122,26 @@ class Judge:
             if conjunct in truths.rest:
                 with_others = two == number
                 holds[with_others] = truths.rest[conjunct][self._table.selector[one[with_others]]]
-        return truths.holds[one] & holds
+        reached[self._together] = truths.holds[one] & holds
+        return reached
+
+
+def _is_like_rivals(intent: Intent) -> bool:
+    """Whether an intent has at most two conjuncts, of the kinds that rivals have."""
+    return len(intent.conjuncts) <= 2 and all(
+        one.selector == ALL
+        if one.relation == "clustered"
+        else one.selector != REST or RELATIONS[one.relation].each is not None
+        for one in intent.conjuncts
+    )
+
+
+def _holds_alone(intent: Intent, initial: Scene, final: Scene) -> bool:
+    """Whether an intent is about something in the initial scene and holds in the final one."""
+    try:
+        return intent.grounded(initial) and intent.holds(initial, final)
+    except UngroundedError:
+        return False
 
 
 class _Table(NamedTuple):

@@ -87,7 +87,7 @@ def dataset(
     per_intent: int = 5,
     preset: str = "State",
     *,
-    scenes: int = 1,
+    scenes: int | None = None,
     variants: Names = "Demo",
     folder: Path | str | None = None,
     jobs: int | None = None,
@@ -102,7 +102,7 @@ def dataset(
         intents: sets of `magical_mj.intents.SETS`, or intents, as a list or separated by commas.
         per_intent: the number of demonstrations of each intent in each variant.
         preset: the Gymnasium preset of the observations.
-        scenes: the number of demo scenes in the variant Demo, 1 to 8.
+        scenes: the number of demo scenes in the variant Demo, 1 to 8; None: as the intent's text says, by default one.
         variants: the variants.
         folder: the folder of the stored actions; None: the user's cache folder. A larger data set adds to its file.
         jobs: the number of processes; None: one per core.
@@ -120,7 +120,7 @@ def dataset(
     chosen = [variant_name(variant) for variant in listed(variants, VARIANTS)]
     tasks = listed_tasks([f"{PREFIX}{name}" for name in listed(intents, SETS)])
     path = stored.default_path() if folder is None else files.to_path(folder) / FILE
-    names = [with_scenes(task, fitting("scenes", scenes, Count)) for task in tasks]
+    names = [with_scenes(task, None if scenes is None else fitting("scenes", scenes, Count)) for task in tasks]
     keys = [(name, variant, first + k) for name in names for variant in chosen for k in range(number)]
     return Dataset(tuple(stored.complete(keys, path, jobs=jobs, watch=watch)), path, preset, renderer)
 
@@ -129,7 +129,7 @@ def with_scenes(task: str, scenes: int | None = None, *, contrasting: bool = Fal
     """The name of an intent's task with this number of demo scenes; None: that of the task.
 
     Raises:
-        IntentError: if there are too many scenes.
+        IntentError: if there are too many scenes, or only one is to be contrasting.
     """
     own = task_of(task.removeprefix(PREFIX))
     changed = replace(own, demos=scenes or own.demos, contrasting=contrasting or own.contrasting)

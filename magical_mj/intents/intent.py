@@ -119,7 +119,7 @@ class Intent:
             seed: the seed of the demo scenes.
             demos: the number of demo scenes, 1 to 8.
             contrasting: choose each further demo scene so that it refutes as many of the simplest rivals as possible,
-                instead of drawing it as Layout and Colour do.
+                instead of drawing it as Layout and Colour do. Needs at least two.
 
         Raises:
             IntentError: if a setting is invalid, or no scene was found for the intent.

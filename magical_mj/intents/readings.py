@@ -13,7 +13,6 @@ from typing import Final
 
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.relations import RELATIONS, STAYED
-from magical_mj.intents.selectors import selected
 from magical_mj.scene import Scene
 
 SAME_PLACE: Final = 0.3
@@ -54,11 +53,11 @@ def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
 def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
     """The blocks that have to be moved, or one of which: those for which a conjunct does not hold yet in the scene."""
     wanted: set[int] = set()
-    for conjunct, parts in zip(intent.conjuncts, intent.parts(initial, initial), strict=True):
+    every = intent.parts(initial, initial), intent.blocks(initial)
+    for conjunct, parts, blocks in zip(intent.conjuncts, *every, strict=True):
         relation = RELATIONS[conjunct.relation]
-        if all(parts) or not relation.of_blocks:
+        if all(parts):
             continue
-        blocks = selected(conjunct.selector, initial)
         flags = relation.each(conjunct.argument, initial, initial) if relation.each else [False] * len(initial.blocks)
         wanted |= {index for index in blocks if flags[index] is False}
     return frozenset(wanted)

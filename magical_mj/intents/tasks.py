@@ -95,7 +95,10 @@ def with_settings(task: Task, settings: str) -> Task:
             raise IntentError(
                 f"{settings}: {short_repr(part)} should be seed=N, demos=N from 1 to {MOST_DEMOS}, or contrasting"
             )
-    return replace(task, **changes)
+    changed = replace(task, **changes)
+    if changed.contrasting and changed.demos == 1:
+        raise IntentError(f"contrasting is for several demo scenes: give demos=2 to {MOST_DEMOS}, or leave it out")
+    return changed
 
 
 def spec_of(task: Task) -> TaskSpec:

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.evaluation.entry import SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.reports.statistics import (
     Floats,
@@ -199,12 +199,13 @@ class Standing:
     def curves(self) -> Mapping[str, tuple[int, dict[int, float]]]:
         """Shift -> the number of tasks that were played in all strengths, and the mean score by strength over them.
 
-        Strength 0 is Demo, in the same scenes.
+        Strength 0 is Demo, in the same runs and scenes.
         """
         if not self.entry.shifted:
             return {}
         scores: dict[tuple[str, str], list[float]] = defaultdict(list)
-        demo = [row for row in self.entry.counted if row.variant == "Demo" and row.seed < SHIFT_SEEDS]
+        both = {(row.task, row.run, row.seed) for row in self.entry.shifted}
+        demo = [row for row in self.entry.counted if row.variant == "Demo" and (row.task, row.run, row.seed) in both]
         for row in (*demo, *self.entry.shifted):
             scores[row.task, row.shift].append(row.score)
         curves = {}

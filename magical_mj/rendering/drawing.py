@@ -34,6 +34,22 @@ _ASSETS: Final = (
 """What a drawing context copies from a model."""
 
 
+TRANSLUCENT: Final = (
+    "the views ego and allo show opaque geoms only, and these are translucent: {names}. Give them an alpha of 1, or a "
+    "group that these views do not show, such as group=4"
+)
+
+
+def translucent(model: mujoco.MjModel) -> list[str]:
+    """The names or numbers of the geoms in groups of the flat views that are neither opaque nor invisible."""
+    own = (model.geom_rgba != (0.5, 0.5, 0.5, 1.0)).any(axis=1) | (model.geom_matid < 0)
+    alpha = np.where(own, model.geom_rgba[:, 3], 1.0)
+    by_material = np.flatnonzero(~own)
+    alpha[by_material] = model.mat_rgba[model.geom_matid[by_material], 3]
+    numbers = np.flatnonzero((alpha > 0) & (alpha < 1) & drawn(model.geom_group))
+    return [model.geom(number).name or f"geom {number}" for number in numbers.tolist()]
+
+
 class Drawing:
     """Draws one model, with everything that MuJoCo's viewers show, or flat.
 
@@ -48,6 +64,7 @@ class Drawing:
         self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
         room = 2 * (model.ngeom + model.nsite + model.nskin + model.nflex + model.nwrap + model.nsensor)
         self._scene = mujoco.MjvScene(model, room)
+        self._translucent = translucent(model)
         if not lit:
             self._option.geomgroup[:] = self._option.skingroup[:] = IS_DRAWN
             self._option.sitegroup[:] = self._option.tendongroup[:] = 0
@@ -60,6 +77,8 @@ class Drawing:
         """
         from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0  # the whole `OpenGL.GL` takes 85 ms and 6 MB
 
+        if self._translucent and not self._lit:
+            raise RenderingError(TRANSLUCENT.format(names=", ".join(self._translucent)))
         context = self.context(canvas)
         scene, option, perturbation = self._scene, self._option, self._perturbation
         shown = _ALL if self._lit else _STILL
@@ -80,6 +99,9 @@ class Drawing:
             canvas.pixels = np.empty((side, side, 4), np.uint8)
         # MuJoCo's own mjr_readPixels has no alpha, and is slower.
         GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, canvas.pixels)
+        if self._translucent:
+            alpha = canvas.pixels[..., 3]
+            alpha[alpha > 0] = 255
         return canvas.pixels
 
     def context(self, canvas: Canvas) -> mujoco.MjrContext:

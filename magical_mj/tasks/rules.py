@@ -89,13 +89,13 @@ def way_out(region: GoalRegion, item: Robot | Block, half_width: float = ARENA_H
     if not region.contains(item):
         return 0.0
     room = half_width - BLOCK_SIZE
-    ways = {
-        item.x - region.x_min: -region.x_min,
-        region.x_max - item.x: region.x_max,
-        item.y - region.y_min: -region.y_min,
-        region.y_max - item.y: region.y_max,
-    }
-    return WRONG + min([way for way, side in ways.items() if side < room] or ways)
+    sides = (
+        (item.x - region.x_min, -region.x_min),
+        (region.x_max - item.x, region.x_max),
+        (item.y - region.y_min, -region.y_min),
+        (region.y_max - item.y, region.y_max),
+    )
+    return WRONG + min([away for away, side in sides if side < room] or [away for away, _ in sides])
 
 
 def require(condition: bool, task: str, need: str) -> None:

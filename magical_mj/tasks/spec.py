@@ -133,8 +133,8 @@ class TaskSpec(VariationRules):
         """Raises a `TaskError` if the reward is "dense", for which the task has no formula."""
         if reward == "dense" and self.distance is None:
             raise TaskError(
-                f"{self.name} has no dense rewards, which need a formula: add a function `distance` to its TaskSpec "
-                '(docs/adding-a-task.md), or use reward="score"'
+                f'{self.name} ({self.summary}) has no dense rewards: use reward="score". In a task of your own, add a '
+                "function `distance` to its TaskSpec (docs/adding-a-task.md)"
             )
 
     def remaining(self, scenes: Sequence[Scene], rules: Rules) -> float:

@@ -198,6 +198,8 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
         left_out = "jitter" if "layout" in supported else None
         return tuple(axis for axis in VARIANTS["All"] if axis in supported and axis != left_out)
     missing = [axis for axis in every[variant] if axis not in supported]
+    if missing == ["diagnose"]:
+        raise UnknownNameError(f"{rules.name} has no variant 'Diagnose', which only intents have. See docs/intents.md")
     if missing:
         raise UnknownNameError(
             f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "

@@ -100,8 +100,9 @@ def test_an_environment_with_data_for_training_and_validation() -> None:
             magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-LoRes4E-v0", **options)
     with pytest.raises(SettingsError, match="CartPole-v1 is not the id of a task's environment"):
         magical_mj.datasets.make_env_and_datasets("CartPole-v1")
-    with pytest.raises(DemonstrationError, match="of MoveToRegion with the body 'shortstick'"):
-        magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", body="shortstick")
+    for options in ({"body": "shortstick"}, {"shifts": "body:shortstick"}):
+        with pytest.raises(DemonstrationError, match="of MoveToRegion with the body 'shortstick'"):
+            magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", **options)
     with pytest.raises(SettingsError, match="not one array"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
 

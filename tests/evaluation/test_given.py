@@ -116,10 +116,17 @@ def test_resuming_with_other_demonstrations_is_refused(tmp_path: Path) -> None:
         ("noop", {"control": "wrong-instruction"}, SettingsError, "uses_instruction = True"),
         (agents.Nearest, {"control": "wrong-instruction"}, SettingsError, "uses_instruction = True"),
         (agents.Nearest, {"control": "wrong-demonstrations", "shifts": "latency"}, SettingsError, "without shifts"),
+        (agents.Nearest, {"control": "wrong-demonstrations", "wrap": "mine:Wrapper"}, SettingsError, "and wrappers"),
+        (agents.Nearest, {"tasks": INTENT, "contrasting": True}, IntentError, "for several demo scenes"),
         (agents.Nearest, {"scenes": 9}, SettingsError, "8 demonstrations cannot be spread over 9 scenes"),
         (agents.Nearest, {"scenes": 2}, SettingsError, "MoveToRegion has one demo scene"),
         (agents.Nearest, {"contrasting": True}, SettingsError, "MoveToRegion has one demo scene"),
-        (agents.Nearest, {"demonstrations": 26}, DemonstrationError, "has 25 demonstrations, fewer than 26"),
+        (
+            agents.Nearest,
+            {"demonstrations": 26},
+            DemonstrationError,
+            "so no policy can receive 26",
+        ),
         (agents.Nearest, {"tasks": INTENT, "demonstrations": 9, "scenes": 9}, IntentError, "demos=N from 1 to 8"),
     ],
 )
@@ -246,6 +253,7 @@ def test_demonstrations_of_an_intent_in_several_scenes_are_made_once(cache: Path
 def test_the_other_intents_are_those_of_the_set() -> None:
     names = magical_mj.tasks.registry.listed_tasks("intent:dev")
     assert other_tasks(names[1]) == [*names[2:], names[0]]
+    assert other_tasks(f"{names[1]} [demos=4]") == [f"{name} [demos=4]" for name in (*names[2:], names[0])]
     assert other_tasks("intent:robot wall(top) & line(all)")[0] == "intent:corner(all, top left)"
 
 

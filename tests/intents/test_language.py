@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.selectors import REST
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene, score
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import IntentError, MagicalError
 
 REGION = GoalRegion("blue", -0.4, -0.4, 0.4, 0.4)
 START = Scene(
@@ -265,3 +266,29 @@ def test_a_selector_that_means_nothing_holds_nowhere() -> None:
     without = replace(START, regions=())
     assert not parse("in(all, region)").holds(without, without)
     assert parse("in(all, region)").score(without, without) == 0.0
+
+
+ODD = (
+    "clustered(all, by=shape)",
+    "clustered(colour=red, by=shape)",
+    "in(colour=red, region) & apart(others)",
+    "in(colour=red, region) & exactly(1, others)",
+    "in(all, region) & wall(all, any) & near(all, to=red)",
+)
+
+
+def test_any_intents_can_be_judged_together() -> None:
+    intents, rng, found = [parse(text) for text in ODD], np.random.default_rng(0), []
+    judge = Judge(intents)
+    for _ in range(200):
+        final = START.moved(blocks=[(*rng.uniform(-0.9, 0.9, 2).tolist(), 0.0) for _ in START.blocks])
+        holds = [intent.holds(START, final) for intent in intents]
+        assert judge.holds(START, final).tolist() == holds
+        found.append(holds)
+    assert np.array(found).any(0)[:4].all()
+
+
+@pytest.mark.parametrize("wrong", ["FindDupe", [], [(1, 2)]])
+def test_rivals_are_of_demonstrations_or_scenes(wrong: Any) -> None:
+    with pytest.raises(MagicalError):
+        rivals(wrong)

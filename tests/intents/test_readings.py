@@ -105,3 +105,12 @@ def test_the_benchmark_card_says_what_test_scenes_can_tell() -> None:
         assert ["" if value is None else f"{value:.2f}" for value in values] == rows[f"{task} {variant}"]
     for task in others:  # Colour is the third test variant
         assert f"{refuted(task, 'Colour', range(100))[-1]:.2f}" == places[task][2]
+
+
+def test_other_blocks_may_be_intended() -> None:
+    named = parse("near(colour=red, to=circle) & wall(others, top)")
+    (near, others) = (blocks for blocks in named.blocks(START))
+    flags = named.parts(START, START)
+    wanted = {block for blocks, parts in zip((near, others), flags, strict=True) for block in blocks if not all(parts)}
+    assert intended_blocks(named, START) <= wanted
+    assert intended_blocks(named, START) & set(others)

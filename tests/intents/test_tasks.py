@@ -119,7 +119,7 @@ def test_scenes_of_diagnose_refute_the_simplest_rivals() -> None:
     assert accepts(parse("robot in()"), alone)
     assert environments(name, "Diagnose,All") == [(name, "All"), (name, "Diagnose")]
     assert "Diagnose" not in dict(environments(name)).values()
-    with pytest.raises(UnknownNameError, match="its diagnose cannot vary"):
+    with pytest.raises(UnknownNameError, match="which only intents have"):
         sample_scene("FindDupe", "Diagnose", 0)
 
 
@@ -154,3 +154,12 @@ def test_random_rivals_of_an_intent_have_plans_that_satisfy_them() -> None:
             assert intent.holds(start, end)
             centres = [(block.x, block.y) for block in end.blocks]
             assert min(math.dist(*pair) for pair in itertools.combinations(centres, 2)) > 0.2
+
+
+def test_one_demo_scene_cannot_be_contrasting_and_tasks_with_more_have_ids_of_their_own() -> None:
+    with pytest.raises(IntentError, match="for several demo scenes"):
+        parse("robot in()").spec(contrasting=True)
+    names = ["intent:robot in()", "intent:robot in() [demos=2]", "intent:robot in() [demos=2, contrasting]"]
+    ids = [magical_mj.env_id(name, "Layout", "State") for name in names]
+    assert len(set(ids)) == 3
+    assert len({sample_scene(name, "Layout", 3) for name in names}) == 1

@@ -129,6 +129,8 @@ def test_shifts_are_a_track_of_their_own() -> None:
     (tasks, points), method = standing(entry).curves["camera"], standing(entry)
     assert (tasks, list(points.values())) == (1, pytest.approx([1, 0.8, 0.6, 0.4, 0.2, 0]))
     assert method.means["FindDupe", "Demo"].tolist() == [0.5]
+    unshifted = [dataclasses.replace(row, run=1, score=0.0) for row in plain]
+    assert standing(replace(whole(), episodes=[*plain, *unshifted, *played])).curves["camera"] == (tasks, points)
     assert len(entry.shifted) == 9 * 50
     (shown,) = [table for table in tables([method]) if table.name == "shifts"]
     row = dict(zip(shown.header, shown.groups[0][1][0], strict=True))

@@ -20,6 +20,7 @@ from magical_mj.rendering.opengl import FlatRenderer, on_white
 from magical_mj.rendering.picture import DRAWN_GROUPS, LARGEST, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
+from magical_mj.utils.errors import RenderingError
 
 IMAGES = Path(__file__).parents[1] / "data" / "images"
 VIEWS = ("ego", "allo")
@@ -299,3 +300,17 @@ def test_each_thread_has_a_canvas_of_its_own() -> None:
     assert len(found) == 3
     for picture in found:
         np.testing.assert_array_equal(picture, expected)
+
+
+def test_translucent_geoms_are_refused_in_flat_views_and_blend_in_three_dimensions() -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    glass = {"type": "box", "size": [0.3, 0.3, 0.05], "pos": [0, 0, 0.5], "rgba": [0, 0, 1, 0.5]}
+    env.task.root_entity.mjcf_model.worldbody.add("geom", name="glass", **glass)
+    env.reset()
+    with pytest.raises(RenderingError, match="translucent: glass"):
+        env.render("allo", 32)
+    seen = env.render("scene", 64).astype(int)
+    changed = seen[(seen != magical_mj.Engine("MoveToRegion").render("scene", 64)).any(axis=2)]
+    bluer = changed[:, 2] - changed[:, 0]
+    assert bluer.max() > 100
+    assert np.mean(bluer >= 0) > 0.95

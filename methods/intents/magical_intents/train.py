@@ -29,7 +29,7 @@ from magical_mj.learners.learner import seeded
 from magical_mj.policies.interface import histories
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import NOOP
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.errors import DemonstrationError, TrainingError
 
 VARIANTS: Final = ("Demo", "Layout", "All")
 """Of each intent one demonstration in each: so what varies in an intent is seen."""
@@ -97,8 +97,11 @@ def train(
     """Minimises -E log pi(a | s, context), with a mean over intents; writes the policy into `out`.
 
     `watch` is called with the number of updates and the loss when the policy was written.
+
+    Raises:
+        TrainingError: if the folder holds another training.
     """
-    path = out / POLICY
+    path, training = out / POLICY, {"reads": reads, "updates": updates, "intents": len(data)}
     with seeded(0):
         network = Conditioned(reads=reads)
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
@@ -106,6 +109,8 @@ def train(
     done = 0
     if path.exists():
         state = checkpoint.read(path)
+        if state["training"] != training:
+            raise TrainingError(f"{path} is of another training, {state['training']}: give another folder")
         done = state["updates"]
         network.load_state_dict(state["weights"])
         optimizer.load_state_dict(state["optimizer"])
@@ -119,7 +124,7 @@ def train(
         rate.step()
         if (update + 1) % saved == 0 or update + 1 == updates:
             kept = {"weights": network.state_dict(), "optimizer": optimizer.state_dict(), "rate": rate.state_dict()}
-            checkpoint.write(path, {"reads": reads, "updates": update + 1, **kept})
+            checkpoint.write(path, {"reads": reads, "training": training, "updates": update + 1, **kept})
             watch(update + 1, loss.item())
 
 
