@@ -118,7 +118,8 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     env = gymnasium.make(name, **options)
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
         raise SettingsError(f"the observations of {name} are not one array: choose an id with LoRes... or State")
-    demos = demonstrations.load(kwargs["task"], body=env.unwrapped.engine.setup.body)
+    ours: Any = env.unwrapped
+    demos = demonstrations.load(kwargs["task"], body=ours.engine.setup.body)
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
     first = _arrays(demos[:1], kwargs["preset"])

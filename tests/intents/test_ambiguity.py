@@ -77,7 +77,7 @@ def test_the_page_has_the_figures_of_the_table() -> None:
         assert max(of, key=lambda name: int(of[name])) == "long"
     assert (
         f"leaves from {missing['relation']} bits (`relation`) to {missing['long']} bits (`long`) missing. "
-        f"An intent of these sets has {bits['relation']} and {bits['long']}."
+        f"The median intents of these sets have {bits['relation']} and {bits['long']} bits."
     ) in " ".join(PAGE.split())
 
 
