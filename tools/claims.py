@@ -54,7 +54,12 @@ def claims(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
     papers = {method.name: method for method in paper}
     papers[CLONED] = papers["BC (ST)"]
     ours = {name: methods[our_name] for name, our_name in OURS.items()}
-    verdicts = {(True, True): "again", (True, False): "no", (False, True): "only here", (False, False): "in neither"}
+    verdicts = {
+        (True, True): "in both",
+        (True, False): "only in the paper",
+        (False, True): "only here",
+        (False, False): "in neither",
+    }
     rows = []
     for theirs, here in zip(_claimed(papers), _claimed(ours), strict=True):
         figures = (f"{claim.first:.2f}, {claim.second:.2f}" for claim in (theirs, here))
@@ -62,7 +67,7 @@ def claims(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
     seen = [
         (claim.text, "", f"{claim.first:.2f}, {claim.second:.2f}", verdicts[True, claim.holds]) for claim in _seen(ours)
     ]
-    return table(("Claim", "Paper", "Ours", "Holds"), [*rows, *seen])
+    return table(("The paper's claim", "Its numbers", "Ours", "Holds"), [*rows, *seen])
 
 
 def _claimed(methods: Mapping[str, Standing]) -> list[Claim]:

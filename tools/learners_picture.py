@@ -1,4 +1,4 @@
-"""Draws the learning curves of trainings from the metrics.csv in their folders, as in docs/results.png.
+"""Draws the learning curves of trainings from the metrics.csv in their folders.
 
 python tools/learners_picture.py "BC=runs/bc-MoveToRegion-0" "GAIL=runs/gail-MoveToRegion-0" --out curves.png
 """

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
-from magical_mj.evaluation.reports.statistics import rank_correlation
-from magical_mj.leaderboard.page import label, shown, uses
+from magical_mj.leaderboard.page import label, shown
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
@@ -22,7 +21,7 @@ from magical_mj.leaderboard.standings import (
     standing,
 )
 from tools import released
-from tools.claims import ABLATIONS, CLONED, COMPARED, OURS, claims
+from tools.claims import claims
 from tools.pages import ROOT, number, table
 
 RESULTS: Final = ROOT / "results"
@@ -42,9 +41,7 @@ HEADLINES: Final = (
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the table of variants."""
-IN_COLOUR: Final = ("replay", "BC (ST, quick)", "Redraw (ST, quick)", "BC (ST, State)", "Relational (ST, State)")
-"""Our methods in the table of Colour and Shape; the paper's are BC and GAIL, for one task."""
+"""The learners in the tables of docs/results.md."""
 REPLAYED: Final = 0.7
 """From this mean score on, replaying a demonstration counts as enough in an environment."""
 SATURATED: Final = 0.95
@@ -55,59 +52,29 @@ LEARNT: Final = ("pictures", "pictures and more", "states", "states and more")
 """The blocks of methods that learn a policy."""
 
 
-def in_blocks(methods: Sequence[Standing], header: Sequence[str], cells: Callable[[Standing], Iterable[str]]) -> str:
-    """A table of methods in blocks, in the order of the leaderboard."""
+def groups(methods: Iterable[Standing]) -> str:
+    """The scores of methods in the groups of variants: in blocks, in the order of the leaderboard."""
     rows: list[Sequence[str]] = []
+    columns = (*GROUPS, ABOVE)
     for block, heading in BLOCKS.items():
         group = sorted((method for method in methods if method.block == block), key=lambda method: method.rank)
-        rows += [(f"**{heading}**", *[""] * len(header))] if group else []
-        rows += [(_label(method), *cells(method)) for method in group]
-    return table(("Method", *header), rows)
+        rows += [(f"**{heading}**", *[""] * len(columns))] if group else []
+        rows += [(_label(method), *(shown(method, column) for column in columns)) for method in group]
+    return table(("Method", *columns), rows)
 
 
-def groups(methods: Iterable[Standing]) -> str:
-    """The scores of methods with all environments in the groups of variants."""
-
-    def cells(method: Standing) -> Iterable[str]:
-        return uses(method), _runs(method), *(shown(method, column) for column in (*GROUPS, ABOVE))
-
-    complete = [method for method in methods if method.everywhere]
-    return in_blocks(complete, ("May also use", "Runs", *GROUPS, ABOVE), cells)
-
-
-def overview(methods: Sequence[Standing]) -> str:
-    """Each method's mean score over tasks in each variant; (m/n): over m of the n tasks."""
-
-    def cells(method: Standing) -> Iterable[str]:
-        return _runs(method), *(_score(method, variant) for variant in VARIANTS)
-
+def compared(methods: Iterable[Standing]) -> str:
+    """The mean score over tasks in each variant."""
     tasks = (f"{variant} ({len(COLUMNS[variant])})" for variant in VARIANTS)
-    return in_blocks(methods, ("Runs", *tasks), cells)
-
-
-def _score(method: Standing, column: str) -> str:
-    score = method.scores.get(column)
-    return f"{score.value:.2f} {method.lacks(column)}".rstrip() if score else ""
+    rows = [
+        (_label(method), *(number(method.scores[variant].value) for variant in VARIANTS))
+        for method in sorted(methods, key=lambda method: method.rank)
+    ]
+    return table(("Method", *tasks), rows)
 
 
 def _label(method: Standing) -> str:
     return AGENTS.get(method.name, label(method))
-
-
-def _runs(method: Standing) -> str:
-    return "5" if method.kind == "published" else str(len(method.entry.runs))
-
-
-def distraction(methods: Sequence[Standing], replay: Standing) -> str:
-    """Mean scores in Colour and Shape, over the tasks that replaying a demonstration solves, and over the others."""
-    columns: dict[str, list[tuple[str, str]]] = {}
-    for variant in GROUPS["Distraction"]:
-        pairs = COLUMNS[variant]
-        enough = [pair for pair in pairs if replay.means[pair].mean() >= REPLAYED]
-        for what, chosen in (("replay solves", enough), ("others", [pair for pair in pairs if pair not in enough])):
-            columns[f"{variant}, {what}: {', '.join(task for task, _ in chosen)}"] = chosen
-    rows = [(_label(method), *(number(method.mean(pairs).value) for pairs in columns.values())) for method in methods]
-    return table(("Method", *columns), rows)
 
 
 def limits(learnt: Iterable[Standing], replay: Standing) -> dict[str, str]:
@@ -138,42 +105,16 @@ def _named(pairs: Sequence[tuple[str, str]]) -> str:
     return "; ".join(f"{task} {', '.join(variants)}" for task, variants in tasks.items() if variants)
 
 
-def agreement(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """The rank correlation of our methods with the paper's, over the environments."""
-    papers = {method.name: method for method in paper}
-    pairs = [(OURS[name], papers[name]) for name in COMPARED] + [(OURS[CLONED], papers["BC (ST)"])]
-    rows = [(name, label(one), number(rank_correlation(methods[name].means, one.means))) for name, one in pairs]
-    return table(("Ours", "The paper's", "Rank correlation"), rows)
-
-
-def ablations(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """Of BC and BC with less: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
-    papers = {method.name: method for method in paper}
-    rows = []
-    for name in ABLATIONS:
-        ours, theirs = methods[OURS[name]], papers[name]
-        pairs = ((ours.scores[variant].value, theirs.scores[variant].value) for variant in VARIANTS)
-        order = number(rank_correlation(ours.means, theirs.means))
-        rows.append((name, *(f"{here:.2f} ({there:.2f})" for here, there in pairs), order))
-    return table(("", *VARIANTS, "Rank correlation"), rows)
-
-
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
-    own, paper, rescored = own_methods(), _paper(), by_released_rules()
-    methods = {method.name: method for method in rescored}
-    in_colour = [
-        *(methods[name] for name in IN_COLOUR),
-        *(one for one in paper if one.name in ("BC (ST)", "GAIL (ST)")),
-    ]
-    chosen = [method for method in (*own.values(), *paper, *rescored) if method.name in (*HEADLINES, *AGENTS)]
+    chosen = {*HEADLINES, *AGENTS}
+    own = [method for method in own_methods().values() if method.name in chosen and method.everywhere]
+    rescored = by_released_rules()
+    in_paper = [method for method in published() if method.name in HEADLINES]
     return {
-        "groups": groups([*own.values(), *paper, *rescored]),
-        "overview": overview([method for method in chosen if method.everywhere]),
-        "distraction": distraction(in_colour, own["replay"]),
-        "claims": claims(methods, published()),
-        "ablations": ablations(methods, published()),
-        "agreement": agreement(methods, published()),
+        "methods": groups(own),
+        "compared": compared([*(method for method in rescored if method.name in chosen), *in_paper]),
+        "claims": claims({method.name: method for method in rescored}, published()),
     }
 
 
@@ -198,9 +139,3 @@ def by_released_rules() -> tuple[Standing, ...]:
         if entry is not None:
             found.append(replace(standing(entry), kind=own.kind, gaps=own.gaps))
     return tuple(found)
-
-
-@cache
-def _paper() -> list[Standing]:
-    """The paper's methods with its default settings."""
-    return [method for method in published() if method.name in COMPARED]
