@@ -127,8 +127,7 @@ class Autoencoder(nn.Module):
     The paper removes the layer of logits and narrows the layer before it. That layer keeps its ReLU here, since the
     paper does not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final
     sigmoid, as pixels are in [0, 1]. The decoder of states has two linear layers. As in the paper, actions are not
-    reconstructed: features that reconstruct actions mostly describe actions, and matching them does not help
-    (docs/state-track.md).
+    reconstructed: features that reconstruct actions mostly describe actions, and matching them does not help.
     """
 
     def __init__(self, network: NetworkSettings, size: int, *, states: bool = False) -> None:
