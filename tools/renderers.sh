@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The table of docs/pictures.md: two trainings, each with its own renderer, and both policies played with either.
+# The figures of docs/pictures.md: two trainings, each with its own renderer, and both policies played with either.
 # tools/renderers.sh takes a quarter of an hour of two cores; run again, it goes on.
 set -euo pipefail
 

@@ -42,8 +42,6 @@ HEADLINES: Final = (
     "Goals and planning (ST, State)",
 )
 """The learners in the tables of docs/results.md."""
-REPLAYED: Final = 0.7
-"""From this mean score on, replaying a demonstration counts as enough in an environment."""
 SATURATED: Final = 0.95
 """From this score of the best learnt method on, an environment does not tell methods apart."""
 HOPELESS: Final = 0.1
@@ -77,27 +75,15 @@ def _label(method: Standing) -> str:
     return AGENTS.get(method.name, label(method))
 
 
-def limits(learnt: Iterable[Standing], replay: Standing) -> dict[str, str]:
-    """A table of floors and best scores, and one of the environments that do not tell methods apart."""
+def limits(learnt: Iterable[Standing]) -> str:
+    """A table of the environments that do not tell methods apart."""
     methods = [method for method in learnt if method.everywhere and method.block in LEARNT]
     best = {pair: max(float(method.means[pair].mean()) for method in methods) for pair in ENVIRONMENTS}
     floors = {pair: floor(*pair, "paper") for pair in ENVIRONMENTS}
-    rows = []
-    for task in TASKS:
-        pairs = ((task, variant) for variant in VARIANTS)
-        parts = (
-            " / ".join(number(value) for value in (floors[pair], replay.means[pair].mean(), best[pair]))
-            if pair in best
-            else ""
-            for pair in pairs
-        )
-        rows.append((task, *parts))
     saturated = [pair for pair in ENVIRONMENTS if best[pair] >= SATURATED]
     hopeless = [pair for pair in ENVIRONMENTS if (best[pair] - floors[pair]) / (1 - floors[pair]) <= HOPELESS]
-    lists = [
-        (name, str(len(pairs)), _named(pairs)) for name, pairs in (("Saturated", saturated), ("Hopeless", hopeless))
-    ]
-    return {"floors": table(("", *VARIANTS), rows), "limits": table(("", "Number", "Environments"), lists)}
+    named = (("Saturated", saturated), ("Hopeless", hopeless))
+    return table(("", "Number", "Environments"), [(name, str(len(pairs)), _named(pairs)) for name, pairs in named])
 
 
 def _named(pairs: Sequence[tuple[str, str]]) -> str:
@@ -119,9 +105,8 @@ def results() -> dict[str, str]:
 
 
 def card() -> dict[str, str]:
-    """The tables of docs/benchmark-card.md by name."""
-    own = own_methods()
-    return limits(own.values(), own["replay"])
+    """The table of docs/benchmark-card.md by name."""
+    return {"limits": limits(own_methods().values())}
 
 
 @cache

@@ -13,7 +13,6 @@ from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import constants as c
 from magical_mj.shifts import SHIFTS
-from magical_mj.shifts.shift import STRENGTHS, Factor
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 from tools import scores
@@ -70,25 +69,12 @@ def _but(missing: Sequence[str]) -> str:
 
 
 def shifts() -> dict[str, str]:
-    """The tables of docs/shifts.md by name: what each axis changes, and the factors that it draws."""
+    """The table of docs/shifts.md: what each axis changes, and the names of its factors."""
     rows = [
-        (f"`{name}`" if index == 0 else "", factor.name, _sentence(factor.about), _sizes(factor))
+        (f"`{name}`", _sentence(kind.summary), ", ".join(factor.name for factor in kind.factors))
         for name, kind in SHIFTS.items()
-        for index, factor in enumerate(kind.factors)
     ]
-    return {
-        "axes": table(
-            ("Axis", "What it changes"), [(f"`{name}`", _sentence(kind.summary)) for name, kind in SHIFTS.items()]
-        ),
-        "factors": table(("Axis", "Factor", "What it is", f"At strengths 1 to {STRENGTHS}"), rows),
-    }
-
-
-def _sizes(factor: Factor) -> str:
-    """A factor's sizes at all strengths; one, if they are equal."""
-    kinds = {"signed": "±", "positive": "0 to ", "exact": "", "choice": "below "}
-    sizes = factor.sizes[:1] if len(set(factor.sizes)) == 1 else factor.sizes
-    return kinds[factor.draw] + ", ".join(f"{size:g}" for size in sizes)
+    return {"axes": table(("Axis", "What it changes", "Factors"), rows)}
 
 
 def readme() -> dict[str, str]:
