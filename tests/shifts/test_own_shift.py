@@ -1,4 +1,4 @@
-"""Shifts in a package of its own, as docs/adding-a-shift.md builds them: installed, and used as a user would."""
+"""Shifts in a package of its own, as docs/adding-a-shift.md describes them: installed, and used as a user would."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ assert not pulled.model.opt.gravity.any()
 """
 
 
-def test_the_example_is_what_the_page_says() -> None:
-    assert (EXAMPLE / "fog.py").read_text() == code_block(PAGE, "python", '"""Two shifts')
-    assert (EXAMPLE / "pyproject.toml").read_text() == code_block(PAGE, "toml", "[build-system]")
+def test_the_page_shows_parts_of_the_example() -> None:
+    assert code_block(PAGE, "python", "class Fog") in (EXAMPLE / "fog.py").read_text()
+    assert code_block(PAGE, "toml", "[project.entry") in (EXAMPLE / "pyproject.toml").read_text()
 
 
 def test_each_has_at_most_40_lines() -> None:

@@ -75,9 +75,10 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> User:
     return User(folder / "home", installed(project, folder))
 
 
-def test_the_example_is_what_the_page_says() -> None:
-    assert (EXAMPLE / "push_out.py").read_text() == code_block(PAGE, "python", '"""PushOut')
-    assert (EXAMPLE / "pyproject.toml").read_text() == code_block(PAGE, "toml", "[build-system]")
+def test_the_page_shows_parts_of_the_example() -> None:
+    example = (EXAMPLE / "push_out.py").read_text()
+    assert all(part in example for part in code_block(PAGE, "python", "DEMO").split("\n\n\n"))
+    assert code_block(PAGE, "toml", "[project.entry") in (EXAMPLE / "pyproject.toml").read_text()
 
 
 def test_it_has_rows_and_ids_like_ours(user: User) -> None:
