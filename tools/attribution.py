@@ -107,7 +107,7 @@ def chosen(task: str) -> bool:
 def place_or_colour() -> str:
     """The blocks that methods moved in FixColour Colour, if the demonstrated position and colour disagree."""
     rows = []
-    for entry in entries():
+    for entry in entries(COMPARED):
         there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
         telling = {seed for seed in {episode.seed for episode in there} if disagree(sample_scene(*TELLING, seed))}
         results = replayed(entry, [episode for episode in there if episode.seed in telling])

@@ -160,7 +160,7 @@ option.add_options(
 def _print_preset(screen: Console, given: str | None, preset: str) -> None:
     """Prints the preset that the policy has chosen, if it is not the default."""
     if given is None and preset != DEFAULT_PRESET:
-        screen.print(f"preset {preset}, on which the policy was trained")
+        screen.print(f"preset {preset}, which the policy needs")
 
 
 def _line(score: EpisodeResult) -> str:

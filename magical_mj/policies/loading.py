@@ -364,11 +364,9 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         for task, _ in pairs:
             if task_spec(task).plan is None:
                 task_spec(like or task_spec(task).like or task).check_plan()
-    trained_on = getattr(policy, "preset", preset)
-    if trained_on != preset:
-        raise SettingsError(
-            f"the policy was trained on the preset {trained_on}, not {preset}: give --preset {trained_on}"
-        )
+    needed = getattr(policy, "preset", preset)
+    if needed != preset:
+        raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
     tasks = getattr(policy, "tasks", None)
     tasks = (tasks,) if isinstance(tasks, str) else tasks
     names = {task: policy_task(task, policy, like) for task, _ in pairs}

@@ -146,7 +146,7 @@ def test_runs_and_archives_are_played_with_their_own_preset(run: Path, shell: Sh
     options = ("--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "1", "--jobs", "1")
     code, printed, _ = shell("evaluate", "--policy", run, *options, "--out", "scores")
     assert code == 0
-    assert "preset State, on which the policy was trained" in printed
+    assert "preset State, which the policy needs" in printed
     assert {score.preset for score in magical_mj.evaluation.scores.read(tmp_path / "scores")} == {"State"}
     assert "preset State" in shell("rollout", "MoveToRegion", "--policy", run)[1]
     again = magical_mj.evaluate(run, out=tmp_path / "scores", resume=True, tasks="MoveToRegion", variants="Demo",
@@ -154,7 +154,7 @@ def test_runs_and_archives_are_played_with_their_own_preset(run: Path, shell: Sh
     assert set(again["preset"]) == {"State"}
     both = magical_mj.evaluate({"run": run, "noop": "noop"}, **SMALL)
     assert both[both["policy"] == "run"]["preset"].eq("State").all()
-    with pytest.raises(SettingsError, match="trained on the preset State, not LoRes4E: give --preset State"):
+    with pytest.raises(SettingsError, match="needs the preset State, not LoRes4E: give --preset State"):
         magical_mj.evaluate({"run": run, "function": lambda _: 0}, **SMALL)
     with pytest.raises(SettingsError, match="give --preset State"):
         magical_mj.evaluate(run, preset="LoRes4E", **SMALL)
