@@ -100,11 +100,11 @@ def statements() -> list[str]:
     same = [f"{name}{RELEASED}" for name in ("state-gail", "state-wgail-gp", "state-al")]
     agreement = [order(fair, CLONED), order(same[0], GAIL), order(same[1], "WGAIL-GP (ST)†"), order(same[2], AL)]
     found: list[tuple[str, *tuple[float, ...]]] = [
-        ("BC scores # from pictures and # from states.", score(PIXELS, "Memory"), score(STATES, "Memory")),
+        ("In the memory variants, BC scores # from pictures and # from states.", score(PIXELS, "Memory"), score(STATES, "Memory")),
         ("the best from pictures has #", max(map(score, imitating("pictures")))),
         ("the best from states #", max(map(score, imitating("states")))),
         ("by the released rules the paper's best, GAIL, #.", score(GAIL)),
-        ("that it tests in the demo scene, and has #.", score(RELATIONAL)),
+        ("only if its score in the demo scene holds, and has # above doing nothing.", score(RELATIONAL)),
         ("draws such scenes as pictures, and has #.", score(DRAWN)),
         ("MoveToRegion's Layout it scores #,", mean(DRAWN, "Layout", tasks=REGION)),
         (
@@ -113,7 +113,7 @@ def statements() -> list[str]:
             mean(PIXELS, "Layout", **rest),
         ),
         ("BC has # with 25 demonstrations and # with 10.", score("state-bc-25"), score(STATES)),
-        ("(goals) has #.", score("state-goals")),
+        ("(goals) has # above doing nothing.", score("state-goals")),
         ("scores # in All and # in Layout,", score(PIXELS, "All"), score(PIXELS, "Layout")),
         ("Without this task, it scores # in All.", mean(PIXELS, "All", without="MoveToCorner")),
         (
