@@ -100,7 +100,11 @@ def statements() -> list[str]:
     same = [f"{name}{RELEASED}" for name in ("state-gail", "state-wgail-gp", "state-al")]
     agreement = [order(fair, CLONED), order(same[0], GAIL), order(same[1], "WGAIL-GP (ST)†"), order(same[2], AL)]
     found: list[tuple[str, *tuple[float, ...]]] = [
-        ("In the memory variants, BC scores # from pictures and # from states.", score(PIXELS, "Memory"), score(STATES, "Memory")),
+        (
+            "In the memory variants, BC scores # from pictures and # from states.",
+            score(PIXELS, "Memory"),
+            score(STATES, "Memory"),
+        ),
         ("the best from pictures has #", max(map(score, imitating("pictures")))),
         ("the best from states #", max(map(score, imitating("states")))),
         ("by the released rules the paper's best, GAIL, #.", score(GAIL)),
