@@ -48,6 +48,12 @@ class AIRL(GAIL):
             chances = self._actor(observations[:, :-1], tasks).log_softmax(1)
         return chances.gather(1, actions[:, None])[:, 0] - self._discriminator(observations, actions, tasks)
 
+    @torch.no_grad()
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """g(s, a), shape (n,): the reward function without the potentials that shape it."""
+        del following
+        return self._discriminator.reward(observations, actions, tasks)
+
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """f(s, a, s') - log pi(a | s), shape (n,)."""
         return -self.logits(observations, actions, tasks)

@@ -32,6 +32,7 @@ class IQLearn(BehaviouralCloning):
 
     observes = "states"
     drop_noop = False
+    learns_reward = True
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
@@ -53,6 +54,19 @@ class IQLearn(BehaviouralCloning):
         loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
         return loss, logits, actions, {"reward": rewards.mean().item()}
 
+    @torch.no_grad()
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Q(s, a) - discount V(s'), shape (n,)."""
+        self._actor.eval()
+        logits, next_logits = self._actor(observations, tasks), self._actor(following, tasks)
+        return soft_rewards(logits, next_logits, actions, self.settings.iq)
+
+
+def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> Tensor:
+    """The rewards Q(s, a) - discount V(s'), shape (n,). Arguments: see `iq_loss`."""
+    chosen = logits.gather(1, actions[:, None])[:, 0]
+    return settings.temperature * (chosen - settings.discount * next_logits.logsumexp(1))
+
 
 def usable(data: Dataset, task: int) -> Tensor:
     """The numbers of a task's rows that have a successor and an action other than the no-op."""
@@ -71,9 +85,7 @@ def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: Inve
         actions: the demonstrator's, shape (n,).
         settings: the method's settings.
     """
-    rewards = settings.temperature * (
-        logits.gather(1, actions[:, None])[:, 0] - settings.discount * next_logits.logsumexp(1)
-    )
+    rewards = soft_rewards(logits, next_logits, actions, settings)
     # E[r] - E[V(s) - discount V(s')] = E[Q(s, a) - V(s)] = temperature E[log pi(a | s)]
     cloning = nn.functional.cross_entropy(logits, actions)
     return cloning + rewards.square().mean() / (4 * settings.alpha * settings.temperature), rewards.detach()

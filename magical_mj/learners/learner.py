@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Final, Literal
 
 import torch
+from torch import Tensor
 
 from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.data import chosen
@@ -44,6 +45,8 @@ class Method(ABC):
     """Setting -> the method's own default, instead of the paper's."""
     observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
     """The supported observations."""
+    learns_reward: ClassVar[bool] = False
+    """Whether it learns a reward, and implements `learnt_reward`."""
     updates: int
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -89,6 +92,18 @@ class Method(ABC):
     @abstractmethod
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores a state from `get_state`."""
+
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """The learnt rewards (n,) of steps, before normalisation.
+
+        Args:
+            observations: the observations before the actions, from `networks.as_input`.
+            following: those after the actions.
+            actions: shape (n,).
+            tasks: the numbers of the tasks, shape (n,).
+        """
+        del observations, following, actions, tasks
+        raise SettingsError(f"{self.settings.method} learns no reward")
 
     def fault(self) -> str | None:
         """The reason why the policy is unusable, such as a weight that is not finite. None if it is usable."""

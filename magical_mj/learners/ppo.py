@@ -231,6 +231,8 @@ class RewardLearner(Learner):
     Policy and value receive pictures without augmentation (appendix). Demonstrations keep their no-ops.
     """
 
+    learns_reward = True
+
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         settings.check_reinforcement()  # for every such method
@@ -286,6 +288,12 @@ class RewardLearner(Learner):
     @abstractmethod
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The rewards (n,) of samples, before normalisation."""
+
+    @torch.no_grad()
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """The rewards (n,) of steps. They do not depend on the following observations."""
+        del following
+        return self.reward(observations, actions, tasks)
 
     def on_device(self, batch: Batch) -> Samples:
         """A batch as inputs of networks."""

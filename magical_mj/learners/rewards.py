@@ -1,0 +1,216 @@
+"""Evaluates learnt rewards: do they rank episodes as the task's score does, also in the test variants?
+
+Each reward is summed over whole episodes of several kinds in the same scenes, none of which is a test scene:
+
+expert     the scripted expert, with score 1
+half-way   the expert up to half of its actions, and then random actions
+random     random actions
+policy     the policies of the trainings themselves
+
+In each environment, two figures compare the sums with the scores. Both are 1 for the score itself, and a reward that is
+always the same has 0 and 0.5.
+
+correlation  the rank correlation (Spearman) of sums and scores, with mean ranks for ties
+AUC          the probability that a solved episode (score 1) has a larger sum than another one; ties count half
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from magical_mj.demos import stored
+from magical_mj.demos.demonstration import Demonstration, Demonstrator
+from magical_mj.demos.learning import observations
+from magical_mj.demos.recording import replayed
+from magical_mj.evaluation.run import evaluate
+from magical_mj.learners.config import from_toml
+from magical_mj.learners.learner import Method, threads_for
+from magical_mj.learners.networks import as_input
+from magical_mj.learners.run_folder import CONFIG, RunFolder
+from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.training import METHODS
+from magical_mj.policies.interface import actions_of, histories
+from magical_mj.policies.models import torch_settings
+from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.tasks.registry import SPLITS, environments, task_spec
+from magical_mj.utils import files
+from magical_mj.utils.errors import SettingsError, TrainingError
+
+SCENES: Final = 5
+"""The default number of scenes in each environment."""
+KINDS: Final = ("expert", "half-way", "random", "policy")
+Watch = Callable[[str], object]
+"""Called with the environment that is evaluated next."""
+
+
+class Agreement(NamedTuple):
+    """How well sums of rewards agree with scores."""
+
+    correlation: float
+    """In [-1, 1]; 0 if all sums are equal, NaN if all scores are equal."""
+    auc: float
+    """In [0, 1]; NaN if all episodes or none are solved."""
+
+
+def agreement(sums: Sequence[float] | NDArray[np.float64], scores: Sequence[float] | NDArray[np.float64]) -> Agreement:
+    """The agreement of the sums of a reward over episodes with their scores."""
+    ranks, wanted = rankdata(sums), rankdata(scores)
+    solved = np.asarray(scores) == 1.0
+    correlation = auc = np.nan
+    if np.ptp(wanted):
+        correlation = float(np.corrcoef(ranks, wanted)[0, 1]) if np.ptp(ranks) else 0.0
+    if 0 < (count := int(solved.sum())) < len(solved):
+        auc = float((ranks[solved].sum() - count * (count + 1) / 2) / (count * (len(solved) - count)))
+    return Agreement(correlation, auc)
+
+
+class _Run(NamedTuple):
+    """A training with its settings."""
+
+    path: Path
+    settings: TrainingSettings
+
+    @property
+    def learns_reward(self) -> bool:
+        return METHODS[self.settings.method].learns_reward
+
+    def learner(self) -> Method:
+        """Its learner, at the end of the training."""
+        last = RunFolder(self.path, self.settings, resume=True).last_checkpoint()
+        if last is None or last.update < last.updates:
+            raise TrainingError(f"the training in {self.path} is not finished: --resume continues it")
+        learner = METHODS[self.settings.method](self.settings)
+        learner.set_state(last.learner)
+        return learner
+
+
+def evaluate_rewards(
+    runs: Iterable[Path | str],
+    variants: str | Iterable[str] = "all",
+    scenes: int = SCENES,
+    *,
+    jobs: int | None = None,
+    watch: Watch = lambda _: None,
+) -> pd.DataFrame:
+    """The sums of the learnt rewards of some trainings over the same episodes. Experts' episodes are cached.
+
+    Args:
+        runs: the folders of finished trainings with the same preset. The policies of all of them play. Trainings of
+            methods that learn no reward, such as BC, only contribute their policies.
+        variants: the variants, separated by commas.
+        scenes: the number of scenes in each environment, from the dev split.
+        jobs: the number of processes for the experts and the policies; None: one per core.
+        watch: called with each environment.
+
+    Returns:
+        A frame with a row for each reward and episode, and the columns run, method, task, variant, seed, kind, player
+        (the method of the policy, if it played), score and sum.
+
+    Raises:
+        SettingsError: if no training has a learnt reward, or their presets differ.
+        TrainingError: if a training is not finished, or its checkpoint cannot be used.
+        DemonstrationError: if the expert cannot solve a scene.
+    """
+    found = [_Run(path := files.to_path(run), from_toml(path / CONFIG)) for run in runs]
+    if not any(run.learns_reward for run in found):
+        known = ", ".join(name for name in METHODS if METHODS[name].learns_reward)
+        raise SettingsError(f"none of these trainings has learnt a reward: give a training of {known}")
+    if len(presets := {run.settings.preset for run in found}) > 1:
+        raise SettingsError(f"the trainings have different presets: {', '.join(sorted(presets))}")
+    rows = []
+    for task in dict.fromkeys(task for run in found for task in run.settings.tasks):
+        own = [run for run in found if task in run.settings.tasks]
+        if not any(run.learns_reward for run in own):
+            continue
+        for _, variant in environments(task, variants):
+            watch(f"{task}-{variant}")
+            played = list(_episodes(task, variant, scenes, own, jobs))
+            rows += [row for run in own if run.learns_reward for row in _judged(run, task, variant, played)]
+    return pd.DataFrame(rows)
+
+
+def agreements(frame: pd.DataFrame) -> pd.DataFrame:
+    """The agreement of each method in each environment, from the result of `evaluate_rewards`.
+
+    Returns:
+        A frame with the columns method, task, variant, correlation and auc. Several trainings of a method in an
+        environment are averaged.
+    """
+    rows = []
+    for (method, task, variant, run), group in frame.groupby(["method", "task", "variant", "run"], sort=False):
+        found = agreement(group["sum"].to_numpy(), group["score"].to_numpy())
+        rows.append({"method": method, "task": task, "variant": variant, "run": run, **found._asdict()})
+    names = ["method", "task", "variant"]
+    return pd.DataFrame(rows).groupby(names, sort=False)[["correlation", "auc"]].mean().reset_index()
+
+
+class _Played(NamedTuple):
+    kind: str
+    player: str
+    demonstration: Demonstration
+
+
+def _episodes(task: str, variant: str, scenes: int, runs: Sequence[_Run], jobs: int | None) -> Iterator[_Played]:
+    """The episodes of all kinds in an environment."""
+    steps = task_spec(task).horizon()
+    keys = [(task, variant, SPLITS["dev"] + number) for number in range(scenes)]
+    for made in stored.complete(keys, stored.default_path(), jobs=jobs):
+        rng = np.random.default_rng([zlib.crc32(f"{task} {variant}".encode()), made.number])
+        expert = np.full(steps, NOOP, np.uint8)
+        actions = actions_of(made.actions)
+        expert[: len(actions)] = actions
+        random = rng.integers(len(ACTIONS), size=steps).astype(np.uint8)
+        half = (int(np.flatnonzero(expert != NOOP)[-1]) + 1) // 2
+        mixed = np.concatenate([expert[:half], random[half:]])
+        kinds: list[tuple[str, NDArray[np.uint8], Demonstrator]] = [
+            ("expert", expert, "expert"),
+            ("half-way", mixed, "disturbed"),
+            ("random", random, "random"),
+        ]
+        for kind, chosen, demonstrator in kinds:
+            yield _Played(kind, "", replayed(task, variant, made.seed, chosen.tolist(), demonstrator))
+    played = {"tasks": task, "variants": variant, "episodes": scenes, "split": "dev", "preset": runs[0].settings.preset}
+    frame = evaluate(
+        {f"{run.settings.method} {number}": run.path for number, run in enumerate(runs)}, jobs=jobs, **played
+    )
+    for row in frame.itertuples():
+        demonstration = replayed(task, variant, int(row.seed), actions_of(row.actions), "policy")
+        yield _Played("policy", str(row.policy).partition(" ")[0], demonstration)
+
+
+def _judged(run: _Run, task: str, variant: str, played: Sequence[_Played]) -> Iterator[dict[str, object]]:
+    """A row for each episode."""
+    with torch_settings(threads_for(run.settings)), closing(run.learner()) as learner:
+        for kind, player, demonstration in played:
+            yield {
+                "run": str(run.path),
+                "method": run.settings.method,
+                "task": task,
+                "variant": variant,
+                "seed": demonstration.scene_seed,
+                "kind": kind,
+                "player": player,
+                "score": demonstration.score,
+                "sum": sum_of_rewards(learner, demonstration),
+            }
+
+
+def sum_of_rewards(learner: Method, demonstration: Demonstration) -> float:
+    """The sum of a learner's reward over all steps of an episode."""
+    settings = learner.settings
+    rows: Any = observations(demonstration, settings.preset, settings.renderer)
+    inputs = as_input(histories(rows) if settings.states else rows, learner.device)
+    actions = torch.as_tensor(demonstration.actions.astype(np.int64), device=learner.device)
+    tasks = torch.full_like(actions, settings.tasks.index(demonstration.task))
+    with torch.no_grad():
+        return float(learner.learnt_reward(inputs[:-1], inputs[1:], actions, tasks).double().sum())

@@ -1,0 +1,99 @@
+"""`evaluate-reward`: its two figures for known rewards, and the learnt ones of four methods."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from torch import Tensor
+
+from magical_mj import demos
+from magical_mj.learners import train
+from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.rewards import KINDS, agreement, agreements, evaluate_rewards, sum_of_rewards
+from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.utils.errors import SettingsError, TrainingError
+from tests.helpers.commands import Shell
+from tests.helpers.learners import from_states, playing, stopped
+
+NAMES = ("robot.x", "robot.y", "region0.x_min", "region0.y_min", "region0.x_max", "region0.y_max")
+X, Y, *BOX = (STATE_NAMES.index(name) for name in NAMES)
+
+
+class Scored(BehaviouralCloning):
+    """Its reward is the change of MoveToRegion's score, so that an episode's sum is its score."""
+
+    learns_reward = True
+
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        def inside(states: Tensor) -> Tensor:
+            now = states[:, -1]
+            x_min, y_min, x_max, y_max = (now[:, index] for index in BOX)
+            x, y = now[:, X], now[:, Y]
+            return ((x_min < x) & (x < x_max) & (y_min < y) & (y < y_max)).float()
+
+        return inside(following) - inside(observations)
+
+
+class Constant(BehaviouralCloning):
+    learns_reward = True
+
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        return torch.ones(len(actions))
+
+
+@pytest.mark.parametrize(("method", "wanted"), [(Scored, (1.0, 1.0)), (Constant, (0.0, 0.5))])
+def test_the_score_itself_agrees_fully_and_a_constant_not_at_all(
+    method: type[BehaviouralCloning], wanted: tuple[float, float]
+) -> None:
+    learner = method(from_states())
+    episodes = demos.load("MoveToRegion", set="graded")
+    sums = [sum_of_rewards(learner, episode) for episode in episodes]
+    assert agreement(sums, [episode.score for episode in episodes]) == pytest.approx(wanted)
+
+
+def test_the_figures_treat_ties_as_half() -> None:
+    assert agreement([3, 2, 2, 1], [1.0, 1.0, 0.0, 0.0]).auc == pytest.approx(3.5 / 4)
+    assert agreement([1, 2, 3], [0.1, 0.5, 0.5]).correlation == pytest.approx(np.sqrt(0.75))
+    assert agreement([3, 2, 1], [0.0, 0.5, 1.0]) == pytest.approx((-1.0, 0.0))
+    assert np.isnan(agreement([1, 2], [1.0, 1.0])).all()
+    assert np.isnan(agreement([1, 2], [0.0, 0.5]).auc)
+
+
+def test_the_rewards_of_all_methods_are_judged_on_the_same_episodes(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for method in ("gail", "airl", "wgail-gp"):
+        train(playing(method, preset="State"), tmp_path / method)
+    for method in ("iq-learn", "bc"):
+        train(from_states(method=method), tmp_path / method)
+    runs = [str(tmp_path / method) for method in ("gail", "airl", "wgail-gp", "iq-learn", "bc")]
+    options = ("--variants", "Demo,Layout", "--scenes", "2", "--jobs", "1", "--out", "sums.csv")
+    code, output, _ = shell("evaluate-reward", *runs, *options)
+    assert code == 0
+    assert all(name in output for name in ("gail", "airl", "wgail-gp", "iq-learn", "Layout"))
+    frame = pd.read_csv("sums.csv")
+    assert set(frame["method"]) == {"gail", "airl", "wgail-gp", "iq-learn"}
+    assert set(frame["kind"]) == set(KINDS)
+    assert set(frame.loc[frame["kind"] == "policy", "player"]) == {"gail", "airl", "wgail-gp", "iq-learn", "bc"}
+    scores = {method: group["score"].tolist() for method, group in frame.groupby("method")}
+    assert len({tuple(row) for row in scores.values()}) == 1
+    assert set(frame.loc[frame["kind"] == "expert", "score"]) == {1.0}
+    assert frame["seed"].min() >= 10_000_000
+    found = agreements(frame)
+    assert len(found) == 4 * 2
+    assert found["auc"].between(0, 1).all()
+    assert frame.groupby("method")["sum"].nunique().min() > 10
+
+
+def test_what_has_no_reward_is_refused(tmp_path: Path) -> None:
+    train(from_states(), tmp_path / "bc")
+    with pytest.raises(SettingsError, match=r"none of these trainings has learnt a reward: give a training of .*gail"):
+        evaluate_rewards([tmp_path / "bc"])
+    stopped(tmp_path / "gail", playing("gail", preset="State"))
+    with pytest.raises(TrainingError, match="is not finished: --resume continues it"):
+        evaluate_rewards([tmp_path / "gail"], "Demo", 1)
