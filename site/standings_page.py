@@ -74,10 +74,10 @@ FULL_SIZE: Final = {
     "GAIL (ST, allo.)": "pixels-gail-allo",
     "GAIL (ST, no aug.)": "pixels-gail-no-augmentation",
     "GAIL (MT)": "pixels-gail-multi",
+    "WGAIL-GP (ST)": "pixels-wgail-gp",
+    "AL (ST)": "pixels-al",
 }
 """The paper's methods -> the experiments in tools/full_size that train them in the paper's size."""
-TRAINED: Final = {"WGAIL-GP (ST)": "wgail-gp", "AL (ST)": "al"}
-"""The paper's other methods -> the learners that train them."""
 
 
 def standings_page(methods: Mapping[str, Standing]) -> str:
@@ -201,9 +201,8 @@ def _repeat(method: Standing) -> str:
     commands, words = method.entry.card.commands or [], "Repeat it:"
     if method.kind == "published":
         words = "The scores are the paper's, from the original code. The same method here, in the paper's size:"
-        commands = [f"magical-mj train {TRAINED.get(method.name)} --tasks all --out runs/{TRAINED.get(method.name)}"]
-        if name := FULL_SIZE.get(method.name):
-            commands = [f"magical-mj experiment tools/full_size/{name}.toml --out runs/{name}"]
+        name = FULL_SIZE[method.name]
+        commands = [f"magical-mj experiment tools/full_size/{name}.toml --out runs/{name}"]
     elif method.block == "released":
         commands = [
             *commands,

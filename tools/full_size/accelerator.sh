@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# Trains and evaluates the full-size tables from pictures, for a limited time. Call it again to go on where it stopped.
-#   tools/full_size/accelerator.sh 580 12 runs    # for so many seconds, so many runs side by side, into this folder
+# Trains and evaluates the paper's 11 methods in its sizes, the most wanted first, for a limited time. Call it again to
+# go on where it stopped: a finished run is not repeated, and an unfinished one continues from its last checkpoint.
+#   tools/full_size/accelerator.sh 840 12 runs    # for so many seconds, so many runs side by side, into this folder
 # Runs side by side share the card: one alone keeps it waiting for its small kernels to be launched.
 set -uo pipefail
 usage="usage: tools/full_size/accelerator.sh SECONDS JOBS FOLDER"
 seconds=${1:?$usage} jobs=${2:?$usage} out=${3:?$usage} status=0
 mkdir -p "$out"
-for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
-    pixels-gail-multi pixels-gail pixels-gail-no-augmentation pixels-gail-allo; do
+for table in pixels-bc pixels-gail pixels-bc-multi pixels-gail-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot \
+    pixels-bc-allo pixels-gail-no-augmentation pixels-gail-allo pixels-wgail-gp pixels-al; do
   left=$((seconds - SECONDS))
   [ "$left" -gt 0 ] || break
   timeout --signal=INT --kill-after=20 "$left" \
