@@ -81,14 +81,14 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	$(BIN)/python site/fetch.py
 	$(BIN)/python site/tests/cases.py out/site-test
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
-	$(BIN)/python site/tests/saved.py out/site-test/saved.json
+	$(BIN)/python site/tests/saved.py out/site-test
 	$(BIN)/python site/study.py
 
 site-test-firefox: site | firefox  ## the pages in Firefox: those around the simulation, play and inspect
 	$(BIN)/python site/fetch.py
 	$(BIN)/python site/tests/cases.py out/site-test
 	BROWSER=firefox LIBGL_ALWAYS_SOFTWARE=1 xvfb-run -a node --test --test-concurrency=1 --test-reporter=spec \
-		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs
+		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs site/tests/editor.test.mjs
 
 site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind, and how soon and smoothly one plays and inspects
 	$(BIN)/python site/fetch.py

@@ -19,7 +19,7 @@ from standings_page import read_methods, write_replays
 import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.web.npm import fetched, library_files
-from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
+from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, sample_models
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
@@ -59,7 +59,8 @@ def write_play(folder: Path) -> int:
     known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs})
     _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE})
     libraries = library_files(CACHE)
-    for name, content in libraries.items():
+    samples = {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
+    for name, content in (libraries | samples).items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     shutil.copytree(POLICIES, folder / "policies")

@@ -36,6 +36,10 @@ MAX_ANGLE: Final = 500.0
 """The largest angle (rad) in a scene. Further turns during an episode keep it within the bounds of states."""
 
 
+FINGER_SLACK: Final = 0.05
+"""How far a finger's angle may be outside of its range, rad."""
+
+
 class Part(NamedTuple):
     """A solid part in world coordinates: its core geometry, enlarged by `radius`."""
 
@@ -249,8 +253,8 @@ def check_scene(scene: Scene) -> None:
 def _check_fingers(robot: Robot) -> None:
     """Raises unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
     left, right = robot.fingers
-    slack = 0.05
-    if not (-slack <= left <= c.FINGER_OPEN + slack and -slack <= -right <= c.FINGER_OPEN + slack):
+    low, high = -FINGER_SLACK, c.FINGER_OPEN + FINGER_SLACK
+    if not (low <= left <= high and low <= -right <= high):
         raise InvalidSceneError(
             f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, "
             f"right in -{c.FINGER_OPEN:.4f}..0"

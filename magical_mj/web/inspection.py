@@ -14,6 +14,7 @@ from magical_mj.engine.export import mjcf_text
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import MagicalError, SettingsError
 from magical_mj.web.npm import library_files
+from magical_mj.web.page_data import sample_models
 from magical_mj.web.server import PlayServer
 
 FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
@@ -46,6 +47,7 @@ class InspectServer(PlayServer):
             known["model"] = {"name": name, "files": files}
         self._files["catalogue.json"] = json.dumps(known).encode()
         self._files |= library_files()
+        self._files |= {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
         self._files |= {f"model/{name}": content for name, content in self.model.items()}
 
     def _content(self, name: str) -> bytes | None:

@@ -19,15 +19,16 @@ from magical_mj.assets import style
 from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.interface import letters_of
 from magical_mj.rendering.picture import drawn
-from magical_mj.scene import Block, Pebble, Robot, Scene
+from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene, geometry
 from magical_mj.scene import constants as c
-from magical_mj.scene.bodies import BODIES
+from magical_mj.scene.bodies import BODIES, GRIPPER, Body, body_named
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
-from magical_mj.tasks.sweep_to_top import HALF_WIDTH
+from magical_mj.tasks.sweep_to_top import DEMO, HALF_WIDTH
 
 Simulation = Literal["browser", "server"]
 
@@ -87,10 +88,12 @@ def catalogue(
         "protocol": PROTOCOL,
         "simulation": simulation,
         "look": drawing_style(),
+        "solids": solid_shapes(),
         "tasks": {
             task: {
                 "summary": task_spec(task).summary,
                 "hint": HINTS[task],
+                "speeds": task_spec(task).speeds,
                 "solved": scene_data(demos.load(task)[0].scenes()[-1]),
             }
             for task in dict.fromkeys(task for task, _ in environments)
@@ -145,6 +148,7 @@ def drawing_style() -> dict[str, Any]:
             "border": _palette(style.REGION_BORDER),
             "line": style.REGION_BORDER_WIDTH,
             "dash": style.DASH_LENGTH,
+            "heights": [style.Z_REGION, style.REGION_STEP, style.BORDER_ABOVE_FILL],
         },
         "blocks": {
             shape: [layer["loops"] for layer in layers if layer["part"] == f"block{index}"]
@@ -155,6 +159,54 @@ def drawing_style() -> dict[str, Any]:
         "robots": {body: [layer for layer in parts if layer["part"] in ROBOT] for body, parts in robots.items()},
         "fingerRoots": {f"{side}_finger": [sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for side, sign in SIGN.items()},
     }
+
+
+def solid_shapes() -> dict[str, Any]:
+    """The outlines of solid objects and the limits of legal scenes, as JSON data: what `check_scene` knows.
+
+    A part is an outline (x, y of each corner, counter-clockwise, in the object's frame) enlarged by a radius.
+    """
+
+    def part(outline: Any, radius: float = 0.0) -> dict[str, Any]:
+        return {"outline": np.asarray(outline).tolist(), "radius": radius}
+
+    def robot(body: Body) -> dict[str, Any]:
+        return {"part": part(body.corners) if body.outline else part([[0, 0]], body.radius), "fingers": body.fingers}
+
+    margins = {"square": c.SQUARE_MARGIN}
+    right = geometry.finger_outlines()
+    fingers = {"left_finger": [geometry.mirrored(outline) for outline in right], "right_finger": right}
+    return {
+        "blocks": {
+            shape: part([[0, 0]], c.BLOCK_SIZE)
+            if shape == "circle"
+            else part(geometry.block_outline(shape), margins.get(shape, 0.0))
+            for shape in SHAPES
+        },
+        "robots": {name: robot(body_named(name)) for name in BODIES},
+        "fingers": [[outline.tolist() for outline in fingers[f"{side}_finger"]] for side in SIGN],
+        "roots": [[sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for sign in SIGN.values()],
+        "pebble": part([[0, 0]], c.PEBBLE_RADIUS),
+        "overlap": geometry.OVERLAP_TOLERANCE,
+        "overhang": geometry.OVERHANG,
+        "angle": geometry.MAX_ANGLE,
+        "open": c.FINGER_OPEN,
+        "slack": geometry.FINGER_SLACK,
+    }
+
+
+def sample_models() -> dict[str, str]:
+    """Models with an object of each kind, by "BODY-HALF_WIDTH". The page takes the parts of other models from them."""
+    swept = DEMO.half_width, DEMO.blocks[0].mass
+    models = {}
+    for body, half, mass in [(GRIPPER, c.ARENA_HALF_WIDTH, c.BLOCK_MASS), *((body, *swept) for body in BODIES)]:
+        pairs = enumerate(zip(SHAPES, COLOURS, strict=True))
+        blocks = [Block(shape, colour, 0.4 * index - 0.6, 0.5, 0.0, mass) for index, (shape, colour) in pairs]
+        regions = [GoalRegion(colour, -0.5, -0.5, 0.0, 0.0) for colour in COLOURS]
+        robot = Robot(0.0, -0.5, 0.0, body=body)
+        sample = Scene(robot, tuple(blocks), tuple(regions), half_width=half, pebbles=(Pebble(0.8, 0.0),))
+        models[f"{body}-{half:g}"] = mjcf_text(sample, rounded=False)
+    return models
 
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:

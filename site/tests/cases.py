@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import json
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,11 +28,15 @@ from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories
 from magical_mj.policies.models import onnx_runtime
-from magical_mj.scene import Scene
+from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import BODIES, GRIPPER
+from magical_mj.scene.constants import BLOCK_MASS, COLOURS, SHAPES
+from magical_mj.scene.geometry import check_scene
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import InvalidSceneError, MagicalError
 from magical_mj.web.inspection import model_files
-from magical_mj.web.page_data import drawing_style, scene_data
+from magical_mj.web.page_data import HINTS, drawing_style, sample_models, scene_data, solid_shapes
 
 ROUGH: Final = 60
 SHIPPED: Final = slice(None, None, 5)  # of each task's demonstrations
@@ -47,6 +53,9 @@ LOOK_SIZE: Final = 96  # pixels
 LOOKING: Final = {"LoRes4E": "FindDupe", "LoRes4A": "MakeLine", "LoRes3EA": "MatchRegions"}
 """Preset of pictures -> the task of its trained policy."""
 LOOKED: Final = 200  # the number of pictures for these policies, for all presets together
+EDITS: Final = 4  # edited scenes of each environment and seed
+POSE: Final = ("x", "y", "angle")
+VEERING: Final = [(("FindDupe", "Dynamics"), "friction:4,clutter:3"), (("MakeLine", "Demo"), "clutter:4")]
 BRIEF: Final = {
     "augment": "none",
     "bc.batches": 80,
@@ -221,6 +230,90 @@ def looking(folder: Path) -> Iterator[dict[str, Any]]:
         yield {"preset": preset, **start, "best": np.asarray(logits).argmax(1).tolist()}
 
 
+def edits() -> Iterator[dict[str, Any]]:
+    """Scenes as the editor makes them: each with its fault, what it lacks for each task, and the model of some."""
+    rng = np.random.default_rng(2)
+    pairs = [*magical_mj.ENVIRONMENTS, *SUITE]
+    starts = [magical_mj.sample_scene(*pair, seed) for seed in range(3) for pair in pairs]
+    shifted = [(pair, f"body:{body}") for pair in SUITE for body in offered(*pair)["body"]]
+    for environment, shift in (*shifted, *VEERING):
+        with closing(Engine(*environment, seed=1, shifts=shift)) as engine:
+            starts.append(engine.initial_scene)
+    for number, start in enumerate(starts):
+        for scene in (start, *(_edited(start, rng) for _ in range(EDITS))):
+            try:
+                check_scene(scene)
+                fault = None
+            except InvalidSceneError as error:
+                fault = str(error)
+            case = {"scene": scene.to_json(), "fault": fault, "lacks": {task: _lack(task, scene) for task in HINTS}}
+            if number % 8 == 0 and fault is None:
+                case["mjcf"] = mjcf_text(scene, rounded=False)
+            yield case
+
+
+def texts() -> dict[str, list[str]]:
+    """Texts that `Scene.from_json` accepts and refuses: a scene with one field changed, removed or added."""
+    plain = json.loads(magical_mj.sample_scene("FindDupe", "All", 3).to_json())
+    changes = [(key, value) for key in plain for value in (None, 1, "x", [], {}, [1])]
+    changes += [("half_width", value) for value in (0.5, 0.4, 2.5, True)]
+    changes += [("pebbles", value) for value in ([], [{"x": 0, "y": 0}], [{"x": 0}], [{"x": 0, "y": 0, "z": 0}])]
+    changes += [("dynamics", value) for value in ({"veer": -1}, {"drive_force": -1}, {"drive_force": 2}, {"mass": 1})]
+    for name, values in {
+        "x": (1e10, 1e11, "0", None),
+        "shape": ("star", "stars"),
+        "mass": (1, 0),
+        "size": (1,),
+    }.items():
+        changes += [("blocks", [{**plain["blocks"][0], name: value}]) for value in values]
+    for name, values in {"x_min": (3, -3), "border": ("solid", "none"), "colour": ("red", "pink")}.items():
+        changes += [("regions", [{**plain["regions"][0], name: value}]) for value in values]
+    for name, values in {"fingers": ([0, 0], [0], 0), "body": ("longstick", "stick", "x:Y"), "angle": (1, "")}.items():
+        changes += [("robot", {**plain["robot"], name: value}) for value in values]
+    all_texts = ["", "[]", "{}", *(json.dumps({**plain, key: value}) for key, value in changes)]
+    all_texts += [json.dumps({key: value for key, value in plain.items() if key != left_out}) for left_out in plain]
+    sorted_texts: dict[str, list[str]] = {"accepted": [], "refused": []}
+    for text in all_texts:
+        try:
+            Scene.from_json(text)
+            sorted_texts["accepted"].append(text)
+        except MagicalError:
+            sorted_texts["refused"].append(text)
+    return sorted_texts
+
+
+def _edited(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with some objects moved, changed, added and removed."""
+    half = scene.half_width
+
+    def pose() -> list[float]:
+        return [*rng.uniform(-half, half, 2), rng.uniform(-3, 3)]
+
+    robot = scene.robot
+    if rng.random() < 0.5:
+        robot = dataclasses.replace(robot, **dict(zip(POSE, pose(), strict=True)))
+    mass = scene.blocks[0].mass if scene.blocks else BLOCK_MASS
+    blocks: list[Any] = [block for block in scene.blocks if rng.random() < 0.8]
+    for _ in range(rng.integers(3)):
+        shape, colour = str(rng.choice(SHAPES)), str(rng.choice(COLOURS))
+        blocks += [Block(shape, colour, *pose(), mass)]  # type: ignore[arg-type]
+    regions = [region for region in scene.regions if rng.random() < 0.8]
+    if rng.random() < 0.4:
+        x, y, width, height = *rng.uniform(-half, 0.4, 2), *rng.uniform(0.1, 0.8, 2)
+        border = "solid" if rng.random() < 0.3 else "dashed"
+        regions.append(GoalRegion(str(rng.choice(COLOURS)), x, y, x + width, y + height, border))  # type: ignore[arg-type]
+    return dataclasses.replace(scene, robot=robot, blocks=blocks, regions=regions)
+
+
+def _lack(task: str, scene: Scene) -> str | None:
+    """What the scene lacks for a task: the end of the message."""
+    try:
+        task_spec(task).check(scene)
+    except InvalidSceneError as error:
+        return str(error).partition("it needs ")[2]
+    return None
+
+
 def stepped() -> Iterator[dict[str, Any]]:
     """Models, some from other sources with further files, and their states after 100 steps with maximum controls."""
     for task, variant in magical_mj.ENVIRONMENTS[::7]:
@@ -287,6 +380,8 @@ if __name__ == "__main__":
         "pictures": list(pictures()),
         "looks": list(looks()),
         "looking": list(looking(folder)),
+        "edits": list(edits()),
     }
-    for name, content in {**cases, "look": drawing_style()}.items():
+    fixed = {"texts": texts(), "look": drawing_style(), "solids": solid_shapes(), "samples": sample_models()}
+    for name, content in {**cases, **fixed}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

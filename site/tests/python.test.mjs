@@ -7,10 +7,18 @@ import { test } from "node:test";
 import loadMujoco from "../../out/npm/node_modules/@mujoco/mujoco/mujoco.js";
 import * as ort from "../../out/npm/node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
 import { taking } from "../../magical_mj/web/page/actions.js";
+import { faults, label } from "../../magical_mj/web/page/legal.js";
+import { mjcfOf } from "../../magical_mj/web/page/mjcf.js";
 import { Policy } from "../../magical_mj/web/page/policy.js";
 import { poses } from "../../magical_mj/web/page/scene.js";
-import { score } from "../../magical_mj/web/page/score.js";
+import { readScene, writeScene } from "../../magical_mj/web/page/scenefile.js";
+import { lack, score } from "../../magical_mj/web/page/score.js";
 import { Simulation } from "../../magical_mj/web/page/simulation.js";
+
+/** Compared arrays and numbers of models. */
+const MODEL = ["nq", "nbody", "ngeom", "nmesh", "nmat", "npair", "ntendon", "nsensor", "names", "body_pos", "body_quat", "body_mass", "body_inertia", "jnt_type", "jnt_axis",
+  "qpos0", "dof_frictionloss", "geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rgba", "geom_matid", "geom_dataid", "geom_contype", "geom_friction", "mat_rgba",
+  "mesh_vert", "mesh_face", "pair_friction", "pair_solref", "tendon_frictionloss", "key_qpos", "key_ctrl", "numeric_data", "sensor_objid"];
 
 /** @param {string} name */
 const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));
@@ -121,4 +129,45 @@ test("policies from pictures choose the same actions as in Python", async () => 
   }
   console.log(`${count} stacks of pictures: the preferred actions are Python's`);
   assert.ok(count >= 200);
+});
+
+test("edited scenes: what is illegal, what tasks lack, and their models equal Python's", async () => {
+  const [mujoco, cases, solids, samples, look] = await Promise.all([loadMujoco(), ...["edits", "solids", "samples", "look"].map(read)]);
+  let illegal = 0, fitting = 0, compared = 0;
+  for (const { scene: text, fault, lacks, mjcf } of cases) {
+    const scene = readScene(text, Object.keys(solids.robots)), [first] = faults(scene, solids);
+    const named = [...fault?.matchAll(/(?<=^| and )(robot|(?:block|region|pebble) \d+)/g) ?? []].map(([name]) => name);
+    assert.deepEqual(first?.names ?? [], named, `${fault} ${first?.words} ${text}`);
+    if (first) illegal += 1;
+    for (const [task, right] of Object.entries(lacks)) {
+      assert.equal(lack(task, scene), right ?? "", `${task}: ${text}`);
+      if (right === null) fitting += 1;
+    }
+    if (!mjcf) continue;
+    compared += 1;
+    const ours = mjcfOf(samples[`${scene.robot.body ?? "gripper"}-${scene.half_width ?? 1}`], scene, look.regions);
+    const [own, right] = [ours, mjcf].map((one) => mujoco.MjModel.from_xml_string(one));
+    for (const name of MODEL) {
+      const [a, b] = [own[name], right[name]];
+      const worst = typeof a === "number" ? Math.abs(a - b) : Math.max(0, Math.abs(a.length - b.length), ...Array.from(a, (value, i) => Math.abs(value - b[i])));
+      assert.ok(worst < 1e-12, `${name} differs by ${worst}: ${text}`);
+    }
+    own.delete();
+    right.delete();
+  }
+  console.log(`${cases.length} scenes, ${illegal} of them illegal; ${fitting} fit a task; ${compared} models are equal`);
+  assert.ok(illegal > 300 && fitting > 300 && compared > 60);
+  assert.equal(label("block 0", true), "Block 1");
+});
+
+test("a scene from Python and back is the same, and what Python refuses is refused", async () => {
+  const cases = await read("edits"), bodies = ["gripper", "shortstick", "mediumstick", "longstick"];
+  for (const { scene } of cases) {
+    const { format, ...plain } = JSON.parse(scene);
+    assert.deepEqual(readScene(writeScene(readScene(scene, bodies)), bodies), plain);
+  }
+  const { accepted, refused } = await read("texts");
+  for (const text of accepted) assert.ok(readScene(text, bodies), text);
+  for (const text of refused) assert.throws(() => readScene(text, bodies), Error, text);
+  assert.ok(refused.length > 20);
 });

@@ -1,18 +1,60 @@
-"""Tests that a recording saved by the browser can be imported, verified, exported and used for training.
+"""Tests what the browser saved: a recording can be used in all ways, and an edited scene is the same one in Python.
 
-Usage: saved.py RECORDING, the file that play.test.mjs wrote. Needs the extras cli, minari and il.
+Usage: saved.py FOLDER, in which play.test.mjs and editor.test.mjs wrote. Needs the extras cli, minari and il.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Final
+from urllib.parse import parse_qs, urlparse
+
+import mujoco
+import numpy as np
+
+from magical_mj import Block, Engine, Scene
+from magical_mj.engine.export import mjcf_text
+
+STEPS: Final = 200
+CLOSE: Final = 1e-9
 
 
-def main(recording: Path, folder: Path) -> None:
+def compare_scene(edited: Path) -> None:
+    """Raises an error unless the saved scene, model and link are one scene, and Python's scenes came back the same."""
+    saved = json.loads(edited.read_text())
+    scene = Scene.from_json(saved["scene"])
+    model = mujoco.MjModel.from_xml_string(saved["model"])
+    text = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, "scene")
+    custom = model.text_data[model.text_adr[text] :].decode().partition("\0")[0]
+    (linked,) = parse_qs(urlparse(saved["link"]).fragment.partition("?")[2])["scene"]
+    pairs = [(scene, Scene.from_json(custom)), (scene, Scene.from_json(linked))]
+    pairs += [(Scene.from_json(text), Scene.from_json(returned)) for text, returned in saved["returned"]]
+    for one, other in pairs:
+        if one != other or one.digest() != other.digest():
+            raise SystemExit(f"{one} came back as {other}")
+    if scene.blocks != tuple(Block(**block) for block in saved["blocks"]):
+        raise SystemExit(f"the browser's blocks are {saved['blocks']}, Python's {scene.blocks}")
+    ours = mujoco.MjModel.from_xml_string(mjcf_text(Engine("MatchRegions", scene=scene), rounded=False))
+    ends = []
+    for one in (model, ours):
+        data = mujoco.MjData(one)
+        mujoco.mj_resetDataKeyframe(one, data, 0)
+        data.ctrl[:] = one.numeric("controls").data.reshape(18, -1)[1]
+        for _ in range(STEPS):
+            mujoco.mj_step(one, data)
+        ends.append(data.qpos.copy())
+    difference = float(np.abs(ends[0] - ends[1]).max())
+    if difference > CLOSE:
+        raise SystemExit(f"after {STEPS} steps the poses differ by {difference}")
+    print(f"{len(pairs) - 2} scenes came back; the edited one moves as in Python, up to {difference:.0e}")
+
+
+def use_recording(recording: Path, folder: Path) -> None:
     """Raises an error if one of the steps fails."""
     _run("demos", "import", str(recording), "--out", str(folder / "mine"))
     _run("demos", "verify", str(folder / "mine"))
@@ -42,4 +84,5 @@ def _run(*arguments: str) -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
-        main(Path(sys.argv[1]), Path(temporary))
+        compare_scene(Path(sys.argv[1]) / "edited.json")
+        use_recording(Path(sys.argv[1]) / "saved.json", Path(temporary))

@@ -5,10 +5,13 @@ import { addressOf, parseAddress } from "./address.js";
 import { readTexts } from "./comments.js";
 import { onChoice, sceneIdOf, showAddress, showChoice } from "./choice.js";
 import { Controls } from "./controls.js";
+import { writeScene } from "./scenefile.js";
 import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
 import { download } from "./recording.js";
+import { edit, editedModel, linkedScene } from "./edited.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
+import { addressesOf, sceneAt } from "./simulation.js";
 import { FlatStage } from "./flat.js";
 import { Stage } from "./stage.js";
 import { InspectedModel } from "./inspected.js";
@@ -33,6 +36,7 @@ const shown = {
   done: 0, driven: false, turned: -Infinity, rough: false,
   /** @type {import("./address.js").SceneId | null} the scene of the benchmark, if it is one */ sceneId: null,
   address: "",
+  /** @type {import("./scene.js").Scene | null} the initial scene of the model, if the page can draw it */ initial: null, editing: false,
 };
 let choices = 0;  // only the last choice is shown, in whatever order they are loaded
 
@@ -77,8 +81,37 @@ async function open(name, address, read, isNew = false) {
   showChoice(catalogue, shown.sceneId);
 }
 
+/** The scene in a file of the benchmark. Null for other models, and for scenes that this page cannot draw. @param {string} text  MJCF */
+function sceneIn(text) {
+  try {
+    return linkedScene(readTexts(text).scene ?? "", catalogue);
+  } catch {
+    return null;
+  }
+}
+
+/** Opens the editor with the current scene. */
+function change() {
+  const { inspected, initial, sceneId } = shown;
+  if (!inspected || !initial) return;
+  const { mujoco, model, data } = inspected, known = sceneId ?? parseAddress(`#${readTexts(shown.text).task ?? ""}`, catalogue);
+  const now = data.time ? sceneAt(initial, addressesOf(mujoco, model, initial), data.qpos) : initial;
+  run(false);
+  shown.editing = true;
+  edit(catalogue, { ...known, shifts: "" }, now, "Inspect it", (scene) => {
+    Object.assign(shown, { editing: false, stale: true });
+    if (scene) openScene({ ...known, shifts: "", scene });
+    element("solids").focus({ preventScroll: true });
+  }).catch((error) => {
+    shown.editing = false;
+    say(error.message, true);
+  });
+}
+
 /** @param {InspectedModel} inspected */
 function showModel(inspected) {
+  shown.initial = sceneIn(shown.text);
+  element("edit").hidden = !shown.initial;
   document.title = `${shown.name} · Inspect a model · MAGICAL`;
   for (const id of ["legend", "pad"]) element(id).hidden = !inspected.acts;
   element("expert").hidden = !shown.expert.length;
@@ -211,7 +244,7 @@ let pace = 0;  // milliseconds between pictures while something moves
 /** @param {number} time  milliseconds */
 function frame(time) {
   const { inspected } = shown;
-  if (inspected) {
+  if (inspected && !shown.editing) {
     if (!shown.running && inspected.acts && controls.touched) run(true);
     if (shown.running) {
       const period = inspected.acts ? 1 / RATE : inspected.model.opt.timestep, speed = Number(element("speed").value);
@@ -265,7 +298,9 @@ function state() {
 
 /** Opens dropped or chosen files: one model, and the files that it needs. @param {Iterable<File>} files */
 async function openFiles(files) {
-  const all = [...files], models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
+  const all = [...files], scenes = all.filter(({ name }) => name.endsWith(".json"));
+  if (all.length === 1 && scenes.length === 1) return openSceneFile(scenes[0]);
+  const models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
   const texts = await Promise.all(models.map((file) => file.text()));
   const included = models.filter(({ name }) => texts.some((text) => text.includes(`"${name}"`) || text.includes(`/${name}"`)));
   const main = models.find((file) => !included.includes(file)) ?? models[0];
@@ -278,6 +313,16 @@ async function openFiles(files) {
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
   }), true);
   await reopen();
+}
+
+/** Opens a scene as JSON, as `magical_mj.Scene.to_json` writes it. @param {File} file */
+async function openSceneFile(file) {
+  const text = await file.text(), known = shown.sceneId ?? parseAddress("", catalogue);
+  try {
+    await openScene({ ...known, shifts: "", scene: writeScene(linkedScene(text, catalogue)) });
+  } catch (error) {
+    say(`${file.name} cannot be opened.\n${/** @type {Error} */ (error).message}`, true);
+  }
 }
 
 /** Opens the files of the visitor again, until the page is left. @type {(() => Promise<void>) | null} */
@@ -296,9 +341,10 @@ async function offered(text) {
 
 /** @param {import("./address.js").SceneId} sceneId @param {boolean} [isNew]  whether to add an entry to the browser's history */
 async function openScene(sceneId, isNew = true) {
-  const { task, variant, seed, shifts } = sceneId, name = addressOf(sceneId);
+  const { task, variant, seed, shifts, scene } = sceneId, name = addressOf({ ...sceneId, scene: "" });
   if (!shown.inspected) showChoice(catalogue, sceneId);  // the scene that is being loaded
-  await open(name, `#${name}`, async () => {
+  await open(scene ? `${task}-edited` : name, `#${addressOf(sceneId)}`, async () => {
+    if (scene) return { text: await editedModel(catalogue, sceneId, linkedScene(scene, catalogue)), sceneId };
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
       if (!reply.ok) throw new Error(await reply.text());
@@ -334,7 +380,7 @@ async function openAddress() {
 }
 
 /** @type {Record<string, string>} the buttons by key */
-const SHORTCUTS = { KeyP: "run", Period: "step", KeyR: "reset" };
+const SHORTCUTS = { KeyP: "run", Period: "step", KeyR: "reset", KeyE: "edit" };
 
 function connect() {
   element("run").onclick = () => run(!shown.running);
@@ -343,6 +389,7 @@ function connect() {
     if (shown.inspected) step();
   };
   element("reset").onclick = reset;
+  element("edit").onclick = change;
   element("expert").onclick = expert;
   element("picture").onclick = async () => download(`${shown.name}.png`, await stage.picture());
   element("state").onclick = () => download(`${shown.name}-state.json`, new Blob([JSON.stringify(state(), null, 1)], { type: "application/json" }));
@@ -359,7 +406,7 @@ function connect() {
   addEventListener("hashchange", openAddress);
   addEventListener("keydown", (event) => {
     const elsewhere = /** @type {any} */ (event.target).matches("select, input");
-    if (elsewhere || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (elsewhere || shown.editing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
   });
   new ResizeObserver(() => { shown.stale = true; }).observe(element("solids"));

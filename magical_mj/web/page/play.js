@@ -9,8 +9,9 @@ import { onProgress } from "./mujoco.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
 import { recording, save } from "./recording.js";
+import { edit, editedModel, environmentOf, linkedScene } from "./edited.js";
 import { fetchFile, fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
-import { score } from "./score.js";
+import { lack, score } from "./score.js";
 import { remembered, Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
@@ -49,7 +50,7 @@ const open = seat?.open ?? inBrowser(ready);
 
 /** The current state of the page. */
 const shown = {
-  task: "", variant: "", seed: -1, shifts: "", horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
+  task: "", variant: "", seed: -1, shifts: "", /** a changed scene, as JSON, or "" */ scene: "", editing: false, horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
   /** what is watched, as in addresses, or "" */ method: "", /** whether the player has taken over */ taken: false,
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
   /** @type {Game | null} */ game: null,
@@ -62,17 +63,18 @@ let choices = 0;  // only the last choice is shown, in whatever order they are l
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {{shifts?: string, method?: string, isAddress?: boolean, unknown?: string}} [how]
- *   method: what to watch, or "" for playing. unknown: the error in the address
+ * @param {{shifts?: string, method?: string, isAddress?: boolean, unknown?: string, scene?: string}} [how]
+ *   method: what to watch, or "" for playing. unknown: the error in the address. scene: a changed scene, as JSON
  */
 async function choose(task, variant, seed, how = {}) {
-  const { shifts = "", method = "", isAddress = false, unknown = "" } = how;
+  const { shifts = "", method = "", isAddress = false, unknown = "", scene = "" } = how;
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error, () => choose(task, variant, seed, how)) : undefined;
   shown.note = "";  // messages that appear while the scene is loaded remain
-  const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts;
-  const environment = isOther ? await loadEnvironment(task, variant, shifts).catch(failed) : shown.environment;
+  const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts || scene !== shown.scene;
+  const load = scene && !seat ? () => loadEdited(task, variant, seed, scene) : () => loadEnvironment(task, variant, shifts);
+  const environment = isOther ? await load().catch(failed) : shown.environment;
   if (choice !== choices) return;
   if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
@@ -82,13 +84,14 @@ async function choose(task, variant, seed, how = {}) {
   if (choice !== choices) return;
   if (replay === undefined) return stay(isAddress);
   const watching = acts || Boolean(replay?.length), watched = watching ? method : "";
-  element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts })}`;
+  element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts, scene })}`;
   const horizon = entry.horizon ?? environment.horizon;
-  Object.assign(shown, { task, variant, seed: entry.seed, shifts, horizon, environment, watching, method: watched, taken: false });
+  Object.assign(shown, { task, variant, seed: entry.seed, shifts, scene, horizon, environment, watching, method: watched, taken: false });
   shown.helped ||= watching;
   showChoice(isOther, !isAddress);
   if (unknown) say(unknown);
   else if (method && !watched) say(`There are no actions of “${method}” in this scene`);
+  else if (scene && entry.scene && lack(task, entry.scene)) say(`No score: ${task} needs ${lack(task, entry.scene)}`);
   else if (entry.seed !== seed && environment.scenes.length > 1) say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -118,6 +121,28 @@ async function choose(task, variant, seed, how = {}) {
   return true;
 }
 
+/** The environment of a changed scene: with this scene only. @param {string} task @param {string} variant @param {number} seed @param {string} text */
+async function loadEdited(task, variant, seed, text) {
+  const sceneId = { task, variant, seed, shifts: "" }, scene = linkedScene(text, catalogue);
+  const [environment, model] = await Promise.all([environmentOf(sceneId, scene), editedModel(catalogue, sceneId, scene)]);
+  return { ...environment, demonstrations: [], elements: [model], scenes: [{ seed, scene, expert: "", mjcf: [0] }] };
+}
+
+/** Opens the editor with the current scene. */
+function change() {
+  const { task, variant, seed, game } = shown, scene = game?.now ?? shown.environment.scenes.find((one) => one.seed === seed)?.scene;
+  if (!scene) return;
+  shown.editing = true;
+  edit(catalogue, { task, variant, seed, shifts: "" }, scene, "Play it", (changed) => {
+    shown.editing = false;
+    if (changed) choose(task, variant, seed, { scene: changed });
+    arena.focus({ preventScroll: true });
+  }).catch((error) => {
+    shown.editing = false;
+    say(error);
+  });
+}
+
 /** Keeps the current scene, since another one could not be loaded. @param {boolean} isFirst  whether it was the first scene */
 async function stay(isFirst) {
   const problem = shown.note;
@@ -130,7 +155,7 @@ async function stay(isFirst) {
   }
   showNames();
   if (shown.game) return;
-  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts });  // the other choice had interrupted it
+  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts, scene: shown.scene });  // the other choice had interrupted it
   if (opened) say(problem);
 }
 
@@ -151,7 +176,7 @@ async function actionsOf(method, task, variant, { seed, expert, shifts }, { demo
   if (method === EXPERT) return scenes.length === 1 ? scenes[0].expert : expert;  // all seeds of Demo have one scene
   if (method.startsWith(DEMO)) return demonstrations[Number(method.slice(DEMO.length)) - 1] ?? null;
   const name = `${task}-${variant}`;
-  if (shifts || !methods[method]?.seeds[name]?.includes(seed)) return null;
+  if (shifts || shown.scene || !methods[method]?.seeds[name]?.includes(seed)) return null;
   replays[method] ??= fetchJson(`replays/${method}.json`);
   replays[method].catch(() => delete replays[method]);
   return (await replays[method])[name][seed];
@@ -264,7 +289,7 @@ function sceneButton({ seed, scene }) {
 function show(initial, scene) {
   shown.again = () => show(initial, scene);
   const { task, game, horizon, watching, sending } = shown;
-  const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
+  const done = game?.actions.length ?? 0, now = lack(task, initial) ? "–" : score(task, initial, game?.now ?? scene).toFixed(2);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     const words = `${view === "allo" ? "From above" : "As the robot sees it"}; blocks: ${scene.blocks.length}, goal regions: ${scene.regions.length}`;
@@ -273,10 +298,10 @@ function show(initial, scene) {
   }
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
-  if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // otherwise screen readers would repeat it
-  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not contain shifts
+  if (element("score").textContent !== now) element("score").textContent = now;  // otherwise screen readers would repeat it
+  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
   if (game?.failure) say(game.failure);
-  const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
+  const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now}`
     : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -308,7 +333,7 @@ function tell(text) {
 /** @param {number} time */
 function frame(time) {
   const game = shown.game;
-  if (game) {
+  if (game && !shown.editing) {
     game.advance(time);
     show(game.initial, game.shown(time));
   }
@@ -320,7 +345,7 @@ function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
   if (!element("ending").hidden && !may("scenes")) return;  // nothing is left to play
   if (!shown.task) return start();  // the first scene is not loaded yet, or loading failed
-  return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, ...how });
+  return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, scene: seed === shown.seed ? shown.scene : "", ...how });
 }
 
 function next() {
@@ -438,7 +463,7 @@ function start() {
 }
 
 /** @type {Record<string, string>} the buttons by key */
-const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyT: "take" };
+const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyT: "take", KeyE: "edit" };
 /** @type {Record<string, string>} what to watch, by key */
 const WATCHED = { KeyH: EXPERT, KeyB: BC };
 
@@ -473,12 +498,12 @@ element("policy").onchange = async () => {
   own = new Uint8Array(await element("policy").files[0].arrayBuffer());
   play(shown.seed, { method: OWN });
 };
-for (const [id, press] of Object.entries({ again, next, take })) element(id).onclick = () => press();
+for (const [id, press] of Object.entries({ again, next, take, edit: change })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
-  if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are next to each other
+  if (elsewhere || shown.editing || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are next to each other
   if (WATCHED[event.code]) watch(WATCHED[event.code]);
   const button = element(SHORTCUTS[event.code] ?? "arena");
   if (button.id !== "arena" && !button.hidden) button.click();
@@ -489,7 +514,7 @@ addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
 element("seed-label").hidden = !seat;
-for (const link of ["inspect", "about", "docs"]) element(link).hidden = seat !== null;
+for (const link of ["inspect", "about", "docs", "edit"]) element(link).hidden = seat !== null;
 if (seat) element("home").removeAttribute("href");
 requestAnimationFrame(frame);
 if (catalogue.collects) {

@@ -3,6 +3,7 @@
 import { addressOf, parseAddress } from "./address.js";
 import { onChoice, showAddress, showChoice } from "./choice.js";
 import { draw } from "./draw.js";
+import { linkedScene } from "./edited.js";
 import { asked, waits } from "./patience.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 
@@ -19,7 +20,8 @@ async function wait() {
     message.textContent = unknown;
     message.classList.toggle("wrong", unknown !== "");
     const { scenes } = await loadEnvironment(sceneId.task, sceneId.variant, sceneId.shifts);
-    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === sceneId.seed) ?? scenes[0]).scene);
+    const scene = sceneId.scene ? linkedScene(sceneId.scene, catalogue) : (scenes.find(({ seed }) => seed === sceneId.seed) ?? scenes[0]).scene;
+    if (!begun.signal.aborted) drawPoster(catalogue.look, scene);
   };
   const showHash = () => {
     const { unknown, ...sceneId } = parseAddress(location.hash, catalogue);

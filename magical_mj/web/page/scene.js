@@ -3,7 +3,7 @@
  * Scenes in the form that magical_mj writes. World units, x to the right, y up. Angles in radians, counter-clockwise.
  * @typedef {{x: number, y: number, angle: number, fingers: number[], body?: string}} Robot
  *   angle 0 faces +y; fingers left, right; body: "gripper" by default
- * @typedef {{shape: string, colour: string, x: number, y: number, angle: number}} Block
+ * @typedef {{shape: string, colour: string, x: number, y: number, angle: number, mass?: number}} Block
  * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number, border?: string}} Region
  * @typedef {{robot: Robot, blocks: Block[], regions: Region[], half_width?: number, pebbles?: {x: number, y: number}[],
  *   stains?: number[][], dynamics?: Record<string, number>}} Scene  half_width: of the arena, by default 1; stains: x, y, radius, darkness

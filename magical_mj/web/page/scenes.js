@@ -76,6 +76,9 @@ function withAttributes(element, attributes, scene, label) {
 export const fetchJson = async (path) => (await fetched(path)).json();
 
 /** @param {string} path  relative to the page */
+export const fetchText = async (path) => (await fetched(path)).text();
+
+/** @param {string} path  relative to the page */
 export const fetchFile = async (path) => new Uint8Array(await (await fetched(path)).arrayBuffer());
 
 /** @param {string} path */

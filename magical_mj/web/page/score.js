@@ -59,6 +59,52 @@ const RULES = {
   ClusterShape: (_, { blocks }) => clusters(blocks, (block) => block.shape),
 };
 
+const count = (/** @type {any[]} */ all) => `but this has ${all.length}`;
+/** What a scene with another number of goal regions lacks. @param {Region[]} regions @param {0 | 1} number */
+const lacksRegions = (regions, number) => regions.length === number ? "" : `${number ? "exactly one goal region" : "no goal regions"}, ${count(regions)}`;
+
+/** What a scene to cluster lacks. @param {Scene} scene @param {"colour" | "shape"} attribute */
+function lacksKinds({ blocks, regions }, attribute) {
+  const { size } = new Set(blocks.map((block) => block[attribute]));
+  return size < 2 ? `blocks of at least two different ${attribute}s, but this has ${size}` : lacksRegions(regions, 0);
+}
+
+/** What scenes need for a task, and what one has instead; "" if it has that. @type {Record<string, (scene: Scene) => string>} */
+const NEEDS = {
+  MoveToCorner: ({ blocks, regions }) => blocks.length === 1 ? lacksRegions(regions, 0) : `exactly one block, ${count(blocks)}`,
+
+  MoveToRegion: ({ blocks, regions }) => lacksRegions(regions, 1) || (blocks.length ? `no blocks, ${count(blocks)}` : ""),
+
+  MatchRegions: ({ blocks, regions }) => lacksRegions(regions, 1) || (blocks.some(({ colour }) => colour === regions[0].colour) ? ""
+    : `at least one block of the goal region's colour, which is ${regions[0].colour}`),
+
+  MakeLine: ({ blocks, regions }) => blocks.length < 3 ? `at least 3 blocks, ${count(blocks)}` : lacksRegions(regions, 0),
+
+  FindDupe({ blocks, regions }) {
+    if (regions.length !== 1) return lacksRegions(regions, 1);
+    const found = inside(regions[0], blocks), query = blocks[found[0]];
+    if (found.length !== 1) return `exactly one block (the query) in the goal region, ${count(found)}`;
+    return blocks.filter((block) => alike(block, query)).length > 1 ? "" : `another ${query.colour} ${query.shape}, like the query, outside the goal region`;
+  },
+
+  FixColour({ blocks, regions }) {
+    if (!regions.length) return "at least one goal region, but this has none";
+    const homes = regions.map((region) => inside(region, blocks)), numbers = homes.map(({ length }) => length);
+    const isOneEach = numbers.every((number) => number === 1) && new Set(homes.flat()).size === homes.length;
+    if (!isOneEach) return `exactly one block of its own in every goal region, but the numbers are [${numbers.join(", ")}]`;
+    const odd = homes.filter(([block], i) => blocks[block].colour !== regions[i].colour);
+    return odd.length === 1 ? "" : `exactly one block whose colour differs from its goal region's, ${count(odd)}`;
+  },
+
+  SweepToTop: ({ blocks, regions }) => lacksRegions(regions, 1) || (blocks.length === 3 ? "" : `three blocks, ${count(blocks)}`),
+
+  ClusterColour: (scene) => lacksKinds(scene, "colour"),
+  ClusterShape: (scene) => lacksKinds(scene, "shape"),
+};
+
+/** What a scene lacks to be one of a task; "" if nothing. @param {string} task @param {Scene} scene */
+export const lack = (task, scene) => NEEDS[task](scene);
+
 /**
  * The score of the final scene, in [0, 1].
  * @param {string} task
