@@ -90,11 +90,12 @@ site-test-firefox: site | firefox  ## the pages in Firefox: those around the sim
 	BROWSER=firefox LIBGL_ALWAYS_SOFTWARE=1 xvfb-run -a node --test --test-concurrency=1 --test-reporter=spec \
 		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs site/tests/editor.test.mjs
 
-site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind, and how soon and smoothly one plays and inspects
+site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind, how soon and smoothly one plays and inspects, and their memory
 	$(BIN)/python site/fetch.py
 	npm install --silent --no-audit --no-fund --prefix out/audit lighthouse@13.5.0
 	node site/audit.mjs
 	node site/speed.mjs
+	node site/memory.mjs
 
 site-picture: site | chromium  ## docs/site.png and docs/inspect.png, anew
 	$(BIN)/python site/fetch.py

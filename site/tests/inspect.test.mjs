@@ -238,6 +238,90 @@ test("without WebGL, scenes are drawn flat; touch buttons drive", async () => {
   await plain.close();
 });
 
+/** The canvas's picture, in the page. */
+async function picture() {
+  await page.evaluate(() => new Promise((resolve) => { setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(resolve)), 600); }));
+  const png = (await page.locator("#solids").screenshot()).toString("base64");
+  return page.evaluateHandle(async (png) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${png}`;
+    await image.decode();
+    const { width, height } = image, context = /** @type {any} */ (Object.assign(document.createElement("canvas"), { width, height }).getContext("2d"));
+    context.drawImage(image, 0, 0);
+    return /** @type {ImageData} */ (context.getImageData(0, 0, width, height));
+  }, png);
+}
+/** @typedef {Awaited<ReturnType<typeof picture>>} Picture */
+
+/** The share of pixels that differ in the second picture, and the number of their colours. @param {Picture} one @param {Picture} other */
+const changed = (one, other) => page.evaluate(([{ data: before }, { data: after }]) => {
+  const found = [];
+  for (let i = 0; i < before.length; i += 4) {
+    if ([0, 1, 2].some((k) => Math.abs(before[i + k] - after[i + k]) > 12)) found.push([0, 1, 2].map((k) => after[i + k] >> 4).join());
+  }
+  return { share: 4 * found.length / before.length, colours: new Set(found).size };
+}, /** @type {const} */ ([one, other]));
+
+/** Whether a place is white. @param {Picture} picture @param {number[]} place  shares of width and height */
+const isWhite = (picture, [x, y]) => page.evaluate(([{ data, width, height }, x, y]) => {
+  const first = 4 * (Math.round(y * height) * width + Math.round(x * width));
+  return data.slice(first, first + 3).every((value) => value > 253);
+}, /** @type {const} */ ([picture, x, y]));
+
+test("inertia is translucent, and collision shapes are outlines", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/inspect.html#FindDupe-All-3`);
+  await untilOpen("FindDupe-All-3");
+  await page.uncheck("[name=insets]");
+  const plain = await picture();
+  await page.check("[name=inertia]");
+  const inertia = await changed(plain, await picture());
+  await page.uncheck("[name=inertia]");
+  await page.check("[name=collision]");
+  const collision = await changed(plain, await picture());
+  console.log(`changed pixels: ${(100 * inertia.share).toFixed(1)} % with inertia, in ${inertia.colours} colours; ${(100 * collision.share).toFixed(1)} % with collision shapes`);
+  assert.ok(inertia.share > 0.02 && inertia.colours > 30, "what is behind a box is visible");
+  assert.ok(collision.share > 0.005 && collision.share < 0.12, "lines, not faces");
+  assert.deepEqual(complaints, []);
+});
+
+test("the pictures of the model's cameras can be dragged, and the view stays", async () => {
+  await page.check("[name=insets]");
+  await page.uncheck("[name=collision]");
+  const plain = await picture(), box = /** @type {any} */ (await page.locator("#solids").boundingBox());
+  const corner = [0.93, 0.06], other = [0.07, 0.94];  // of the inset and of the canvas: only the inset is white there
+  await page.mouse.move(box.x + corner[0] * box.width, box.y + corner[1] * box.height);
+  await page.mouse.down();
+  await page.mouse.move(box.x + other[0] * box.width, box.y + other[1] * box.height, { steps: 4 });
+  await page.mouse.up();
+  const after = await picture();
+  assert.deepEqual(await Promise.all([isWhite(plain, corner), isWhite(after, corner), isWhite(plain, other), isWhite(after, other)]), [true, false, false, true]);
+  await page.uncheck("[name=insets]");
+  const moved = await picture();
+  await page.evaluate(() => { location.hash = "#FindDupe-All-4"; });
+  await untilOpen("FindDupe-All-4");
+  await page.evaluate(() => { location.hash = "#FindDupe-All-3"; });
+  await untilOpen("FindDupe-All-3");
+  assert.ok((await changed(moved, await picture())).share < 0.001, "as if opened anew");
+  await page.check("[name=insets]");
+  assert.deepEqual(complaints, []);
+});
+
+test("on a phone, the robot is driven by touch", { skip: process.env.BROWSER === "firefox" }, async () => {
+  await page.evaluate(() => { location.hash = "#MoveToRegion-Demo-0"; });
+  await untilOpen("MoveToRegion-Demo-0");
+  const begun = await state(), session = await browser.context.newCDPSession(page);
+  const pad = page.locator("[data-command=forward]");
+  await pad.scrollIntoViewIfNeeded();
+  const { x, y, width, height } = /** @type {any} */ (await pad.boundingBox());
+  await session.send("Input.dispatchTouchEvent", { type: "touchStart", touchPoints: [{ x: x + width / 2, y: y + height / 2 }] });
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.6);
+  await session.send("Input.dispatchTouchEvent", { type: "touchEnd", touchPoints: [] });
+  await page.click("#run");
+  assert.ok(Math.hypot(...(await state()).qpos.slice(0, 2).map((/** @type {number} */ value, /** @type {number} */ i) => value - begun.qpos[i])) > 0.2);
+  assert.deepEqual(complaints, []);
+});
+
 test("errors of a model are shown, and the previous model stays", async () => {
   await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
   await page.waitForFunction(() => document.getElementById("message")?.textContent);

@@ -394,3 +394,12 @@ test("with data saving, a picture is shown, and a press starts the download", as
   assert.equal(await spared.locator("#poster").count(), 0);
   await spared.close();
 });
+
+test("of many addresses in quick succession, the last one is shown", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/#MoveToCorner-Demo-0`);
+  for (let i = 0; i < 40; i++) await page.evaluate((hash) => { location.hash = hash; }, `${["MoveToRegion-Jitter", "MatchRegions-Jitter", "FindDupe-All"][i % 3]}-${i % 20}`);
+  await page.waitForFunction(() => document.getElementById("inspect")?.getAttribute("href")?.endsWith("#MoveToRegion-Jitter-19")
+    && document.getElementById("status")?.textContent?.startsWith("Press"));
+  assert.equal(await page.evaluate("location.hash"), "#MoveToRegion-Jitter-19");
+});

@@ -6,9 +6,17 @@ import { addressOf, parseAddress } from "./address.js";
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 
-/** @param {string} hash  with "#" @param {boolean} isNew  whether to add an entry to the browser's history */
+let known = location.hash;
+addEventListener("hashchange", () => { known = location.hash; });
+
+/**
+ * Shows the address of a scene. An address that the visitor has just opened stays: the page is about to be told of it.
+ * @param {string} hash  with "#" @param {boolean} isNew  whether to add an entry to the browser's history
+ */
 export function showAddress(hash, isNew) {
-  if (hash !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", hash);
+  if (hash === location.hash || location.hash !== known) return;
+  history[isNew ? "pushState" : "replaceState"](null, "", hash);
+  known = location.hash;
 }
 
 /** Selects the displayed scene in the lists, or nothing for a model that is not from the catalogue. @param {any} catalogue @param {SceneId | null} sceneId */

@@ -2,6 +2,7 @@
 /** The page for playing: choosing a scene, playing, watching, saving and sending. */
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress, shiftsOf } from "./address.js";
+import { showAddress } from "./choice.js";
 import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
@@ -216,7 +217,7 @@ function showWatchable() {
 /** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
   const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
-  if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
+  showAddress(hash, isNew && location.hash !== "");
   element("seed").value = shown.seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);

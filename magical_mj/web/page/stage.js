@@ -1,6 +1,7 @@
 // @ts-check
 /** Renders a model in 3-D with soft light, by three.js. MuJoCo computes its helper geoms (contacts, joints, ...). */
 import * as THREE from "./three/three.module.js";
+import { Insets } from "./insets.js";
 import { OrbitControls } from "./three/OrbitControls.js";
 
 /** The flags of mjvOption for helper geoms, by the names of the page's switches. */
@@ -12,7 +13,7 @@ const DRAWN = [2, 4];  // the groups in these pictures
 const [PLANE, FIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [0, 1, 2, 3, 4, 5, 6, 7];
 const [ARROW, ARROW1, ARROW2, LINE, LINEBOX] = [100, 101, 102, 103, 104];
 const ROUGH = 0.6;  // rendered pixels per screen pixel, for movement on a slow machine
-const INSET = 0.24, INSET_MOST = 200;  // of the canvas's smaller side; pixels
+const INERTIA = 0.25;  // the opacity of its boxes
 
 export class Stage {
   /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when a new picture is needed */
@@ -30,6 +31,8 @@ export class Stage {
     this.renderer.autoClear = false;
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
     this.camera.up.set(0, 0, 1);
+    this.insets = true;
+    this.places = new Insets(canvas, () => this.insets ? this.#insetCount : 0, changed);  // before the controls, which it keeps from turning the view
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.addEventListener("change", changed);
     this.scene = new THREE.Scene();
@@ -40,7 +43,11 @@ export class Stage {
     this.inspected = null;
     /** @type {any} */
     this.lamp = null;
-    this.insets = true;
+  }
+
+  /** Only the model's first two cameras have pictures. */
+  get #insetCount() {
+    return Math.min(2, this.inspected?.model.ncam ?? 0);
   }
 
   /** Shows another model, with the initial camera of its file. @param {import("./inspected.js").InspectedModel} inspected */
@@ -73,19 +80,19 @@ export class Stage {
     this.orbit.maxDistance = 10 * extent;
     this.orbit.update();
     this.#light(extent, new THREE.Vector3(x, y, z));
-    this.cameras = Array.from({ length: model.ncam }, (_, id) => id);
     this.select(-1);
   }
 
   close() {
     if (!this.inspected) return;
     for (const helper of [this.option, this.perturbation, this.eye, this.helpers]) helper.delete();
+    this.lamp?.dispose();  // with its shadows
+    this.scene.traverse((/** @type {any} */ { material }) => {
+      material?.map?.dispose();
+      material?.dispose();
+    });
     this.scene.clear();
     for (const geometry of this.geometries?.values() ?? []) geometry.dispose();
-    for (const mesh of this.meshes) {
-      mesh?.material.map?.dispose();
-      mesh?.material.dispose();
-    }
     this.inspected = null;
   }
 
@@ -123,8 +130,8 @@ export class Stage {
     const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ ...look, map }));
     if (isCollision) {
       mesh.material.color.set(0xd0503c);
-      Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });
-      mesh.add(new THREE.LineSegments(this.#edges(geometry), OUTLINE));
+      Object.assign(mesh.material, { opacity: 0, depthWrite: false });
+      mesh.add(new THREE.LineSegments(this.#edges(type, size, geometry), OUTLINE));
     }
     if (isDark() && SURROUND.includes(this.inspected.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in the observations of policies
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
@@ -160,11 +167,16 @@ export class Stage {
     return map;
   }
 
-  /** The edges of a geometry. @param {any} geometry */
-  #edges(geometry) {
-    const { geometries } = this;
-    if (!geometries.has(geometry.uuid)) geometries.set(geometry.uuid, new THREE.EdgesGeometry(geometry, 20));
-    return geometries.get(geometry.uuid);
+  /** The edges of a geometry. Round ones have those of a coarser shape. @param {number} type @param {number[]} size @param {any} geometry */
+  #edges(type, [a, b], geometry) {
+    const { geometries } = this, key = geometry.uuid;
+    if (!geometries.has(key)) {
+      const coarse = type === SPHERE ? new THREE.SphereGeometry(a, 12, 6).rotateX(Math.PI / 2)
+        : type === CAPSULE ? new THREE.CapsuleGeometry(a, 2 * b, 2, 8).rotateX(Math.PI / 2) : null;
+      geometries.set(key, new THREE.EdgesGeometry(coarse ?? geometry, coarse ? 1 : 20));
+      coarse?.dispose();
+    }
+    return geometries.get(key);
   }
 
   /** The geometry of a geom. Geoms of the same size share it. @param {number} type @param {number[]} size @param {number} dataid */
@@ -223,7 +235,7 @@ export class Stage {
     renderer.setViewport(0, 0, width, height);
     renderer.clear();
     renderer.render(this.scene, this.camera);
-    if (this.insets) this.#drawInsets(width, height);
+    if (this.insets) this.#drawInsets(height);
   }
 
   #updatePoses() {
@@ -246,7 +258,7 @@ export class Stage {
       for (const kind of kinds) flags[mujoco.mjtVisFlag[`mjVIS_${kind}`].value] = Number(this.shown[/** @type {keyof typeof HELPERS} */ (name)]);
     }
     mujoco.mjv_updateScene(model, data, this.option, this.perturbation, this.eye, mujoco.mjtCatBit.mjCAT_ALL.value, this.helpers);
-    const all = this.helpers.geoms, count = this.helpers.ngeom, { children } = this.decoration;
+    const all = this.helpers.geoms, count = this.helpers.ngeom, { children } = this.decoration, boxes = new Set();
     for (let i = 0; i < count; i++) {
       const geom = all.get(i);
       const child = children[i] ?? this.#helper();
@@ -257,8 +269,11 @@ export class Stage {
       child.matrixWorldNeedsUpdate = true;
       const [red, green, blue, opacity] = geom.rgba;
       child.material.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
-      child.material.opacity = opacity;
-      child.visible = true;
+      const isInertia = geom.type === BOX, place = isInertia ? [...geom.pos, ...geom.size].map((value) => value.toFixed(3)).join() : "";
+      child.material.opacity = isInertia ? INERTIA : opacity;
+      child.material.depthWrite = !isInertia;
+      child.visible = !isInertia || !boxes.has(place);  // wheels and rotors have equal boxes in one place
+      boxes.add(place);
       geom.delete();
     }
     all.delete();
@@ -280,10 +295,10 @@ export class Stage {
     return mesh;
   }
 
-  /** The pictures of the model's own first two cameras, in the upper right corner. @param {number} width @param {number} height */
-  #drawInsets(width, height) {
-    const { model, data } = this.inspected, side = Math.min(INSET_MOST, INSET * Math.max(width, height), 0.45 * width, 0.45 * height);
-    this.cameras?.slice(0, 2).forEach((/** @type {number} */ id, /** @type {number} */ index) => {
+  /** The pictures of the model's own first two cameras. @param {number} height  of the canvas */
+  #drawInsets(height) {
+    const { model, data } = this.inspected;
+    this.places.places(this.#insetCount).forEach(({ left, top, side }, id) => {
       const fovy = model.cam_fovy[id], far = 50 * (model.stat.extent || 1), isFlat = this.inspected.controls !== null;
       const camera = model.cam_projection[id]
         ? new THREE.OrthographicCamera(-fovy / 2, fovy / 2, fovy / 2, -fovy / 2, -far, far) : new THREE.PerspectiveCamera(fovy, 1, far / 5000, far);
@@ -292,7 +307,6 @@ export class Stage {
       camera.matrix.set(turn[0], turn[1], turn[2], x, turn[3], turn[4], turn[5], y, turn[6], turn[7], turn[8], z, 0, 0, 0, 1);
       camera.matrixWorldNeedsUpdate = true;
       if (isFlat) camera.layers.set(FLAT);
-      const left = width - 8 - side, top = 8 + index * (side + 8);
       this.renderer.setScissorTest(true);
       this.renderer.setScissor(left - 1, height - top - side - 1, side + 2, side + 2);
       this.renderer.setClearColor(0x8d909b);
