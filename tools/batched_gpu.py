@@ -1,13 +1,16 @@
-"""Measures all figures about batched environments that need an accelerator, in parts of less than ten minutes.
+"""Measures all figures about batched environments that need an accelerator, for at most twelve minutes at a time.
 
     python tools/batched_gpu.py --list                       # the names of all parts
     python tools/batched_gpu.py --out out/batched            # all parts that are not finished
-    python tools/batched_gpu.py --out out/batched --only speed-FixColour-Demo-State
+    python tools/batched_gpu.py --out out/batched --seconds 540 --only speed-MoveToRegion-Demo-State
     python tools/batched_gpu.py --out out/rehearsal --rehearse --device cpu
 
-A finished part has a file with its output in the folder, and is skipped. So after an interruption, start the script
-again. Each part is stopped after ten minutes: trainings and evaluations continue when the script is started again; any
-other part has failed. If a part fails, the others still run, and the exit code is 1.
+A finished part has a file with its output in the folder, and is skipped. So when the time is over, or after an
+interruption, start the script again: trainings and evaluations continue, and any other part that was stopped starts
+again. If a part fails, the others still run, and the exit code is 1. The first parts are the comparison of pictures
+with the software renderer's, then the speed, with the time of each kernel and the memory of an environment. The part
+`bc`, behavioural cloning at the paper's full size (tools/full_size/accelerator.sh), takes all the time that is left,
+in each call until it has ended; `--only` runs one of the parts after it.
 
 The machine needs Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports, and
 the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, the one on PyPI) with NVIDIA's
@@ -19,6 +22,7 @@ machine with the same platform and Python version, and install them from the fol
     pip install --no-index --find-links wheels "magical-mj[gpu,eval]"
 
 Warp compiles its kernels for the card at first use, which takes a minute or two, and caches them in `~/.cache/warp`.
+numba-cuda compiles the pictures' kernel in some seconds, in each process.
 """
 
 from __future__ import annotations
@@ -37,12 +41,20 @@ from typing import Final
 
 import magical_mj
 
-LIMIT: Final = 570  # seconds for one part
+SECONDS: Final = 690  # for all parts of a call
+TO_END: Final = 20  # seconds that a part needs more to end
+SECONDS_LEFT: Final = "SECONDS"
 ROOT: Final = Path(__file__).parent.parent
 COMMAND: Final = [sys.executable, "-m", "magical_mj"]
 FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
 """The environment variables of the commands. `tools.benchmarks` can be imported from any folder."""
 FIDELITY: Final = [sys.executable, str(ROOT / "tools" / "research" / "batched_fidelity.py")]
+PICTURES: Final = [sys.executable, str(ROOT / "tools" / "batched_pictures.py")]
+BENCHMARK: Final = [sys.executable, "-m", "tools.benchmarks", "--batched"]
+FULL_SIZE: Final = ROOT / "tools" / "full_size" / "accelerator.sh"
+PRINTED: Final = ("pictures", "speed", "fidelity")
+"""The beginnings of the names of parts whose output is printed."""
+MEASURED: Final = (("MoveToRegion", "Demo"), ("ClusterShape", "All"))
 
 
 TRAININGS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -56,26 +68,25 @@ REHEARSED: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
-    """Name -> the command of the part. If it is rehearsed, it does as little as possible."""
+    """Name -> the command of the part, in order. If it is rehearsed, it does as little as possible.
+
+    The word `SECONDS_LEFT` stands for their number.
+    """
     on = ["--device", device]
     tasks = ("MoveToRegion",) if rehearse else magical_mj.TASKS
-    environments = list(product(tasks, ("Demo",) if rehearse else ("Demo", "All")))
     states, replays, episodes = ("2", "1", "1") if rehearse else ("200", "25", "100")
-    commands = {
-        "fidelity-actions": [*FIDELITY, "actions", *on, "--states", states],
-        "fidelity-replays": [*FIDELITY, "replays", *on, "--count", replays, "--tasks", ",".join(tasks)],
-    }
-    for (task, variant), preset in product(environments, ("LoRes4E",) if rehearse else ("State", "LoRes4E")):
-        options = ["--tasks", task, "--variants", variant, "--presets", preset]
-        options += ["--num-envs", "2" if rehearse else "256,1024,4096,16384"]
-        commands[f"speed-{task}-{variant}-{preset}"] = [
-            sys.executable,
-            "-m",
-            "tools.benchmarks",
-            "--batched",
-            *on,
-            *options,
-        ]
+    commands: dict[str, list[str]] = {}
+    for size, shifts in (("96", ""), ("64", "camera:3,light:3,texture:3,palette:3")):
+        drawn = ["--scenes", "4" if rehearse else "1000", "--size", size, "--shifts", shifts]
+        commands["pictures-shifted" if shifts else "pictures"] = [*PICTURES, *on, *drawn]
+    for (task, variant), preset in product(MEASURED[:1] if rehearse else MEASURED, ("State", "LoRes4E")):
+        options = ["--tasks", task, "--variants", variant, "--presets", preset, "--profile"]
+        options += ["--num-envs", "2" if rehearse else "4096,256,1024,16384"]
+        commands[f"speed-{task}-{variant}-{preset}"] = [*BENCHMARK, *on, *options]
+    if not rehearse:
+        commands["bc"] = [str(FULL_SIZE), SECONDS_LEFT, "12", str(out / "full_size")]
+    commands["fidelity-actions"] = [*FIDELITY, "actions", *on, "--states", states]
+    commands["fidelity-replays"] = [*FIDELITY, "replays", *on, "--count", replays, "--tasks", ",".join(tasks)]
     environment = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in (REHEARSED if rehearse else TRAININGS).items():
         run, scores = str(out / name), str(out / f"{name}-scores")
@@ -88,23 +99,24 @@ def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
     return commands
 
 
-def run(command: list[str], done: Path) -> str:
-    """Runs the command of a part and returns how it ended, in words. If it succeeds, its output is in `done`."""
-    partial = done.with_suffix(".partial")
+def run(command: list[str], done: Path, seconds: float) -> str:
+    """Runs a part for at most so many seconds and returns how it ended. If it succeeds, its output is in `done`."""
+    partial, goes_on = done.with_suffix(".partial"), SECONDS_LEFT in command
+    command = [str(int(seconds)) if word == SECONDS_LEFT else word for word in command]
     with partial.open("w") as file:
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0, env=FROM_HERE)
         try:
-            code = process.wait(LIMIT)
+            code = process.wait(seconds + TO_END)
         except subprocess.TimeoutExpired:
-            if "--resume" in command:
-                return f"stopped, see {partial}; start the script again to continue it"
-            return f"failed: not finished after {LIMIT} s, see {partial}"
+            return f"stopped, see {partial}; start the script again"
         finally:
             with suppress(ProcessLookupError):  # all processes have ended already
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     if code:
         return f"failed, see {partial}"
+    if goes_on:
+        return f"ended with the time, see {partial}"
     partial.rename(done)
     return "done"
 
@@ -114,6 +126,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="default: out/batched, or out/rehearsal")
     parser.add_argument("--device", default="cuda")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="the time for all parts")
     parser.add_argument("--only", help="the name of one part")
     parser.add_argument("--rehearse", action="store_true", help="do as little as possible in each part")
     parser.add_argument("--list", action="store_true", help="print the names of all parts")
@@ -126,15 +139,20 @@ def main() -> int:
     if chosen.only and chosen.only not in every:
         parser.error(f"unknown part {chosen.only}; the parts are {', '.join(every)}")
     chosen.out.mkdir(parents=True, exist_ok=True)
-    status = 0
+    status, end = 0, time.monotonic() + chosen.seconds
     for name in [chosen.only] if chosen.only else every:
-        done, start = chosen.out / f"{name}.txt", time.perf_counter()
+        done, start = chosen.out / f"{name}.txt", time.monotonic()
+        if not done.exists() and start >= end:
+            print(f"{name}: not started, the time is over")
+            continue
         training = name.removesuffix("-score")
         if training != name and not (chosen.out / f"{training}.txt").exists():
             print(f"{name}: skipped, because {training} is not finished", flush=True)
             continue
-        ended = "done before" if done.exists() else run(every[name], done)
-        print(f"{name}: {ended}, {time.perf_counter() - start:.0f} s", flush=True)
+        ended = "done before" if done.exists() else run(every[name], done, end - start)
+        print(f"{name}: {ended}, {time.monotonic() - start:.0f} s", flush=True)
+        if done.exists() and name.startswith(PRINTED):
+            print(done.read_text(), flush=True)
         status |= ended.startswith("failed")
     return status
 

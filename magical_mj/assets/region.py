@@ -76,7 +76,7 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
     text = ""
     for index, region in enumerate(regions):
         for name, palette, count in (("fill", REGION_FILL, 1), ("border", REGION_BORDER, dash_count(region))):
-            corners = single(_corners(region, index, count).ravel().tolist())
+            corners = single(region_corners(region, index, count).ravel().tolist())
             text += _skin(f"region{index}_{name}", palette[region.colour], corners, count)
     return text
 
@@ -88,7 +88,7 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
     fill = f'<geom name="{name}_fill" class="visual" type="plane" {box} rgba="{rgba(REGION_FILL[region.colour])}"/>'
     count, mesh = len(dash_quads(region)), f"region{index}_border"
     border = style.visual_geom(f"{name}_border", mesh, REGION_BORDER[region.colour])
-    corners = _corners(region, index, count).astype(np.float64)
+    corners = region_corners(region, index, count).astype(np.float64)
     return mesh_mjcf(mesh, (corners, _quad_faces(count))), fill, border
 
 
@@ -116,11 +116,11 @@ def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> Non
         skin = index_of(model, "skin", f"region{index}_{part}")
         model.skin_rgba[skin] = style.levels(palette[region.colour])
         first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
-        model.skin_vert[first : first + count] = _corners(region, index, count // 4)
+        model.skin_vert[first : first + count] = region_corners(region, index, count // 4)
 
 
 @lru_cache(16)
-def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
+def region_corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
     """Corners of the fill (`count` 1) or of the border. Unused quads collapse into one point. Shape (4 * count, 3)."""
     z = style.Z_REGION + index * style.REGION_STEP
     if count == 1:

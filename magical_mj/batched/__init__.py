@@ -1,4 +1,4 @@
-"""Many environments on one accelerator: MuJoCo Warp simulates them, a Warp kernel draws them, and all data are tensors.
+"""Many environments on one accelerator: MuJoCo Warp simulates them, numba draws them, and all data are tensors.
 
 The package is made for learning. It computes in single precision, so its episodes agree statistically with those of
 `magical_mj.load`, not digit by digit. `magical_mj.evaluate` gives the official results.
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
+from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.tasks.spec import Reward, Rules
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr
@@ -39,6 +40,7 @@ def make(
     reward: Reward = "none",
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
     workers: int = 0,
+    shifts: Shifts = None,
 ) -> BatchedEnv:
     """A vector environment whose environments are all simulated on one device.
 
@@ -54,6 +56,8 @@ def make(
         reward: "none", or "score" for the score as reward at the last step.
         autoreset_mode: `gymnasium.vector.AutoresetMode.SAME_STEP` or `DISABLED`.
         workers: processes that sample scenes in advance. 0 samples a scene when it is needed, in half a millisecond.
+        shifts: shifts of the pictures and their strengths, such as ``"camera:3,light:2"``. The values of an episode
+            are those of its seed, as in single environments. The shift `sensor` needs the device "cpu".
 
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.
@@ -88,4 +92,5 @@ def make(
         reward=reward,
         autoreset_mode=autoreset_mode,
         workers=workers,
+        shifts=shifts,
     )

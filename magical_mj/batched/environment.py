@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
+from magical_mj.batched.pictures import check_accelerator
 from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler, sample
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
@@ -23,6 +25,7 @@ from magical_mj.envs.vector import check_mask, environment_seeds
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.shifts.registry import DRAWN, Shifts, parse_shifts
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import (
@@ -74,6 +77,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         reward: Reward = "none",
         autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
         workers: int = 0,
+        shifts: Shifts = None,
     ) -> None:
         if autoreset_mode not in MODES:
             names = " or ".join(f"gymnasium.vector.{mode}" for mode in MODES)
@@ -91,6 +95,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise SettingsError(f"batched environments cannot draw segmentations: choose another preset than {preset}")
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
+        strengths = check_shifts(shifts, pairs, self.device, pictures=observed.layout != "state")
+        if observed.layout != "state":
+            check_accelerator(self.device)
         self._specs = [task_spec(task) for task, _ in pairs]
 
         self.num_envs = len(pairs)
@@ -101,13 +108,15 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "rules": rules,
             "preset": preset,
             "image_size": None if observed.layout == "state" else size,
+            "shifts": strengths,
         }
         self._horizons = torch.tensor([spec.horizon(rules) for spec in self._specs], device=self.device)
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
 
         capacity = Capacity.of_environments(pairs)
-        self._scenes = sample(pairs, [0] * self.num_envs, capacity)
+        self._seeds = [0] * self.num_envs
+        self._scenes = sample(pairs, self._seeds, capacity)
         self._sampler = SceneSampler(pairs, capacity, workers)
         self._sampler.seed(seed)
         self.physics = Physics(self._scenes, self.device)
@@ -115,7 +124,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if observed.layout == "state":
             self.observer = States(self.num_envs, self.device)
         else:
-            self.observer = Frames(observed, size, self._scenes, self.device)
+            self.observer = Frames(observed, size, self._scenes, self.device, strengths, self._seeds)
         self.single_observation_space = self.observer.space
         self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
@@ -150,16 +159,19 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _begin(self, envs: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(envs, dtype=torch.int64, device=self.device)
         if envs:
-            self._put(self._sampler.scenes(envs, seeds), where)
+            chosen = self._sampler.next_seeds(envs) if seeds is None else seeds
+            self._put(self._sampler.scenes(envs, seeds), where, chosen)
         self._steps[where] = 0
         self._running[where] = True
         return self.observer.observe_start(self.physics, where)
 
-    def _put(self, scenes: BatchScenes, envs: Tensor) -> None:
-        """Places scenes into these environments, at rest."""
+    def _put(self, scenes: BatchScenes, envs: Tensor, seeds: Sequence[int]) -> None:
+        """Places the scenes of these seeds into these environments, at rest."""
+        for env, seed in zip(envs.tolist(), seeds, strict=True):
+            self._seeds[env] = seed
         self._scenes.write(scenes, envs.cpu().numpy())
         self.physics.reset(scenes, envs)
-        self.observer.set_scenes(scenes, envs)
+        self.observer.set_scenes(scenes, envs, seeds)
 
     def get_state(self) -> dict[str, Any]:
         """The state of all environments, including the pictures in the stacks, as tensors, arrays and plain values."""
@@ -167,6 +179,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return {
             "kind": self._kind,
             "scenes": asdict(self._scenes),
+            "seeds": list(self._seeds),
             "sampler": self._sampler.get_state(),
             "physics": self.physics.get_state(),
             "observer": self.observer.get_state(),
@@ -187,7 +200,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         check_state(state, self.get_state())
-        self._put(BatchScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
+        self._put(BatchScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device), state["seeds"])
         self._sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]
@@ -220,7 +233,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self.physics.reset(self._scenes[where.cpu().numpy()], where)
         if bool((ended & info["overflowed"]).any()):
             gymnasium.logger.warn(OVERFLOW)
-        observation = self.observer.observe(self.physics)
+        observation = self.observer.observe(self.physics, self._steps)
         reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
         self._running &= ~ended
         if self._same_step and bool(ended.any()):
@@ -296,6 +309,25 @@ def arrays(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(arrays(entry) for entry in value)
     return value
+
+
+def check_shifts(shifts: Shifts, pairs: Sequence[Pair], device: str, *, pictures: bool) -> dict[str, int]:
+    """The strengths of shifts.
+
+    Raises:
+        SettingsError: if batched environments cannot draw one of them on this device, or draw no pictures.
+        UnknownNameError, ShiftError: see `parse_shifts`.
+    """
+    strengths = dict(ChainMap(*(parse_shifts(shifts, task) for task in dict.fromkeys(task for task, _ in pairs))))
+    possible = DRAWN if torch.device(device).type == "cpu" else tuple(name for name in DRAWN if name != "sensor")
+    if other := [name for name in strengths if name not in possible]:
+        raise SettingsError(
+            f"batched environments on {device} can have the shifts {', '.join(possible)}, not {other[0]}: use "
+            "gymnasium.make or make_vec"
+        )
+    if strengths and not pictures:
+        raise SettingsError("these shifts change pictures, and the preset has none: leave them out, or choose another")
+    return {name: int(strength) for name, strength in strengths.items()}
 
 
 def check_actions(actions: Any, envs: int, device: str) -> Tensor:

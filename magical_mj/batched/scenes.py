@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.region import DASHES, dash_quads
+from magical_mj.assets.region import DASHES, region_corners
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER
@@ -82,7 +82,8 @@ class BatchScenes:
         region_colours: indices into `COLOURS`. Shape (envs, regions).
         fingers: angles of the left and the right finger. Shape (envs, 2).
         dynamics: the five force caps, in the order of `Dynamics`. Shape (envs, 5).
-        dashes: the rectangles of each region's border, x_min, y_min, x_max, y_max. Shape (envs, regions, DASHES, 4).
+        quads: the corners of each region's fill and of its border's dashes, x and y. Unused quads are points. Shape
+            (envs, regions, 1 + DASHES, 4, 2).
     """
 
     poses: NDArray[np.float64]
@@ -92,7 +93,7 @@ class BatchScenes:
     region_colours: NDArray[np.int32]
     fingers: NDArray[np.float64]
     dynamics: NDArray[np.float64]
-    dashes: NDArray[np.float32]
+    quads: NDArray[np.float32]
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> BatchScenes:
@@ -108,7 +109,7 @@ class BatchScenes:
             region_colours=np.full((envs, regions), ABSENT, np.int32),
             fingers=np.array([scene.robot.fingers for scene in scenes]),
             dynamics=np.array([astuple(scene.dynamics)[:-1] for scene in scenes]),  # without `veer`
-            dashes=np.zeros((envs, regions, DASHES, 4), np.float32),
+            quads=np.zeros((envs, regions, 1 + DASHES, 4, 2), np.float32),
         )
         for env, scene in enumerate(scenes):
             if len(scene.blocks) > blocks or len(scene.regions) > regions:
@@ -124,9 +125,9 @@ class BatchScenes:
             for slot, region in enumerate(scene.regions):
                 arrays.regions[env, slot] = region.box
                 arrays.region_colours[env, slot] = COLOURS.index(region.colour)
-                quads = dash_quads(region)  # rectangles along the axes
-                dashes = np.concatenate([quads.min(axis=1), quads.max(axis=1)], axis=1)
-                arrays.dashes[env, slot, : len(dashes)] = dashes
+                for first, count in ((0, 1), (1, DASHES)):
+                    corners = region_corners(region, slot, count)[:, :2].reshape(count, 4, 2)
+                    arrays.quads[env, slot, first : first + count] = corners
         return arrays
 
     def __getitem__(self, envs: NDArray[np.int64]) -> BatchScenes:
@@ -193,7 +194,7 @@ class SceneSampler:
         With workers, starts to sample the following ones.
         """
         if seeds is not None or not self._workers:
-            scenes = sample([self._pairs[env] for env in envs], seeds or self._seeds(envs), self._capacity)
+            scenes = sample([self._pairs[env] for env in envs], seeds or self.next_seeds(envs), self._capacity)
         else:
             self._prepare(envs)
             scenes = self._prepared(envs)
@@ -204,7 +205,8 @@ class SceneSampler:
             self._prepare(envs)
         return scenes
 
-    def _seeds(self, envs: Sequence[int]) -> list[int]:
+    def next_seeds(self, envs: Sequence[int]) -> list[int]:
+        """The seeds of the next episodes of these environments."""
         keys = ((env, self._episodes[env]) for env in envs)
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
 
@@ -215,7 +217,7 @@ class SceneSampler:
         for first in range(0, len(missing), CHUNK):
             chunk = missing[first : first + CHUNK]
             work = partial(sample, [self._pairs[env] for env in chunk], capacity=self._capacity)
-            future = self._pool.submit(work, self._seeds(chunk))
+            future = self._pool.submit(work, self.next_seeds(chunk))
             self._ahead |= {env: (future, row) for row, env in enumerate(chunk)}
 
     def _prepared(self, envs: Sequence[int]) -> BatchScenes:

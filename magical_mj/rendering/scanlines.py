@@ -1,9 +1,13 @@
-"""A scanline rasteriser for flat convex polygons, compiled by numba: the kernels of the software renderer.
+"""A scanline rasteriser for flat convex polygons, compiled by numba: the software renderer and pictures of batches.
 
-Every processor draws the same bytes. Integers alone decide which samples a polygon covers: corners are points of a grid
-of 256 x 256 points a sample, and edges are followed with exact quotients and remainders. A corner's point is computed
-by additions and multiplications of doubles and one `floor`, each rounded as IEEE 754 defines: numba does not fuse or
-reorder them (no `fastmath`), and a test looks for fused instructions in the compiled code.
+Every processor and accelerator draws the same bytes. Integers alone decide which samples a polygon covers: corners are
+points of a grid of 256 x 256 points a sample, and edges are followed with exact quotients and remainders. A corner's
+point is computed by additions and multiplications of doubles and one `floor`, each rounded as IEEE 754 defines: numba
+does not fuse or reorder them (no `fastmath`), and tests look for fused instructions in the compiled code. Compilers for
+accelerators do fuse a product with a sum; `product` is the product that they do not fuse (`batched.accelerator`).
+
+On a processor, `paint` draws the polygons one after the other. On an accelerator, threads share the work: each places
+some of the polygons (`place`), and then fills some of the rows (`fill` with the rows that it may fill).
 
 Numba keeps the machine code on disk: next to this file, in NUMBA_CACHE_DIR, or in the user's cache folder. If none of
 these can be written to, each process compiles, which takes some seconds.
@@ -17,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
 GRID_BITS: Final = 8
 """The grid of corners has 2 ** GRID_BITS steps a sample, as usual in OpenGL."""
@@ -32,6 +37,9 @@ _ROUND: Final = np.uint64(0x0002_0002)
 _BYTE: Final = np.uint64(0xFF)
 _2, _8, _16, _32 = np.uint64(2), np.uint64(8), np.uint64(16), np.uint64(32)
 
+inlined: Final = njit(forceinline=True)
+"""Compiles a function into those that call it."""
+
 
 def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
     """Compiles a kernel for this signature now, or loads the code that an earlier process has compiled."""
@@ -45,7 +53,7 @@ def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
     return decorate
 
 
-@njit
+@inlined
 def packed_rgba(rgba: Any) -> Any:
     """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each. 0 if alpha is 0."""
     if rgba[3] == 0:
@@ -56,7 +64,13 @@ def packed_rgba(rgba: Any) -> Any:
     return np.uint32(pixel)
 
 
-@njit
+@register_jitable
+def product(a: float, b: float) -> float:
+    """The rounded product of two doubles, which is not fused with a sum."""
+    return a * b
+
+
+@inlined
 def transform(points: Any, frame: Any, scale: float, middle: float, x: Any, y: Any) -> None:
     """Writes the corners of a polygon on the picture's grid: scale (R(c, s) (u, v) + (tx, ty)) + middle, rounded.
 
@@ -71,33 +85,34 @@ def transform(points: Any, frame: Any, scale: float, middle: float, x: Any, y: A
     tx, ty, c, s = frame
     for k in range(len(points)):
         u, v = np.float64(points[k, 0]), np.float64(points[k, 1])
-        x[k] = math.floor(scale * (tx + c * u - s * v) + middle + 0.5)
-        y[k] = math.floor(scale * (ty + s * u + c * v) + middle + 0.5)
+        x[k] = math.floor(product(scale, tx + product(c, u) - product(s, v)) + middle + 0.5)
+        y[k] = math.floor(product(scale, ty + product(s, u) + product(c, v)) + middle + 0.5)
 
 
-@njit
-def relative(position: Any, rotation: Any, camera: Any, axes: Any) -> Any:
+@inlined
+def relative(body: Any, camera: Any) -> Any:
     """The frame of a body as a camera sees it: tx, ty, cosine and sine of the angle.
 
     With d the vector from the camera to the body, a and b their angles: R(-a) d and b - a. Cameras look straight down.
+    Both arguments are x, y, cosine and sine of the angle, and more entries are ignored.
     """
-    dx, dy = position[0] - camera[0], position[1] - camera[1]
-    cos_a, sin_a, cos_b, sin_b = axes[0], axes[3], rotation[0], rotation[3]
+    dx, dy = body[0] - camera[0], body[1] - camera[1]
+    cos_a, sin_a, cos_b, sin_b = camera[2], camera[3], body[2], body[3]
     return (
-        cos_a * dx + sin_a * dy,
-        cos_a * dy - sin_a * dx,
-        cos_a * cos_b + sin_a * sin_b,
-        cos_a * sin_b - sin_a * cos_b,
+        product(cos_a, dx) + product(sin_a, dy),
+        product(cos_a, dy) - product(sin_a, dx),
+        product(cos_a, cos_b) + product(sin_a, sin_b),
+        product(cos_a, sin_b) - product(sin_a, cos_b),
     )
 
 
-@njit
+@inlined
 def first_centre(position: int) -> int:
     """The first sample whose centre is not before a position on the grid: ceil((position - HALF) / GRID)."""
     return (position + HALF - 1) >> GRID_BITS
 
 
-@njit
+@inlined
 def clip(x: Any, y: Any, count: int, side: int) -> Any:
     """The rows first..last - 1 of samples that a polygon covers within the picture. Empty if it is outside."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
@@ -109,24 +124,51 @@ def clip(x: Any, y: Any, count: int, side: int) -> Any:
     return max(first_centre(low_y), 0), min(first_centre(high_y), side)
 
 
-@njit
-def follow(xa: int, ya: int, xb: int, yb: int, first: int, last: int, side: int, ends: Any) -> None:
-    """Writes, for each row that an edge crosses, the first sample whose centre is not left of it, within 0..side.
+@inlined
+def place(scene: Any, polygon: int, frames: Any, view: Any, side: int, x: Any, y: Any) -> Any:
+    """Writes the corners of a polygon on the picture's grid, and returns the rows that it covers, as `clip`.
+
+    Args:
+        scene: the table of polygons, whose columns are `FIRST`..`IS_SKIN`; corners of geoms; corners of skins.
+        polygon: its row of the table.
+        frames: x, y, cosine and sine of the angle of each body, shape (n, 4).
+        view: the same of the camera, and the steps of the grid per world unit.
+        side: samples per side of the picture.
+        x: the array to write x to (to the right).
+        y: the array to write y to (upwards).
+    """
+    polygons, corners, skin = scene
+    first, last = polygons[polygon, FIRST], polygons[polygon, LAST]
+    if first == last:
+        return 0, 0
+    scale, middle = view[4], 0.5 * GRID * side
+    frame = relative(frames[polygons[polygon, BODY]], view)
+    if polygons[polygon, IS_SKIN]:
+        transform(skin[first:last], frame, scale, middle, x, y)
+    else:
+        transform(corners[first:last], frame, scale, middle, x, y)
+    return clip(x, y, last - first, side)
+
+
+@inlined
+def follow(xa: int, ya: int, xb: int, yb: int, rows: Any, side: int, ends: Any) -> None:
+    """Writes, for each of these rows that an edge crosses, the first sample whose centre is not left of it, in 0..side.
 
     The edge goes up from (xa, ya) to (xb, yb). At the centre of row r, y = GRID r + HALF, it is at
     xa + (y - ya) (xb - xa) / (yb - ya), and the sample is ceil((that - HALF) / GRID) = ceil(n / d) with
     d = GRID (yb - ya) and n = (xa - HALF) (yb - ya) + (y - ya) (xb - xa). From row to row n grows by GRID (xb - xa).
     """
+    first, last, lowest = rows
     start, stop = max(first_centre(ya), first), min(first_centre(yb), last)
     if start >= stop:
         return
-    dx, dy = xb - xa, yb - ya
+    dx, dy = np.int64(xb - xa), np.int64(yb - ya)
     d = GRID * dy
     n = (xa - HALF) * dy + (GRID * start + HALF - ya) * dx + d - 1  # + d - 1: ceil as floor
     quotient, rest = n // d, n % d
     step, step_rest = (GRID * dx) // d, (GRID * dx) % d
     for row in range(start, stop):
-        ends[row] = min(max(quotient, 0), side)
+        ends[row - lowest] = min(max(quotient, 0), side)
         quotient += step
         rest += step_rest
         if rest >= d:
@@ -134,8 +176,8 @@ def follow(xa: int, ya: int, xb: int, yb: int, first: int, last: int, side: int,
             quotient += 1
 
 
-@njit
-def fill(x: Any, y: Any, count: int, colour: int, side: int, scratch: Any) -> None:
+@inlined
+def fill(x: Any, y: Any, count: int, colour: int, rows: Any, side: int, scratch: Any) -> None:
     """Colours the samples whose centres a convex polygon covers; on an edge: those of left and lower edges.
 
     Args:
@@ -143,60 +185,73 @@ def fill(x: Any, y: Any, count: int, colour: int, side: int, scratch: Any) -> No
         y: the same, upwards.
         count: the number of corners.
         colour: what to write.
+        rows: the rows to fill, first and last + 1, all of which the polygon covers; the row where `scratch` begins.
         side: samples per side of the picture.
-        scratch: samples row by row from below, shape (side * side,); for each row, the first sample of the polygon and
-            the one after its last, shapes (side,), which are overwritten.
+        scratch: samples row by row from below; for each row, the first sample of the polygon and the one after its
+            last, which are overwritten.
     """
     samples, left, right = scratch
-    first, last = clip(x, y, count, side)
-    if first >= last:
-        return
+    first, last, lowest = rows
     for k in range(count):
         after = k + 1 if k + 1 < count else 0
         if y[after] > y[k]:
-            follow(x[k], y[k], x[after], y[after], first, last, side, right)
+            follow(x[k], y[k], x[after], y[after], rows, side, right)
         elif y[after] < y[k]:
-            follow(x[after], y[after], x[k], y[k], first, last, side, left)
-    for row in range(first, last):
+            follow(x[after], y[after], x[k], y[k], rows, side, left)
+    for row in range(first - lowest, last - lowest):
         for sample in range(row * side + left[row], row * side + right[row]):
             samples[sample] = colour
 
 
-@njit
-def paint(scene: Any, colours: Any, poses: Any, view: Any, side: int, scratch: Any) -> None:
-    """Paints polygons in their order, later ones over earlier ones.
+@inlined
+def paint(scene: Any, colours: Any, frames: Any, view: Any, side: int, scratch: Any) -> None:
+    """Paints polygons in their order, later ones over earlier ones. The arguments are those of `place` and `fill`.
 
     Args:
-        scene: the table of polygons, whose columns are `FIRST`..`IS_SKIN`; corners of geoms; corners of skins.
+        scene: the polygons.
         colours: of each polygon.
-        poses: positions and rotation matrices of all bodies. Shapes (n, 3) and (n, 9).
-        view: position and matrix of a camera, and the side of the visible square (world units).
+        frames: of each body.
+        view: of the camera.
         side: samples per side of the picture.
-        scratch: as for `fill`.
+        scratch: samples row by row from below, shape (side * side,); for each row, the first sample of a polygon and
+            the one after its last, shapes (side,).
     """
-    polygons, corners, skin = scene
     x, y = np.empty(MAX_CORNERS, np.int64), np.empty(MAX_CORNERS, np.int64)
-    scale, middle = GRID * side / view[2], 0.5 * GRID * side
     scratch[0][: side * side] = 0
-    for p in range(len(polygons)):
-        first, last, body = polygons[p, FIRST], polygons[p, LAST], polygons[p, BODY]
-        frame = relative(poses[0][body], poses[1][body], view[0], view[1])
-        if polygons[p, IS_SKIN]:
-            transform(skin[first:last], frame, scale, middle, x, y)
-        else:
-            transform(corners[first:last], frame, scale, middle, x, y)
-        fill(x, y, last - first, colours[p], side, scratch)
+    for p in range(len(scene[0])):
+        first, last = place(scene, p, frames, view, side, x, y)
+        if first < last:
+            fill(x, y, scene[0][p, LAST] - scene[0][p, FIRST], colours[p], (first, last, 0), side, scratch)
 
 
-@njit
-def average(pairs: Any, out: Any) -> None:
-    """The picture of painted samples: averaged 2 x 2, rounded, on white, top row first. As `opengl.on_white`.
+@inlined
+def mean(lower: Any, upper: Any) -> Any:
+    """Red, green and blue of a pixel: the mean of its four samples, rounded, on white. As `opengl.on_white`.
 
-    Two colours of 8 bits are 16 bits apart in a word, so that four samples can be added at once without carries. Most
-    pixels have the same samples as their left neighbour, and so its average.
+    Two colours of 8 bits are 16 bits apart in a word, so that four samples can be added at once without carries.
 
     Args:
-        pairs: two neighbouring samples as one word: 0xAABBGGRR of the right one, then of the left one.
+        lower: the pixel's two lower samples as one word: 0xAABBGGRR of the right one, then of the left one.
+        upper: the two upper ones.
+    """
+    red_blue = (lower & _EVEN) + (upper & _EVEN)
+    green_alpha = ((lower >> _8) & _EVEN) + ((upper >> _8) & _EVEN)
+    red_blue = ((red_blue + (red_blue >> _32) + _ROUND) >> _2) & _EVEN
+    green_alpha = ((green_alpha + (green_alpha >> _32) + _ROUND) >> _2) & _EVEN
+    paper = _BYTE - ((green_alpha >> _16) & _BYTE)
+    return (
+        np.uint8((red_blue & _BYTE) + paper),
+        np.uint8((green_alpha & _BYTE) + paper),
+        np.uint8(((red_blue >> _16) & _BYTE) + paper),
+    )
+
+
+@inlined
+def average(pairs: Any, out: Any) -> None:
+    """The picture of painted samples, top row first. Most pixels have the same samples as their left neighbour.
+
+    Args:
+        pairs: two neighbouring samples as one word, as for `mean`.
         out: shape (height, width, 3).
     """
     height, width = out.shape[0], out.shape[1]
@@ -210,39 +265,65 @@ def average(pairs: Any, out: Any) -> None:
             low, up = lower[column], upper[column]
             if low != last_low or up != last_up:
                 last_low, last_up = low, up
-                red_blue = (low & _EVEN) + (up & _EVEN)
-                green_alpha = ((low >> _8) & _EVEN) + ((up >> _8) & _EVEN)
-                red_blue = ((red_blue + (red_blue >> _32) + _ROUND) >> _2) & _EVEN
-                green_alpha = ((green_alpha + (green_alpha >> _32) + _ROUND) >> _2) & _EVEN
-                paper = _BYTE - ((green_alpha >> _16) & _BYTE)
-                red = np.uint8((red_blue & _BYTE) + paper)
-                green = np.uint8((green_alpha & _BYTE) + paper)
-                blue = np.uint8(((red_blue >> _16) & _BYTE) + paper)
+                red, green, blue = mean(low, up)
             line[column, 0] = red
             line[column, 1] = green
             line[column, 2] = blue
 
 
-_WORLD: Final = (
-    "Tuple((i4[:, ::1], f8[:, ::1], f4[:, ::1])), Tuple((f8[:, ::1], f8[:, ::1])), Tuple((f8[::1], f8[::1], f8)), "
-    "Tuple((u4[::1], i8[::1], i8[::1]))"
-)
+_SCENE: Final = "Tuple((i4[:, ::1], f8[:, ::1], f4[:, ::1]))"
+_WORLD: Final = f"{_SCENE}, Tuple((f8[:, ::1], f8[:, ::1])), Tuple((f8[::1], f8[::1], f8))"
+_SCRATCH: Final = "Tuple((u4[::1], i8[::1], i8[::1]))"
 
 
-@compiled(f"void({_WORLD}, f4[:, ::1], f4[:, ::1], u4[::1], u8[::1], u1[:, :, :])")
+@inlined
+def seen(poses: Any, view: Any, side: int) -> Any:
+    """The arguments `frames` and `view` of `paint`.
+
+    Args:
+        poses: positions and rotation matrices of all bodies, shapes (n, 3) and (n, 9).
+        view: position and matrix of a camera, and the side of the visible square (world units).
+        side: samples per side of the picture.
+    """
+    positions, rotations = poses
+    frames = np.empty((len(positions), 4))
+    for body in range(len(positions)):
+        frames[body, 0], frames[body, 1] = positions[body, 0], positions[body, 1]
+        frames[body, 2], frames[body, 3] = rotations[body, 0], rotations[body, 3]
+    return frames, (view[0][0], view[0][1], view[1][0], view[1][3], GRID * side / view[2])
+
+
+@compiled(f"void({_WORLD}, {_SCRATCH}, f4[:, ::1], f4[:, ::1], u4[::1], u8[::1], u1[:, :, :])")
 def draw_picture(
     scene: Any, poses: Any, view: Any, scratch: Any, geoms: Any, skins: Any, colours: Any, pairs: Any, out: Any
 ) -> None:
     """Draws polygons, four samples a pixel, into `out`, shape (size, size, 3).
 
-    The first arguments are those of `paint`; then come red, green and blue of geoms and of skins, scratch for the
-    colours of polygons, and the samples in pairs, for `average`.
+    The first arguments are those of `seen` and `paint`; then come red, green and blue of geoms and of skins, scratch
+    for the colours of polygons, and the samples in pairs, for `average`.
     """
     polygons, side = scene[0], 2 * len(out)
     for p in range(len(polygons)):
         source = polygons[p, SOURCE]
         colours[p] = packed_rgba(skins[source]) if polygons[p, IS_SKIN] else packed_rgba(geoms[source])
-    paint(scene, colours, poses, view, side, scratch)
+    frames, camera = seen(poses, view, side)
+    paint(scene, colours, frames, camera, side, scratch)
+    average(pairs, out)
+
+
+@compiled(f"void({_SCENE}, f8[:, ::1], f8, {_SCRATCH}, i8[::1], u4[::1], u8[::1], u1[:, :, :])")
+def draw_posed(
+    scene: Any, frames: Any, visible: float, scratch: Any, palette: Any, colours: Any, pairs: Any, out: Any
+) -> None:
+    """As `draw_picture`, of bodies with these frames. The last frame is the camera's, and `visible` its square's side.
+
+    The column SOURCE of the table is the polygon's entry of the palette, 0xAABBGGRR.
+    """
+    polygons, side, camera = scene[0], 2 * len(out), frames[-1]
+    for p in range(len(polygons)):
+        colours[p] = palette[polygons[p, SOURCE]]
+    view = camera[0], camera[1], camera[2], camera[3], GRID * side / visible
+    paint(scene, colours, frames, view, side, scratch)
     average(pairs, out)
 
 
@@ -261,11 +342,12 @@ def count_bare(samples: Any, out: Any) -> None:
             line[column] = bare[2 * column] + bare[2 * column + 1]
 
 
-@compiled(f"void({_WORLD}, u4[::1], u1[:, :])")
+@compiled(f"void({_WORLD}, {_SCRATCH}, u4[::1], u1[:, :])")
 def draw_segments(scene: Any, poses: Any, view: Any, scratch: Any, segments: Any, out: Any) -> None:
     """Writes the segment at each pixel's centre into `out`, shape (size, size); 0 without a polygon."""
     side = len(out)
-    paint(scene, segments, poses, view, side, scratch)
+    frames, camera = seen(poses, view, side)
+    paint(scene, segments, frames, camera, side, scratch)
     for row in range(side):
         for column in range(side):
             out[side - 1 - row, column] = scratch[0][row * side + column]

@@ -72,7 +72,7 @@ class Light(Shift):
     )
 
     @cached_property
-    def _numbers(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+    def numbers(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
         """The arguments `tones`, `slope` and `bar` of `kernels.relight`."""
         v = self.values
         levels = np.arange(256.0)
@@ -88,7 +88,7 @@ class Light(Shift):
         """Applies the light."""
         from magical_mj.shifts.kernels import relight
 
-        relight(picture, *self._numbers, frame.camera)
+        relight(picture, *self.numbers, frame.camera)
         return picture
 
 

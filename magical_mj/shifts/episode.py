@@ -140,12 +140,12 @@ class EpisodeShifts:
         if bare is not None:
             from magical_mj.shifts.kernels import put_on_ground
 
-            put_on_ground(picture, bare, self._ground_in(half_width), GROUND_REACH, frame.camera)
+            put_on_ground(picture, bare, self.ground(half_width), GROUND_REACH, frame.camera)
         for name in self._with_picture:
             picture = _checked(f"{name}.picture", self._call(name, "picture", picture, frame), picture.shape)
         return picture
 
-    def _ground_in(self, half_width: float) -> Picture:
+    def ground(self, half_width: float) -> Picture:
         """The shifted picture of the ground in and around an arena of this half width."""
         if self._ground is None or self._ground[0] != half_width:
             ground = _plain_ground(half_width).copy()
@@ -153,6 +153,10 @@ class EpisodeShifts:
                 ground = _checked(f"{name}.ground", self._call(name, "ground", ground), ground.shape)
             self._ground = half_width, ground
         return self._ground[1]
+
+    def named(self, name: str) -> Shift | None:
+        """The shift with this name; None if it is not among these."""
+        return self._shifts.get(name)
 
     def instruction(self, instruction: str, task: str) -> str:
         """The shifted instruction."""

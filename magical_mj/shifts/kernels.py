@@ -1,4 +1,7 @@
-"""Pixel operations of shifts, compiled by numba. Integer arithmetic gives the same bytes on every machine."""
+"""Pixel operations of shifts, compiled by numba. Integer arithmetic gives the same bytes on every machine.
+
+Accelerators use the functions for a pixel and for a row of ground and light, see `batched.accelerator`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from magical_mj.rendering.scanlines import compiled
+from magical_mj.rendering.scanlines import compiled, inlined, product
 
 BLOCK: Final = 4
 """Pixels per side of a block whose coefficients `quantise` rounds."""
@@ -17,6 +20,58 @@ ONE: Final = float(1 << BITS)
 """The side of a ground cell in fixed-point coordinates."""
 WHITE: Final = 255
 _FRAME: Final = "UniTuple(f8, 4)"
+
+
+@inlined
+def turned(camera: Any) -> Any:
+    """A camera (see `Frame`) as x, y, cosine and sine of its angle, and the side of its view."""
+    return camera[0], camera[1], math.cos(camera[2]), math.sin(camera[2]), camera[3]
+
+
+@inlined
+def ground_row(row: int, size: int, cells: int, reach: float, camera: Any) -> Any:
+    """Where a row of a picture begins on the ground, and the way from a pixel to the next.
+
+    Args:
+        row: its number, from the top.
+        size: pixels per side of the picture.
+        cells: cells per side of the ground.
+        reach: half the side of the ground (world units).
+        camera: see `turned`.
+
+    Returns:
+        The row and the column of the ground at the first pixel, and their steps. All are fixed-point numbers.
+    """
+    x, y, cosine, sine, side = camera
+    scale = cells / (2 * reach)  # cells per world unit
+    right, up = cosine * scale * side / size, sine * scale * side / size  # cells per pixel
+    half = (size - 1) / 2
+    lift = half - row
+    j = int((product(x + reach, scale) - product(half, right) - product(lift, up)) * ONE)
+    i = int((product(reach - y, scale) + product(half, up) - product(lift, right)) * ONE)
+    return i, j, int(-up * ONE), int(right * ONE)
+
+
+@inlined
+def cell_at(i: int, j: int, last: int) -> int:
+    """The index of the red level of a cell of the ground. Beyond the ground, the cells of its edge continue."""
+    return 3 * (min(max(i >> BITS, 0), last) * (last + 1) + min(max(j >> BITS, 0), last))
+
+
+@inlined
+def put_cell(line: Any, column: int, bare: int, levels: Any, cell: int) -> None:
+    """Replaces the white ground in a pixel of a row, of which it covers `bare` samples of four, by a cell's colour."""
+    one, two = np.uint32(1), np.uint32(2)
+    count = np.int32(bare)
+    plain = levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
+    if count == 0 or plain:
+        return
+    for k in range(3):
+        level = np.int32(levels[cell + np.uint32(k)])
+        if count < 4:
+            darker = (count * (255 - level) + 2) >> 2
+            level = max(np.int32(line[column, k]) - darker, 0)
+        line[column, k] = np.uint8(level)
 
 
 @compiled(f"void(u1[:, :, :], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
@@ -31,31 +86,36 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
         camera: see `Frame`.
     """
     size, last = len(picture), len(ground) - 1
-    x, y, angle, side = camera
-    scale = (last + 1) / (2 * reach)  # cells per world unit
-    right, up = math.cos(angle) * scale * side / size, math.sin(angle) * scale * side / size  # cells per pixel
-    half = (size - 1) / 2
-    stride_j, stride_i = int(right * ONE), int(-up * ONE)
-    levels, seen, one, two = ground.reshape(-1), np.empty(size, np.uint32), np.uint32(1), np.uint32(2)
+    levels, seen, seen_by = ground.reshape(-1), np.empty(size, np.uint32), turned(camera)
     for row in range(size):
-        lift = half - row
-        j = int(((x + reach) * scale - half * right - lift * up) * ONE)
-        i = int(((reach - y) * scale + half * up - lift * right) * ONE)
+        i, j, stride_i, stride_j = ground_row(row, size, last + 1, reach, seen_by)
         for column in range(size):  # without branches, so that the compiler can vectorise it
-            seen[column] = 3 * (min(max(i >> BITS, 0), last) * (last + 1) + min(max(j >> BITS, 0), last))
+            seen[column] = cell_at(i, j, last)
             i += stride_i
             j += stride_j
         for column in range(size):
-            count, cell = np.int32(bare[row, column]), seen[column]
-            plain = levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
-            if count == 0 or plain:
-                continue
-            for k in range(3):
-                level = np.int32(levels[cell + np.uint32(k)])
-                if count < 4:
-                    darker = (count * (255 - level) + 2) >> 2
-                    level = max(np.int32(picture[row, column, k]) - darker, 0)
-                picture[row, column, k] = np.uint8(level)
+            put_cell(picture[row], column, bare[row, column], levels, seen[column])
+
+
+@inlined
+def relight_row(row: int, line: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
+    """Changes the light of a row of a picture in place. See `relight`, and `turned` for the camera."""
+    size = len(line)
+    x, y, cosine, sine, side = camera
+    right, up, half = cosine * side / size, sine * side / size, (size - 1) / 2
+    lift = half - row
+    east = x - product(half, right) - product(lift, up)
+    north = y - product(half, up) + product(lift, right)
+    loss = slope[2] * (1.0 + product(slope[0], east) + product(slope[1], north)) / 2
+    more = slope[2] * (product(slope[0], right) + product(slope[1], up)) / 2
+    away = product(bar[0], east) + product(bar[1], north) - bar[2]
+    further = product(bar[0], right) + product(bar[1], up)
+    for column in range(size):
+        inside = (bar[3] - abs(away + product(further, float(column)))) / bar[4] + 0.5
+        shade = 1.0 - min(max(loss + product(more, float(column)), 0.0), 1.0)
+        level = np.int32(256.0 * shade * (1.0 - product(bar[5], min(max(inside, 0.0), 1.0))))
+        for k in range(3):
+            line[column, k] = np.uint8((tones[k, line[column, k]] * level + 32768) >> 16)
 
 
 @compiled(f"void(u1[:, :, ::1], i4[:, ::1], f8[::1], f8[::1], {_FRAME})")
@@ -71,23 +131,9 @@ def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None
             (world units), and the share of the light that it removes. Shape (6,).
         camera: see `Frame`.
     """
-    size = len(picture)
-    x, y, angle, side = camera
-    right, up, half = math.cos(angle) * side / size, math.sin(angle) * side / size, (size - 1) / 2
-    for row in range(size):
-        east = x - half * right - (half - row) * up
-        north = y - half * up + (half - row) * right
-        loss, more = (
-            slope[2] * (1.0 + slope[0] * east + slope[1] * north) / 2,
-            slope[2] * (slope[0] * right + slope[1] * up) / 2,
-        )
-        away, further = bar[0] * east + bar[1] * north - bar[2], bar[0] * right + bar[1] * up
-        for column in range(size):
-            inside = (bar[3] - abs(away + further * column)) / bar[4] + 0.5
-            shade = 1.0 - min(max(loss + more * column, 0.0), 1.0)
-            level = np.int32(256.0 * shade * (1.0 - bar[5] * min(max(inside, 0.0), 1.0)))
-            for k in range(3):
-                picture[row, column, k] = np.uint8((tones[k, picture[row, column, k]] * level + 32768) >> 16)
+    seen_by = turned(camera)
+    for row in range(len(picture)):
+        relight_row(row, picture[row], tones, slope, bar, seen_by)
 
 
 @compiled("void(u1[::1], i1[::1], i8)")

@@ -55,6 +55,8 @@ def effects(kind: type[Shift]) -> frozenset[Effect]:
 
 PHYSICAL: Final = tuple(kind.name for kind in AXES if "simulation" in effects(kind))
 """The built-in shifts that change the scene, its dynamics or the actions."""
+DRAWN: Final = tuple(kind.name for kind in AXES if effects(kind) == {"pictures"})
+"""The built-in shifts that change only pictures."""
 
 METHODS: Final = ("scene", "model", "action", "picture", "ground", "instruction")
 """The methods of a shift that change an episode."""

@@ -39,6 +39,12 @@ def check_extra(what: str, *extras: str) -> None:
         raise MissingExtraError(f"{what} need {', '.join(names)}: {remedy(needed)}")
 
 
+def check_module(what: str, name: str, extra: str) -> None:
+    """Raises a `MissingExtraError` unless this module of an extra is installed, which only a part of its users need."""
+    if find_spec(name) is None:
+        raise MissingExtraError(f"{what} need {name}: {remedy(extra)}")
+
+
 def remedy(extra: str) -> str:
     """The command that installs this extra, or several separated by commas, from the source of this package."""
     try:

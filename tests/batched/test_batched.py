@@ -22,7 +22,6 @@ import magical_mj
 from magical_mj import batched
 from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
-from magical_mj.batched.observations import Painter
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler
 from magical_mj.envs.presets import PRESETS
@@ -63,23 +62,6 @@ def running(scenes: list[Scene]) -> list[magical_mj.Engine]:
     for env in envs:
         env.reset()
     return envs
-
-
-@pytest.mark.parametrize("view", ["ego", "allo"])
-def test_pictures_of_all_environments(view: str) -> None:
-    scenes = [magical_mj.sample_scene(*pair, 1) for pair in magical_mj.ENVIRONMENTS]
-    out = torch.zeros((len(scenes), 96, 96, 3), dtype=torch.uint8)
-    Painter(arrays(scenes)).draw(view, out)
-    for env, picture in zip(running(scenes), out, strict=True):
-        wanted = env.render(view, 96).astype(float)
-        assert np.abs(wanted - picture.numpy()).mean() < 0.05
-        env.close()
-
-
-def test_pictures_of_more_things_than_there_are_bits_for_are_refused() -> None:
-    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
-    with pytest.raises(SettingsError, match="at most 30"):
-        Painter(BatchScenes.of([scene], 28, 3))
 
 
 def test_one_action_in_every_environment() -> None:
@@ -192,6 +174,27 @@ def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> N
             assert apart.max() < 1e-3 if picture.dtype == np.float32 else apart.mean() < 0.05
     worlds.close()
     single.close()
+
+
+def test_shifts_are_those_of_the_episodes_seeds() -> None:
+    """Also of the second episode, whose seed follows from the batch's, and of a state that is restored."""
+    settings = {"device": "cpu", "image_size": 48, "shifts": "camera:5,palette:5"}
+    worlds, other = (batched.make("MoveToRegion", "Jitter", 2, seed=seed, **settings) for seed in (0, 1))
+    single = gymnasium.make(
+        magical_mj.env_id("MoveToRegion", "Jitter", "LoRes4E"), image_size=48, shifts=settings["shifts"]
+    )
+    observation, _ = worlds.reset(seed=7)
+    seeds = [[7, 8], worlds._sampler.next_seeds([0, 1])]
+    for number in range(2):
+        for picture, seed in zip(observation, seeds[number], strict=True):
+            assert np.abs(picture.numpy().astype(float) - single.reset(seed=seed)[0]).mean() < 0.05
+        before, (observation, _) = observation, worlds.reset()
+        assert not torch.equal(before, observation)
+    other.set_state(worlds.get_state())
+    for action in (1, 4):
+        assert torch.equal(worlds.step([action] * 2)[0], other.step([action] * 2)[0])
+    for env in (worlds, other, single):
+        env.close()
 
 
 def test_other_rules_have_other_horizons_and_scores() -> None:
@@ -323,6 +326,7 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         ("rules", "Demo", 2, {"rules": "released"}),
         ("preset", "Demo", 2, {"preset": "LoRes4A"}),
         ("image_size", "Demo", 2, {"image_size": 16}),
+        ("shifts", "Demo", 2, {"shifts": "camera:2"}),
     ):
         other = batched.make("MoveToRegion", variant, count, device="cpu", **{"image_size": 32, **changes})
         other.reset(seed=0)
@@ -345,6 +349,12 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         ({"num_envs": True}, "num_envs"),
         ({"task": "all", "variant": "all"}, "num_envs=1 must be at least 60"),
         ({"workers": -1}, "workers"),
+        (
+            {"shifts": "latency:2"},
+            "camera, light, texture, palette, sensor, not latency: use gymnasium",
+        ),
+        ({"shifts": "body:longstick"}, "not body"),
+        ({"shifts": "camera:2", "preset": "State"}, "the preset has none"),
         ({"preset": "HiRes"}, "preset"),
         ({"autoreset_mode": AutoresetMode.NEXT_STEP}, "SAME_STEP"),
         ({"autoreset_mode": "SAME_STEP"}, "gymnasium.vector"),

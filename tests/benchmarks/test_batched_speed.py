@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import pytest
-import torch
 import warp as wp
 
-import magical_mj
-from magical_mj.batched.observations import Painter
-from magical_mj.batched.scenes import BatchScenes, Capacity
 from tools.benchmarks.__main__ import _batched_lines
-from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches
+from tools.benchmarks.batched import BatchedMeasurement, Kernel, by_part, recorded_launches, size
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 
@@ -36,15 +35,14 @@ def test_launches_are_counted_with_their_memory() -> None:
     assert kernel.seconds > 0
 
 
-def test_memory_in_structs_counts() -> None:
-    scenes = [magical_mj.sample_scene("MoveToCorner", "Demo", 0)]
-    painter = Painter(BatchScenes.of(scenes, *Capacity.of(scenes)))
-    out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
-    with recorded_launches("cpu") as kernels:
-        painter.draw("allo", out)
-    (kernel,) = kernels
-    assert (kernel.part, kernel.name, kernel.launches) == ("kernels", "paint", 1)
-    assert kernel.bytes > out.nbytes + 1000  # outlines as well
+@dataclass
+class Held:
+    values: Any
+    count: int = 3
+
+
+def test_memory_in_classes_counts() -> None:
+    assert size(Held(wp.ones(8, dtype=float, device="cpu"))) == 32
 
 
 def test_parts_are_sums_of_kernels() -> None:

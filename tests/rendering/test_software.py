@@ -45,9 +45,10 @@ def world(scene: Scene) -> tuple[mujoco.MjModel, mujoco.MjData]:
 def covered(corners: list[tuple[float, float]], side: int = 8) -> np.ndarray:
     """The samples that a polygon covers, whose corners are given in samples. Shape (side, side), bottom row first."""
     x, y = (np.array([int(scanlines.GRID * corner[axis]) for corner in corners]) for axis in (0, 1))
-    pixels, left, right = np.zeros(side * side, np.uint32), np.zeros(side, np.int64), np.zeros(side, np.int64)
-    scanlines.fill(x, y, len(corners), 1, side, (pixels, left, right))
-    return pixels.reshape(side, side)
+    pixels, left, right = np.zeros((side, side), np.uint32), np.zeros(side, np.int64), np.zeros(side, np.int64)
+    rows = (*scanlines.clip(x, y, len(corners), side), 0)
+    scanlines.fill(x, y, len(corners), 1, rows, side, (pixels.reshape(-1), left, right))
+    return pixels
 
 
 # Which samples a polygon covers

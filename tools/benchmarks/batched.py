@@ -169,7 +169,7 @@ def measure_batched(task: str, variant: str, num_envs: int, preset: str, device:
             for row in actions:
                 env.step(row)  # observations are not kept: those of a whole episode would fill the memory
 
-        seconds = _seconds(device, play)
+        seconds, steps = _seconds(device, play), torch.zeros(num_envs, dtype=torch.int64)
         return BatchedMeasurement(
             task=task,
             variant=variant,
@@ -177,7 +177,7 @@ def measure_batched(task: str, variant: str, num_envs: int, preset: str, device:
             num_envs=num_envs,
             rate=num_envs * len(actions) / seconds,
             physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
-            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics)),
+            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics, steps)),
             reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
             kernels=kernels,
             bytes=sum(kernel.bytes for kernel in kernels) / num_envs,
@@ -190,7 +190,7 @@ def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
     with recorded_launches(env.device) as recorded:
         for row in actions:
             env.physics.step(row, graph=False)
-            env.observer.observe(env.physics)
+            env.observer.observe(env.physics, torch.zeros(len(row), dtype=torch.int64))
     count = len(actions)
     return [
         Kernel(kernel.part, kernel.name, kernel.launches / count, kernel.seconds / count, kernel.bytes / count)
