@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 METHODS := --editable methods/relational --editable methods/goals --editable methods/intents
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test worldmodel-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -132,6 +132,16 @@ $(LEROBOT)/.installed: pyproject.toml
 		echo "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
 	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
+	@touch $@
+
+WORLDMODEL := .venv-worldmodel
+
+worldmodel-test: $(WORLDMODEL)/.installed  ## the environments in stable-worldmodel's World, in an environment of its own (7 GB)
+	OMP_NUM_THREADS=1 $(WORLDMODEL)/bin/python -m pytest -rP tests/integrations/test_stable_worldmodel.py $(ARGS)
+
+$(WORLDMODEL)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(WORLDMODEL)
+	$(WORLDMODEL)/bin/python -m pip install --quiet --editable '.[eval]' stable-worldmodel==0.1.1 opencv-python-headless pytest
 	@touch $@
 
 release-check: $(VENV)/.installed-release  ## build the wheel and the sdist in dist/, and check them, the changelog and the tag

@@ -237,6 +237,16 @@ def test_old_and_unknown_arguments_say_what_to_give() -> None:
             made(name, use_dense_rewrd=True)
         with pytest.raises(SettingsError, match="use_dense_reward is the old name of reward: give only reward"):
             made(name, use_dense_reward=True, reward="dense")
+    for load, first in (
+        (magical_mj.load, "FindDupe"),
+        (magical_mj.load_scene, magical_mj.sample_scene("FindDupe", "Demo", 0)),
+    ):
+        with pytest.raises(
+            UnknownNameError, match=r"unknown argument of the environment 'rendrer'\. Did you mean 'rend"
+        ):
+            load(first, rendrer="software")
+    with pytest.warns(FutureWarning, match="use_dense_reward is deprecated: give reward='dense'"):
+        magical_mj.load(task="FindDupe", use_dense_reward=True).close()
     for sides in ((96, 48), 96, "96"):
         with pytest.raises(SettingsError, match=r"res_hw is \(height, width\), and pictures here are square"):
             made(PICTURES, res_hw=sides)

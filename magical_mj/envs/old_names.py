@@ -12,7 +12,7 @@ import numpy as np
 
 from magical_mj.utils.errors import SettingsError, closest, short_repr, unknown_name
 
-_Init = TypeVar("_Init", bound=Callable[..., None])
+_Made = TypeVar("_Made", bound=Callable[..., Any])
 
 
 def _dense(wanted: Any) -> str | None:
@@ -35,17 +35,17 @@ OLD_NAMES: Final[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {
 """Argument of another package -> ours, and the function from its value to ours; None leaves ours out."""
 
 
-def with_old_names(init: _Init) -> _Init:
-    """An `__init__` of an environment that also accepts the `OLD_NAMES`, with a warning.
+def with_old_names(make: _Made) -> _Made:
+    """An environment's `__init__`, or a function that makes one, that also accepts the `OLD_NAMES`, with a warning.
 
     Raises:
         UnknownNameError: for any other unknown argument.
         SettingsError: if an argument is given by both names.
     """
-    known = [name for name in inspect.signature(init).parameters if name != "self"]
+    known = [name for name in inspect.signature(make).parameters if name != "self"]
 
-    @wraps(init)
-    def accepting(self: Any, *arguments: Any, **settings: Any) -> None:
+    @wraps(make)
+    def accepting(*arguments: Any, **settings: Any) -> Any:
         for name in settings.keys() - known:
             if name in OLD_NAMES:
                 ours, converted = OLD_NAMES[name]
@@ -59,6 +59,6 @@ def with_old_names(init: _Init) -> _Init:
                 meant = closest(name, (*known, *OLD_NAMES))
                 meant = OLD_NAMES[meant][0] if meant in OLD_NAMES else meant
                 raise unknown_name("argument of the environment", name, known, meant)
-        init(self, *arguments, **settings)
+        return make(*arguments, **settings)
 
     return accepting  # type: ignore[return-value]

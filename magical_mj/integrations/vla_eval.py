@@ -19,7 +19,7 @@ from magical_mj.engine import Engine
 from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.state_vector import VIEWS
-from magical_mj.shifts.registry import Shifts, split_body
+from magical_mj.shifts.registry import Shifts, arms, split_body
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import MissingExtraError, check_name
 
@@ -46,10 +46,13 @@ class MagicalBenchmark(StepBenchmark):
         image_size: side of the pictures in pixels.
         shifts: shifts with strengths, such as "camera:3,latency:1". See docs/shifts.md.
         body: the robot's body. See docs/bodies.md.
+        control: adds a vla-eval task for each environment without the shifts, such as ``FindDupe-Shape-unshifted``. It
+            plays the same scenes.
 
     Raises:
         UnknownNameError: for an unknown task, variant, view or shift.
-        SettingsError, InvalidSceneError: if a task does not support the shifts or the body.
+        SettingsError, InvalidSceneError: if a task does not support the shifts or the body, or if there is a control
+            without shifts.
     """
 
     render_backends = frozenset({"gpu", "cpu"})
@@ -62,6 +65,8 @@ class MagicalBenchmark(StepBenchmark):
         image_size: int = IMAGE_SIZE,
         shifts: Shifts = None,
         body: str = GRIPPER,
+        *,
+        control: bool = False,
     ) -> None:
         super().__init__()
         self._recorder = NullEpisodeRecorder()  # until an episode starts
@@ -71,6 +76,7 @@ class MagicalBenchmark(StepBenchmark):
             check_name("view", view, VIEWS)
         self._size = image_size
         self._shifts, self._body = shifts, body
+        self._arms = arms(shifts, control=control)
         for task, _ in self._pairs:
             check_body_name(split_body(shifts, task, body)[1])
         self._env: Engine | None = None
@@ -84,7 +90,14 @@ class MagicalBenchmark(StepBenchmark):
     def get_tasks(self) -> list[dict[str, Any]]:
         """A vla-eval task for each environment."""
         return [
-            {"name": f"{task}-{variant}", "suite": task, "task": task, "variant": variant}
+            {
+                "name": f"{task}-{variant}{arm}",
+                "suite": f"{task}{arm}",
+                "task": task,
+                "variant": variant,
+                "shifts": shifts,
+            }
+            for arm, shifts in self._arms.items()
             for task, variant in self._pairs
         ]
 
@@ -92,7 +105,8 @@ class MagicalBenchmark(StepBenchmark):
         """Starts the episode in the scene of the seed ``task["episode_idx"]``."""
         self.cleanup()
         seed = int(task.get("episode_idx", 0))
-        self._env = Engine(task["task"], task["variant"], seed=seed, shifts=self._shifts, body=self._body)
+        shifts = task.get("shifts", self._shifts)
+        self._env = Engine(task["task"], task["variant"], seed=seed, shifts=shifts, body=self._body)
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:

@@ -173,6 +173,17 @@ def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], st
     return {name: int(strength) for name, strength in levels.items()}, body
 
 
+def arms(shifts: Shifts, *, control: bool) -> dict[str, Shifts]:
+    """The shifts of each arm of an evaluation. The endings of their names are "", and "-unshifted" for the control.
+
+    Raises:
+        SettingsError: if a control is wanted and there are no shifts.
+    """
+    if control and not shifts:
+        raise SettingsError("a control is played without the shifts: give shifts, or leave out control")
+    return {"": shifts, "-unshifted": None} if control else {"": shifts}
+
+
 def _pair(text: str) -> tuple[str, Any]:
     """Name and level from text such as "camera:3"."""
     if text.partition(":")[0] == BODY:

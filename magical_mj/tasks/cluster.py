@@ -106,9 +106,12 @@ def _squares(scene: Scene, attribute: Attribute) -> Iterator[tuple[float, float]
 
 def right_blocks(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> list[bool]:
     """For each block whether it is right: see the module's docstring."""
-    if rules == "released":
-        return [math.sqrt(own) < math.sqrt(other) - 2 * own for own, other in _squares(scene, attribute)]
-    return [own < other / NEARER for own, other in _squares(scene, attribute)]
+    return [_is_right(own, other, rules) for own, other in _squares(scene, attribute)]
+
+
+def _is_right(own: float, other: float, rules: Rules) -> bool:
+    """Whether a block with these squared distances is right."""
+    return math.sqrt(own) < math.sqrt(other) - 2 * own if rules == "released" else own < other / NEARER
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
@@ -121,8 +124,8 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
 def distance(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
     """By how much blocks that are not right are nearer to another centroid than allowed."""
     left = 0.0
-    for (own, other), right in zip(_squares(final, attribute), right_blocks(final, attribute, rules), strict=True):
-        if not right:
+    for own, other in _squares(final, attribute):
+        if not _is_right(own, other, rules):
             way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
             left += WRONG + max(way - math.sqrt(other), 0.0)  # rounding could make it negative
     return left

@@ -161,6 +161,14 @@ def test_rewards_go_on_from_states() -> None:
         env.step(action)
     inner.set_state(state)
     assert [inner.step(action)[1] for action in demo.actions[30:60]] == pytest.approx(rewards[30:60])
+    before = inner.engine.remaining()
+    inner.engine.data.qpos[:] = magical_mj.Engine(
+        "MatchRegions", seed=0
+    ).data.qpos  # moved by hand, which has no reward
+    moved = inner.engine.remaining()
+    assert moved != pytest.approx(before)
+    reward = inner.step(0)[1]
+    assert reward == pytest.approx(moved - inner.engine.remaining())
 
 
 def test_tasks_without_a_formula_or_with_a_wrong_one_say_so(monkeypatch: pytest.MonkeyPatch) -> None:

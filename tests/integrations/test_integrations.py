@@ -13,6 +13,7 @@ from gymnasium.error import ResetNeeded
 import magical_mj
 from magical_mj.scene.actions import to_vector
 from magical_mj.shifts import SHIFTS
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     InvalidActionError,
     InvalidSceneError,
@@ -145,6 +146,34 @@ def test_bodies_in_vla_eval(benchmark: Any) -> None:
         benchmark("MoveToRegion", body="snake")
     with pytest.raises(SettingsError, match="MoveToCorner cannot have the shift 'pose'"):
         benchmark("MoveToCorner", shifts="pose:1")
+
+
+def test_vla_eval_plays_the_same_scenes_without_the_shifts(benchmark: Any) -> None:
+    made = benchmark("FixColour", "Layout", shifts="clutter:3,words:5", control=True)
+    tasks = made.get_tasks()
+    assert [task["name"] for task in tasks] == ["FixColour-Layout", "FixColour-Layout-unshifted"]
+    assert len({task["suite"] for task in tasks}) == 2
+    scenes, sentences = [], []
+    for task in tasks:
+        observation = made.make_obs(made.reset({**task, "episode_idx": 4}), task)
+        sentences.append(observation["task_description"])
+        scenes.append(made._env.initial_scene)
+    assert scenes[0] == magical_mj.Engine("FixColour", "Layout", seed=4, shifts="clutter:3,words:5").initial_scene
+    assert scenes[1] == magical_mj.sample_scene("FixColour", "Layout", 4) != scenes[0]
+    assert sentences[1] == task_spec("FixColour").summary != sentences[0]
+    made.cleanup()
+    with pytest.raises(SettingsError, match="a control is played without the shifts: give shifts"):
+        benchmark("FixColour", control=True)
+
+
+def test_vla_eval_delivers_the_sentences_of_intents(benchmark: Any) -> None:
+    intent = magical_mj.intents.parse("in(colour=red, region) & untouched(others)")
+    made = benchmark(f"intent:{intent}", "Layout")
+    (task,) = made.get_tasks()
+    observation = made.make_obs(made.reset({**task, "episode_idx": 2}), task)
+    assert observation["task_description"] == intent.sentence[0].lower() + intent.sentence[1:-1]
+    assert made.get_metadata()["max_steps"] == made._env.horizon
+    made.cleanup()
 
 
 def test_vla_eval_wrong_inputs(benchmark: Any) -> None:

@@ -21,7 +21,8 @@ from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.export.lerobot import to_lerobot
 from magical_mj.scene.actions import to_vector
 from magical_mj.shifts import SHIFTS
-from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, MagicalError, UnknownNameError
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, MagicalError, SettingsError, UnknownNameError
 from tests.shifts import test_received as received
 
 ROOT = Path(__file__).parents[2]
@@ -184,6 +185,40 @@ def test_bodies_in_lerobot(plugin: Any) -> None:
     assert env.unwrapped.scene.robot.body == "shortstick"
     with pytest.raises(InvalidSceneError, match="unknown body 'snake'"):
         plugin.MagicalConfig(body="snake").create_envs(1)
+
+
+@needs_lerobot
+def test_the_control_has_the_same_scenes_without_the_shifts(plugin: Any) -> None:
+    config = plugin.MagicalConfig(task="FixColour", variant="Demo,Layout", shifts="clutter:3,words:5", control=True)
+    suites = config.create_envs(1)
+    assert {suite: len(envs) for suite, envs in suites.items()} == {"FixColour": 2, "FixColour-unshifted": 2}
+    seen = {}
+    for suite, envs in suites.items():
+        envs[1].reset(seed=[4])
+        seen[suite] = envs[1].envs[0].unwrapped.initial_scene, envs[1].call("task_description")[0]
+        for made in envs.values():
+            made.close()
+    assert seen["FixColour-unshifted"][0] == magical_mj.sample_scene("FixColour", "Layout", 4)
+    assert seen["FixColour-unshifted"][1] == task_spec("FixColour").summary
+    for control, shifted in zip(seen["FixColour-unshifted"], seen["FixColour"], strict=True):
+        assert control != shifted
+    with pytest.raises(SettingsError, match="a control is played without the shifts: give shifts"):
+        plugin.MagicalConfig(control=True).create_envs(1)
+
+
+@needs_lerobot
+def test_intents_and_their_sentences_in_lerobot(plugin: Any, tmp_path: Path) -> None:
+    intent = magical_mj.intents.parse("in(colour=red, region) & untouched(others)")
+    task = f"intent:{intent}"
+    ((suite, envs),) = plugin.MagicalConfig(task=task, variant="Layout").create_envs(1).items()
+    observation, _ = envs[0].reset(seed=[2])
+    sentence = intent.sentence[0].lower() + intent.sentence[1:-1]
+    assert (suite, envs[0].call("task_description")) == (task, (sentence,))
+    made = to_lerobot([magical_mj.demos.demonstrate(task, "Layout", 2)], tmp_path / "set")
+    assert made[0]["task"] == sentence
+    picture = (made[0]["observation.image"].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8)
+    np.testing.assert_array_equal(picture, observation["pixels"][0])
+    envs[0].close()
 
 
 @needs_lerobot

@@ -21,6 +21,7 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, Setup, restored
 from magical_mj.engine.simulation import Simulation, check_state, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
+from magical_mj.envs.old_names import with_old_names
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture, check_size
 from magical_mj.scene import Scene, check_scene_type
@@ -366,6 +367,7 @@ def _copied(
     return env
 
 
+@with_old_names
 def load(
     task: str,
     variant: str = "Demo",
@@ -422,6 +424,7 @@ def load(
     return _loaded(settings, seed, scene, recompile=recompile_mjcf_every_episode)
 
 
+@with_old_names
 def load_scene(
     scene: Scene,
     *,

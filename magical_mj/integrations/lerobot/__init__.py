@@ -8,6 +8,7 @@ Options of LeRobot's commands:
 - ``--env.views=ego``, ``allo``, ``both`` or ``state`` selects the observations.
 - ``--env.fingers=true`` adds the angles of the two fingers.
 - ``--env.shifts=camera:3,latency:1`` applies shifts (docs/shifts.md). Policies receive the episode's instruction.
+- ``--env.control=true`` adds a suite for each task without the shifts, such as ``FindDupe-unshifted``.
 - ``--env.body=shortstick`` selects the robot's body (docs/bodies.md).
 - ``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
 
@@ -49,7 +50,7 @@ from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import FINGERS as FINGER_ENTRIES
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.shifts.registry import Shifts
+from magical_mj.shifts.registry import Shifts, arms
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import SettingsError, check_name
 
@@ -141,6 +142,7 @@ class MagicalConfig(EnvConfig):
     views: str = "ego"
     fingers: bool = False
     shifts: str = ""
+    control: bool = False
     body: str = GRIPPER
     fps: int = c.CONTROL_RATE
     features: dict[str, Any] = field(default_factory=dict)
@@ -168,13 +170,16 @@ class MagicalConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]]:
-        """Creates the environments: task -> number of the variant -> vector environment."""
+        """Creates the environments: task (and "-unshifted") -> number of the variant -> vector environment."""
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
-        for task, variant in environments(self.task or "all", self.variant):
-            settings: dict[str, Any] = {"fingers": self.fingers, "shifts": self.shifts, "body": self.body}
+        settings: dict[str, Any] = {"fingers": self.fingers, "body": self.body}
+        played = itertools.product(
+            arms(self.shifts, control=self.control).items(), environments(self.task or "all", self.variant)
+        )
+        for (arm, settings["shifts"]), (task, variant) in played:
             make = [partial(LeRobotEnv, task, variant, self.views, **settings)] * n_envs
-            suite = suites.setdefault(task, {})
+            suite = suites.setdefault(f"{task}{arm}", {})
             if use_async_envs and n_envs > 1:  # spawned, because OpenGL does not work after a fork
                 vector: Any = gymnasium.vector.AsyncVectorEnv(make, context="spawn", autoreset_mode=mode)
             else:
