@@ -19,7 +19,7 @@ from magical_mj.assets.meshes import loops, meshes
 from magical_mj.batched.kernels import MAX_OBJECTS, ROBOT_LAYERS, Objects, Outlines, packed_rgb, paint
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import BatchScenes
-from magical_mj.envs.presets import Preset, observation_space, preset_named
+from magical_mj.envs.presets import Preset, observation_space
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
@@ -33,15 +33,16 @@ _REGION: Final = STATE_NAMES.index("region0.present")
 
 
 class States:
-    """The state vectors of `magical_mj.scene.state_vector.STATE_NAMES`, shape (envs, entries), float32."""
+    """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (envs, entries), float32."""
 
-    def __init__(self, envs: int, device: str) -> None:
-        self._fixed = torch.zeros((envs, len(STATE_NAMES)), device=device)
-        self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
+    def __init__(self, preset: Preset, envs: int, device: str) -> None:
+        self.space: spaces.Space[Any] = observation_space(preset, {})
+        self._start = preset.start
+        self._fixed = torch.zeros((envs, *(self.space.shape or ())), device=device)
 
     def set_scenes(self, scenes: BatchScenes, envs: Tensor) -> None:
         """Starts episodes in these environments, and stores the constant entries."""
-        fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(envs))])
+        fixed = np.stack([StateEncoder(scenes.scene(row), start=self._start).fixed for row in range(len(envs))])
         self._fixed[envs] = torch.from_numpy(fixed).to(self._fixed)
 
     def observe(self, physics: Physics) -> Tensor:
