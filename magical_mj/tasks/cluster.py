@@ -120,12 +120,16 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
     """By how much blocks that are not right are nearer to another centroid than allowed."""
-    left = 0.0
+    return sum(ways(final, attribute, rules))
+
+
+def ways(final: Scene, attribute: Attribute, rules: Rules = "paper") -> list[float]:
+    """The part of each block in the distance: 0 if it is right."""
+    found = []
     for (own, other), right in zip(_squares(final, attribute), right_blocks(final, attribute, rules), strict=True):
-        if not right:
-            way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
-            left += WRONG + max(way - math.sqrt(other), 0.0)  # rounding could make it negative
-    return left
+        way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
+        found.append(0.0 if right else WRONG + max(way - math.sqrt(other), 0.0))  # rounding could make it negative
+    return found
 
 
 def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:
