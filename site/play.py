@@ -7,7 +7,8 @@ import hashlib
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,10 +21,11 @@ import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, sample_models
+from magical_mj.web.puzzles import VARIANTS, puzzle_scenes, puzzles
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
-LATER: Final = ("onnx", "policies", "replays", "shifted", "three")
+LATER: Final = ("onnx", "policies", "puzzles", "replays", "shifted", "three")
 """The folders with files that are stored for offline visits only after their first use."""
 LISTS: Final = ("policies/scores.json", "replays/index.json")
 """The files in these folders that the page needs to start."""
@@ -38,13 +40,7 @@ def write_play(folder: Path) -> int:
     shutil.copytree(PAGE, folder, ignore=shutil.ignore_patterns("operator.*"))  # these need a study's server
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
-        env = magical_mj.Engine(task, variant, seed=0)
-        models = []
-        for entry in data["scenes"]:
-            env.reset(seed=entry["seed"])
-            models.append(mjcf_text(env, rounded=False))
-        env.close()
-        _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
+        _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models_of(task, variant, data)))
     for pair in SUITE:
         _write(folder / "scenes" / f"{'-'.join(pair)}.json", with_models(*shifted.scenes(*pair, [""])))
     for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
@@ -56,7 +52,9 @@ def write_play(folder: Path) -> int:
             _write(folder / "shifted" / f"{'-'.join(pair)}.json", shifted.changes(*pair))
     write_replays(read_methods(), folder / "replays")
     pairs = (*magical_mj.ENVIRONMENTS, *SUITE)
-    known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs})
+    write_puzzles(folder / "puzzles")
+    drawn = [pair for puzzle in puzzles() for pair in puzzle.environments]
+    known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs}, drawn)
     _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE})
     libraries = library_files(CACHE)
     samples = {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
@@ -78,6 +76,25 @@ def write_play(folder: Path) -> int:
     shutil.copy(OFFLINE / "register.js", folder)
     (folder / "worker.js").write_text(_worker(folder), encoding="utf-8")
     return sum(path.stat().st_size for path in folder.rglob("*"))
+
+
+def write_puzzles(folder: Path) -> None:
+    """Writes the scenes of the puzzles."""
+    for puzzle in puzzles():
+        for variant in VARIANTS:
+            data = puzzle_scenes(puzzle, variant)
+            path = folder / f"{puzzle.name}-{variant}.json"
+            _write(path, with_models(data, models_of(puzzle.task, variant, data)))
+
+
+def models_of(task: str, variant: str, data: Mapping[str, Any]) -> list[str]:
+    """The models of the scenes of an environment."""
+    found = []
+    with closing(magical_mj.Engine(task, variant, seed=0)) as engine:
+        for entry in data["scenes"]:
+            engine.reset(seed=entry["seed"])
+            found.append(mjcf_text(engine, rounded=False))
+    return found
 
 
 def _worker(folder: Path) -> str:

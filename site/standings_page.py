@@ -139,7 +139,7 @@ def _row(name: str, method: Standing) -> str:
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
     details = f'<tr class="details" hidden><td colspan="{len(COLUMNS) + 3}">{_details(name, method)}</td></tr>'
     figures = f'<td class="chips">{chips}</td><td>{runs}</td>{cells}'
-    sees = {None: "nothing", "State": "states"}.get(method.entry.observations, "pictures")
+    sees = "nothing" if method.entry.observations is None else "states" if method.sees_states else "pictures"
     usual = method.block in ("pictures", "states", "nothing") or method.kind == "published"
     kinds = f'data-sees="{sees}" data-uses="{"usual" if usual else "more"}"'
     kinds += f' data-by="{"published" if method.kind == "published" else "own"}"'

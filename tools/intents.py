@@ -3,6 +3,8 @@
     python -m tools.intents draw             writes magical_mj/intents/sets.txt
     python -m tools.intents show 200         prints random intents with their sentences
     python -m tools.intents expert OUT       plays the test sets with the expert; called again, it continues
+    python -m tools.intents demonstrations   makes those of the test sets, and writes the file that the package ships;
+                                             called again, it continues. It takes half an hour of one core
 
 An intent is accepted if it has scenes, each of its relations adds something to the others, and random actions solve it
 in at most a fifth of the episodes. No test intent has the same meaning as a training intent: meanings are compared in
@@ -12,33 +14,38 @@ the starts and ends of plans of all test intents.
 from __future__ import annotations
 
 import hashlib
+import lzma
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
 import magical_mj
+from magical_mj.demos import stored
 from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.settings import DEMONSTRATIONS_GIVEN
 from magical_mj.intents import EIGHT, sets
 from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
-from magical_mj.intents.sets import FILE, NAMES
-from magical_mj.intents.tasks import Task, spec_of
+from magical_mj.intents.sets import FILE, NAMES, tasks_in
+from magical_mj.intents.tasks import PREFIX, Task, spec_of
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.tasks.rules import pick, uniform_integer
-from magical_mj.utils.errors import IntentError, PlacementError
+from magical_mj.utils.errors import DemonstrationError, IntentError, PlacementError
 from magical_mj.variants import vary
+from tools.pages import ROOT
 
 Rng = np.random.Generator
 ONE_OF_BOTH: Final = (*COLOURS, *SHAPES)
@@ -283,6 +290,21 @@ def expert(out: str) -> None:
         print(f"- {row.task}, {row.variant}: {row.score:.2f}")
 
 
+def demonstrations() -> None:
+    """Makes the demonstrations that `evaluate` gives by default in the test sets, and ships those that were made."""
+    tasks = [f"{PREFIX}{task}" for name in TESTS for task in tasks_in(name)]
+    keys = [(task, "Demo", number) for task in tasks for number in range(DEMONSTRATIONS_GIVEN)]
+    path = ROOT / "out" / "intents" / stored.default_path().name
+    try:
+        stored.complete(keys, path, known=stored.shipped(), watch=lambda *done: print(*done, end="\r", file=sys.stderr))
+    except DemonstrationError as error:
+        print(error, file=sys.stderr)
+    made = {**stored.read(path), **stored.shipped()}
+    lines = [msgspec.json.encode(made[key]) for key in keys if key in made]
+    stored.shipped_path().write_bytes(lzma.compress(b"\n".join(lines), preset=9))
+    print(f"{stored.shipped_path()}: {len(lines)} of {len(keys)} demonstrations")
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["draw"]:
@@ -291,5 +313,7 @@ if __name__ == "__main__":
             show(int(number))
         case ["expert", out]:
             expert(out)
+        case ["demonstrations"]:
+            demonstrations()
         case _:
             sys.exit(__doc__)

@@ -122,7 +122,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.physics = Physics(self._scenes, self.device)
         self.observer: States | Frames
         if observed.layout == "state":
-            self.observer = States(self.num_envs, self.device)
+            self.observer = States(observed, self.num_envs, self.device)
         else:
             self.observer = Frames(observed, size, self._scenes, self.device, strengths, self._seeds)
         self.single_observation_space = self.observer.space

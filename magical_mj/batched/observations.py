@@ -14,7 +14,7 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import BatchScenes
-from magical_mj.envs.presets import Preset, observation_space, preset_named
+from magical_mj.envs.presets import Preset, observation_space
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
 
 Observation = Tensor | dict[str, Tensor]
@@ -25,16 +25,17 @@ _REGION: Final = STATE_NAMES.index("region0.present")
 
 
 class States:
-    """The state vectors of `magical_mj.scene.state_vector.STATE_NAMES`, shape (envs, entries), float32."""
+    """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (envs, entries), float32."""
 
-    def __init__(self, envs: int, device: str) -> None:
-        self._fixed = torch.zeros((envs, len(STATE_NAMES)), device=device)
-        self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
+    def __init__(self, preset: Preset, envs: int, device: str) -> None:
+        self.space: spaces.Space[Any] = observation_space(preset, {})
+        self._start = preset.start
+        self._fixed = torch.zeros((envs, *(self.space.shape or ())), device=device)
 
     def set_scenes(self, scenes: BatchScenes, envs: Tensor, seeds: Sequence[int]) -> None:
         """Starts episodes in these environments, and stores the constant entries."""
         del seeds
-        fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(envs))])
+        fixed = np.stack([StateEncoder(scenes.scene(row), start=self._start).fixed for row in range(len(envs))])
         self._fixed[envs] = torch.from_numpy(fixed).to(self._fixed)
 
     def observe(self, physics: Physics, steps: Tensor | None = None) -> Tensor:

@@ -19,9 +19,9 @@ from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.envs.registration import suite_ids
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks import KNOWN, SUITES
-from magical_mj.tasks.registry import environment_axes, environments, listed, task_plugins, task_spec
+from magical_mj.tasks.registry import environment_axes, environments, listed, task_name, task_plugins, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import MagicalError, check_name
+from magical_mj.utils.errors import MagicalError
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
@@ -37,7 +37,9 @@ Listed = Annotated[
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-Intents = Annotated[bool, typer.Option("--intents", help="List sets of intents instead: those named by TASKS, or all.")]
+Intents = Annotated[
+    bool, typer.Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")
+]
 Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
     Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
@@ -79,14 +81,16 @@ def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents =
 
 
 def _intents(names: str | None) -> Iterator[str]:
-    """Lines about the intents of the sets with these names, or of all: the task's name, the bits, text and sentence."""
+    """Lines about sets of intents or single ones, by default all sets: the name, bits, text and sentence."""
     from magical_mj.intents.sets import NAMES, tasks_in  # imported late: `list` is faster without
+    from magical_mj.intents.tasks import task_of
 
     for name in listed(names or "all", NAMES):
         name = name.removeprefix("intent:")
-        check_name("set of intents", name, NAMES)
-        for number, task in enumerate(tasks_in(name)):
-            yield f"{f'intent:{name}/{number}':<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
+        tasks = {f"intent:{name}/{number}": task for number, task in enumerate(tasks_in(name) if name in NAMES else ())}
+        single = {} if tasks else {f"intent:{name}": task_of(task_name(f"intent:{name}").removeprefix("intent:"))}
+        for label, task in (tasks or single).items():
+            yield f"{label:<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
 
 
 def view(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import random
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -18,23 +19,30 @@ import magical_mj
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, console, make_writable_folder
 from magical_mj.cli.film import INK, PAPER, side_by_side
+from magical_mj.policies.interface import actions_of
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, environments, task_name, task_spec, variant_name
-from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
+from magical_mj.utils.errors import MagicalError, SettingsError, check_name, short_repr
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
     from magical_mj.engine import Engine
+    from magical_mj.web.puzzles import Puzzle
     from magical_mj.web.server import PlayServer
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
+QUESTION: Final = "Do what the demonstrations did. What they want is shown at the end."
 AFTER: Final = "R again, N next scene, Esc quits"
 
 Record = Annotated[Path | None, typer.Option(help="Save each finished episode in this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
+Guess = Annotated[
+    bool,
+    typer.Option("--guess", help="Play an intent after two demonstrations, before you see its sentence."),
+]
 Collect = Annotated[
     Path | None,
     typer.Option(help="Save submitted episodes in this folder.", show_default=False),
@@ -58,7 +66,7 @@ Model = Annotated[str, typer.Argument(metavar="TASK|FILE", help="A task, or an M
 
 Wish = Literal["reset", "next", "discard", "quit"]
 
-LINES: Final = 2  # of text below the pictures
+LINES: Final = 3  # of text below the pictures
 LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
 FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
@@ -77,6 +85,7 @@ def play(
     size: option.Size = 480,
     speed: Speed = 1.0,
     renderer: option.Renderer = None,
+    guess: Guess = False,
     web: Web = False,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
@@ -91,15 +100,20 @@ def play(
 
     With --record, finished episodes are saved as demonstrations; D discards one at its end.
 
+    With --guess, you watch two demonstrations of TASK, an intent, or of a random one. Then you do the same in VARIANT.
+
     With --web, you play in a browser, on this machine or through ssh -L on another one. The options below it need it.
     """
-    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer")
+    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer", "guess")
     check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "study", "host", "port", "origin")
     check_fits(context, study is None, "without --study, since the study sets it", "tasks", "variants", "wanted")
-    check_fits(context, task is not None, "with TASK", "seed")
+    check_fits(context, task is not None or guess, "with TASK", "seed")
     if web:
-        first = None if task is None else (task_spec(task).name, variant_name(variant), seed)
+        first = None if task is None else (task_name(task), variant_name(variant), seed)
         serve_page(first, environments(tasks, variants), collect, wanted, study, host, port, origin)
+        return
+    if guess:
+        guess_in_window(task, variant, seed, record, size, speed, renderer)
         return
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
@@ -112,17 +126,47 @@ def play(
         play_in(window, game, size)
 
 
+def guess_in_window(
+    task: str | None, variant: str, seed: int, record: Path | None, size: int, speed: float, renderer: str | None
+) -> None:
+    """Shows the demonstrations of an intent, or of a random one, and then plays it without its sentence."""
+    from magical_mj.web.puzzles import DEMONSTRATIONS, puzzle_of, puzzles  # imported late: it loads the simulator
+
+    if task is not None and not task_name(task).startswith("intent:"):
+        raise typer.BadParameter(f"--guess is for intents, such as intent:dev/3, and {task} is a task.")
+    puzzle = random.choice(puzzles()) if task is None else puzzle_of(task)  # noqa: S311
+    with closing(Window("What do you want?", size, speed)) as window:
+        for number, letters in enumerate(puzzle.demonstrations):
+            line = f"Demonstration {number + 1} of {DEMONSTRATIONS}. Then you do the same."
+            with closing(magical_mj.Engine(puzzle.task, seed=number, renderer=renderer)) as env:
+                if not watch(window, env, actions_of(letters), line, size):
+                    return
+        with closing(magical_mj.Engine(puzzle.task, variant, seed=seed, renderer=renderer)) as env:
+            folder = None if record is None else make_writable_folder(record)
+            play_in(window, Game(env, puzzle.task, seed, folder, puzzle), size)
+
+
+def watch(window: Window, env: Engine, actions: Iterable[int], line: str, size: int) -> bool:
+    """Shows an episode. N skips the rest. Returns False if the player quits."""
+    for action in actions:
+        window.show(side_by_side(env, size), [line, "N skips it, Esc quits"])
+        if (wish := window.wish()) in ("next", "quit"):
+            return wish == "next"
+        env.step(action)
+    return True
+
+
 class Game:
     """Episodes that a person plays one after another. The clock of an episode starts with the first key.
 
     A finished episode is reported and, if there is a folder, saved there at once, so that it is not lost if the window
-    is closed. The player can delete it afterwards.
+    is closed. The player can delete it afterwards. Of a puzzle, goal and score are shown after the first episode.
     """
 
-    def __init__(self, env: Engine, task: str, seed: int, folder: Path | None) -> None:
-        self.env, self._folder, self._screen = env, folder, console()
+    def __init__(self, env: Engine, task: str, seed: int, folder: Path | None, puzzle: Puzzle | None = None) -> None:
+        self.env, self._folder, self._screen, self._puzzle = env, folder, console(), puzzle
         summary = task_spec(task).summary
-        self.goal = f"{summary[0].upper()}{summary[1:]}."
+        self.goal = QUESTION if puzzle else f"{summary[0].upper()}{summary[1:]}."
         self.start(seed)
 
     def start(self, seed: int) -> None:
@@ -131,6 +175,7 @@ class Game:
         self.seed, self._steps, self._recorder = seed, 0, magical_mj.demos.Recorder(self.env)
         self._result: str | None = None
         self._path: Path | None = None
+        self.remark = ""
 
     def act(self, action: int) -> None:
         """Takes an action. It has no effect before the first key and after the end."""
@@ -143,6 +188,13 @@ class Game:
     def finish(self, demo: Demonstration) -> None:
         """Reports and saves an episode that has ended."""
         self._result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
+        if self._puzzle is not None:
+            self.goal = self._puzzle.intent.sentence
+            reached = (
+                None if demo.score == 1.0 else self._puzzle.reached_instead(self.env.initial_scene, self.env.scene)
+            )
+            self.remark = f"What you did instead: {reached.sentence}" if reached else ""
+            self._screen.print(self.goal, self.remark)
         self._screen.print(f"seed {demo.scene_seed}: {self._result}")
         if self._folder is None:
             return
@@ -164,14 +216,14 @@ class Game:
             return f"{self._result}; {AFTER}"
         seconds = ((self.env.horizon or 0) - self._steps) / CONTROL_RATE
         left = f"{seconds:.0f} s" if self._steps else "press a key to start"
-        return f"{left}, score so far {self.env.score():.2f} ({KEYS})"
+        return f"{left} ({KEYS})" if self.goal == QUESTION else f"{left}, score so far {self.env.score():.2f} ({KEYS})"
 
 
 def play_in(window: Window, game: Game, size: int) -> None:
     """Plays episodes in the same or the next scene until the player quits."""
     wish = None
     while wish != "quit":
-        window.show(side_by_side(game.env, size), [game.goal, game.caption()])
+        window.show(side_by_side(game.env, size), [game.goal, game.caption(), game.remark])
         wish = window.wish()
         if wish in ("reset", "next"):
             game.start(game.seed + (wish == "next"))
@@ -182,7 +234,7 @@ def play_in(window: Window, game: Game, size: int) -> None:
 
 
 class Window:
-    """A window as wide as two pictures of `size` pixels, with two lines of text below them.
+    """A window as wide as two pictures of `size` pixels, with three lines of text below them.
 
     A speed of 1 is real time; 0 is as fast as possible. `advice` is added to the error about a missing display.
 
@@ -216,7 +268,7 @@ class Window:
         self._tapped: set[int] = set()
 
     def show(self, pictures: np.ndarray, lines: Sequence[str]) -> None:
-        """Shows two pictures, shape (size, 2 * size, 3), and two lines. Then waits until the next step is due."""
+        """Shows two pictures, shape (size, 2 * size, 3), and up to three lines. Then waits for the next step."""
         pygame, surface = self._pygame, self._surface
         surface.fill(PAPER)
         surface.blit(pygame.surfarray.make_surface(pictures.swapaxes(0, 1)), (0, 0))
@@ -278,11 +330,12 @@ def serve_page(
     origin: str | None,
 ) -> None:
     """Serve until Ctrl-C. `first` is the task, the variant and the seed that the printed link opens."""
-    if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS):
-        raise SettingsError("the page can score only the benchmark's own tasks: play others in a window")
+    is_puzzle = first is not None and first[0].startswith("intent:")
+    if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS and not is_puzzle):
+        raise SettingsError("the page has the benchmark's own tasks, and any intent as TASK: play others in a window")
     if first is not None:
         check_seed_in_browser(first[2])
-        if first[:2] not in environments:
+        if not is_puzzle and first[:2] not in environments:
             raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
         if collect is not None:
             raise SettingsError(
@@ -297,6 +350,7 @@ def serve_page(
     origin = origin and origin.rstrip("/").lower()  # browsers send and compare it in this form
     check_extra("games in a browser", "web")
     from magical_mj.web.collection import Collection, Study, read_study
+    from magical_mj.web.puzzles import VARIANTS, puzzle_of, puzzles
     from magical_mj.web.server import PlayServer
 
     collection = None
@@ -305,10 +359,18 @@ def serve_page(
         asked = Study(quotas) if study is None else read_study(study)
         environments = list(asked.pairs)
         collection = Collection(make_writable_folder(collect), asked)
-    server = PlayServer(environments, host, port, origin=origin, collection=collection)
+    offered, fragment = list(puzzles()), "" if first is None else "#" + "-".join(map(str, first))
+    if first is not None and is_puzzle:
+        check_name("variant", first[1], VARIANTS)
+        puzzle = puzzle_of(first[0])
+        offered += [puzzle] * (puzzle not in offered)
+        fragment = f"#{puzzle.name}-{first[1]}-{first[2]}{'@expert' if first[1] == 'Demo' else ''}"
+    if collection is not None:
+        offered = []
+    server = PlayServer(environments, host, port, origin=origin, collection=collection, puzzles=offered)
     if collection is not None:
         server.token = collection.token()
-    serve_until_interrupted(server, "" if first is None else "#" + "-".join(map(str, first)))
+    serve_until_interrupted(server, fragment)
 
 
 def inspect(

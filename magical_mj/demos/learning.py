@@ -75,10 +75,11 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
     """The observations of the preset before the first and after each action: steps + 1 rows."""
     kind, world = preset_named(preset), SceneModel(demo.scene)
     with np.errstate(all="ignore"):  # underflow to 0 in float32 is expected, even if the caller makes it an error
-        if kind.layout == "state" and task_spec(demo.task).speeds:
+        if kind.layout == "state" and task_spec(demo.task).speeds and not kind.start:
             return np.array([state_vector(scene) for scene in demo.scenes()])
         if kind.layout == "state":
-            encode, states = StateEncoder(demo.scene), zip(demo.qpos, demo.qvel, strict=True)
+            encode = StateEncoder(demo.scene, start=kind.start)
+            states = zip(demo.qpos, demo.qvel, strict=True)
             return np.array(
                 [encode(world.poses(qpos), world.velocities(qvel), world.fingers(qpos)) for qpos, qvel in states]
             )

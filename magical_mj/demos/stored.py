@@ -3,13 +3,18 @@
 A file has a line of JSON for each demonstration. Lines are appended and never altered, so several processes can add
 lines, and interrupted work continues. A killed process may leave an incomplete last line. It is ignored, and removed
 before more lines are appended.
+
+The package ships some demonstrations, in such a file that xz compressed (`python -m tools.intents demonstrations`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import lzma
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Final
 
 import msgspec
@@ -68,6 +73,19 @@ def default_path() -> Path:
     return files.cache_folder() / f"demonstrations-p{PROTOCOL}-i{INTENTS}-mujoco{version('mujoco')}.jsonl"
 
 
+def shipped_path() -> Path:
+    """The file of the package for these protocols and this version of MuJoCo. It exists only for some versions."""
+    return Path(__file__).parent / "data" / f"{default_path().name}.xz"
+
+
+@cache
+def shipped() -> Mapping[Key, Stored]:
+    """The demonstrations that come with the package; none for other versions of MuJoCo."""
+    path = shipped_path()
+    lines = lzma.decompress(path.read_bytes()).splitlines() if path.exists() else []
+    return MappingProxyType({stored.key: stored for stored in _decoded(path, lines)})
+
+
 def read(path: Path) -> dict[Key, Stored]:
     """The demonstrations in a file. Empty if the file does not exist.
 
@@ -87,7 +105,12 @@ def _decoded(path: Path, lines: Sequence[bytes]) -> Iterator[Stored]:
 
 
 def complete(
-    keys: Iterable[Key], path: Path, *, jobs: int | None = None, watch: Watch = lambda _, __: None
+    keys: Iterable[Key],
+    path: Path,
+    *,
+    known: Mapping[Key, Stored] = MappingProxyType({}),
+    jobs: int | None = None,
+    watch: Watch = lambda _, __: None,
 ) -> list[Stored]:
     """The demonstrations with these keys. The expert makes those that are not in the file, and they are added to it.
 
@@ -96,6 +119,7 @@ def complete(
     Args:
         keys: task, variant and number of each demonstration.
         path: the file. It is created if it is missing.
+        known: demonstrations that are not looked for in the file.
         jobs: the number of processes; None: one per core.
         watch: called before the first new demonstration, and after each.
 
@@ -103,7 +127,7 @@ def complete(
         DemonstrationError: if some demonstrations could not be made. The file then contains all others.
     """
     keys = list(keys)
-    known = read(path)
+    known = read(path) | dict(known)
     todo = [key for key in dict.fromkeys(keys) if key not in known]
     if todo:
         watch(len(keys) - len(todo), len(keys))
@@ -118,7 +142,10 @@ def complete(
         watch(number, len(keys))
     if failures:
         listed = "; ".join(sorted(set(failures))[:SHOWN])
-        raise DemonstrationError(f"{len(failures)} of {len(keys)} demonstrations could not be made: {listed}")
+        raise DemonstrationError(
+            f"{len(failures)} of {len(keys)} demonstrations could not be made: {listed}. All others are stored: leave "
+            "these tasks out, or give them other demo scenes, as in 'intent:robot in() [seed=1]'"
+        )
     return [known[key] for key in keys]
 
 

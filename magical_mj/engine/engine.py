@@ -405,15 +405,16 @@ class Engine:
             self._measured = state, self.setup.remaining(self.scored_scenes)
         return self._measured[1]
 
-    def state_vector(self) -> NDArray[np.float32]:
+    def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
         """The state vector, in a fresh array of shape (len(STATE_NAMES),).
 
-        `magical_mj.scene.state_vector.STATE_NAMES` describes its entries.
+        `magical_mj.observations.STATE_NAMES` describes its entries. With `start`, the poses in the initial scene follow
+        as `magical_mj.observations.START_NAMES` describes them.
 
         Raises:
             InvalidSceneError: if the scene has more blocks or regions than the vector has entries for.
         """
-        return self.simulation.state_vector()
+        return self.simulation.state_vector(start=start)
 
     def fingers(self) -> NDArray[np.float64]:
         """Angles of the left and the right finger, rad. Shape (2,)."""

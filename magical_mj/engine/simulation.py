@@ -128,7 +128,7 @@ class Simulation:
         self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
         self.shifts: EpisodeShifts | None = None
         self._views: Views | None = None
-        self._encoder: tuple[Scene, StateEncoder] | None = None
+        self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
     @classmethod
     def of(
@@ -245,12 +245,12 @@ class Simulation:
             names = ", ".join(name for name, new in counts if new)
             raise PhysicsError(f"the simulation has become unstable (MuJoCo's warning: {names}): reset the environment")
 
-    def state_vector(self) -> NDArray[np.float32]:
+    def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
         """See `magical_mj.Engine.state_vector`."""
         scene_model, data = self.scene_model, self.data
-        if self._encoder is None or self._encoder[0] is not scene_model.scene:
-            self._encoder = scene_model.scene, StateEncoder(scene_model.scene)
-        return self._encoder[1](
+        if self._encoder is None or self._encoder[0] is not scene_model.scene or self._encoder[1] != start:
+            self._encoder = scene_model.scene, start, StateEncoder(scene_model.scene, start=start)
+        return self._encoder[2](
             scene_model.poses(data.qpos), scene_model.velocities(data.qvel), scene_model.fingers(data.qpos)
         )
 

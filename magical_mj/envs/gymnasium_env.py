@@ -391,7 +391,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def observe(self, out: Observation | None = None) -> Observation:
         """The current observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
-            return _put(self.state(), out)
+            return _put(self._engine.state_vector(start=True) if self._preset.start else self.state(), out)
         parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
             return _put(next(iter(parts.values())), out)

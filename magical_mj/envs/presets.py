@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj.scene.state_vector import SEGMENTATIONS, STATE_NAMES
+from magical_mj.scene.state_vector import SEGMENTATIONS, START_NAMES, STATE_NAMES
 from magical_mj.utils.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
@@ -37,6 +37,7 @@ class Preset:
         summary: a description in one line.
         fingers: whether the dict also contains "fingers", the angles of the left and the right finger (rad). The
             paper's learners do not observe them.
+        start: whether the initial poses follow in the state vector (`START_NAMES`).
     """
 
     frames: tuple[tuple[str, int], ...]
@@ -44,6 +45,7 @@ class Preset:
     image_size: int
     summary: str
     fingers: bool = False
+    start: bool = False
 
     @property
     def depth(self) -> int:
@@ -65,6 +67,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
         "LoResSeg4E": Preset((("ego-segmentation", 4),), "hwc", 96, "LoRes4E as segmentations: ids of what is where"),
         "LoResSeg4A": Preset((("allo-segmentation", 4),), "hwc", 96, "LoRes4A as segmentations"),
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
+        "StateStart": Preset((), "state", 96, "the state vector, then the initial poses (START_NAMES)", start=True),
     }
 )
 """The presets by name. The empty name is the preset of environments that are made without one."""
@@ -90,7 +93,8 @@ def observation_space(
         instruction: whether dicts contain the sentence that describes the task.
     """
     if preset.layout == "state":
-        return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
+        entries = len(STATE_NAMES) + (len(START_NAMES) if preset.start else 0)
+        return spaces.Box(-STATE_BOUND, STATE_BOUND, (entries,), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
     if preset.fingers:
         boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # left, right; rad

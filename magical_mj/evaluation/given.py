@@ -39,7 +39,7 @@ def demonstrations_given(
 ) -> dict[str, tuple[Demonstration | Stored, ...]]:
     """The demonstrations that policies receive, by the task that is played.
 
-    Demonstrations of intents are by the expert. Those that are not in the user's cache are made.
+    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made.
 
     Args:
         settings: the settings of the evaluation.
@@ -62,7 +62,8 @@ def demonstrations_given(
     }
     keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
     every = [key for group in keys.values() for key in group]
-    made = iter(stored.complete(every, stored.default_path(), jobs=settings.jobs, watch=watch))
+    path, known = stored.default_path(), stored.shipped()
+    made = iter(stored.complete(every, path, known=known, jobs=settings.jobs, watch=watch))
     return {
         task: tuple(itertools.islice(made, number)) if task in keys else _shipped(other, settings)
         for task, other in shown.items()

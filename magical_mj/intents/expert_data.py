@@ -118,7 +118,7 @@ def dataset(
     preset_named(preset)
     number, first = fitting("per_intent", per_intent, Count), SPLITS["dev"]
     chosen = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    tasks = listed_tasks([f"{PREFIX}{name}" for name in listed(intents, SETS)])
+    tasks = listed_tasks([f"{PREFIX}{name.removeprefix(PREFIX)}" for name in listed(intents, SETS)])
     path = stored.default_path() if folder is None else files.to_path(folder) / FILE
     names = [with_scenes(task, None if scenes is None else fitting("scenes", scenes, Count)) for task in tasks]
     keys = [(name, variant, first + k) for name in names for variant in chosen for k in range(number)]

@@ -10,7 +10,7 @@ from magical_mj.intents.intent import Intent
 from magical_mj.intents.sets import NAMES, tasks_in
 from magical_mj.intents.tasks import PREFIX, Task, spec_of, task_of, with_settings
 from magical_mj.tasks.spec import TaskSpec
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import IntentError, closest
 
 _MEMBER: Final = re.compile(r"\s*([a-z]+)\s*(?:/\s*(\d+))?\s*(\[[^\[\]]*\])?\s*")
 
@@ -46,8 +46,14 @@ def task_intent(task: str) -> Intent:
 
 def _task(text: str) -> Task:
     found = _MEMBER.fullmatch(text)
-    if found is None or found[1] not in NAMES:
+    if found is None:
         return task_of(text)
+    if found[1] not in NAMES:
+        like = f"{meant}{text[found.end(1) :]}" if (meant := closest(found[1], NAMES)) else ""
+        raise IntentError(
+            f"{text!r} is neither an intent, such as 'in(colour=red, region)', nor one of a set, such as 'dev/3'. "
+            + (f"Did you mean {like!r}?" if like else f"The sets are {', '.join(NAMES)}")
+        )
     tasks = tasks_in(found[1])
     if found[2] is None or int(found[2]) >= len(tasks):
         raise IntentError(f"{text} names no task: the set {found[1]} has {found[1]}/0 to {found[1]}/{len(tasks) - 1}")

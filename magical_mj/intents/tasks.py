@@ -19,6 +19,7 @@ from magical_mj.intents.contrast import demo_scenes
 from magical_mj.intents.diagnose import diagnosis
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
+from magical_mj.intents.remaining import distance
 from magical_mj.intents.scenes import (
     INNER_MARGIN,
     accepts,
@@ -118,6 +119,7 @@ def spec_of(task: Task) -> TaskSpec:
         further_demos=demos[1:],
         steps=_horizon(intent, demos[0]),
         score=partial(_score, intent),
+        distance=partial(_distance, intent),
         check=partial(_check, intent),
         accepts=partial(accepts, intent),
         plan=partial(_plan, intent),
@@ -143,6 +145,11 @@ def _horizon(intent: Intent, demo: Scene) -> int:
 def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     del rules  # all have the same score
     return intent.score(initial, final)
+
+
+def _distance(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    del rules
+    return distance(intent, initial, final)
 
 
 def _check(intent: Intent, scene: Scene) -> None:

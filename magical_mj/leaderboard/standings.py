@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.entry import SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.reports.statistics import (
@@ -109,6 +110,12 @@ class Standing:
         return tuple(self.entry.card.privileges or ())
 
     @property
+    def sees_states(self) -> bool:
+        """Whether its observations are state vectors."""
+        preset = PRESETS.get(self.entry.observations or "")
+        return preset is not None and preset.layout == "state"
+
+    @property
     def block(self) -> Block:
         """Its block in the tables."""
         if self.entry.rules == PUBLISHED_RULES:
@@ -120,7 +127,7 @@ class Standing:
         if self.entry.observations is None:
             return "nothing"
         more = bool({*self.privileges} - USUAL)
-        if self.entry.observations == "State":
+        if self.sees_states:
             return "states and more" if more else "states"
         return "pictures and more" if more or "states" in self.privileges else "pictures"
 

@@ -1,6 +1,7 @@
 """Observations: the names of the views, and the state vector.
 
-The state vector has the same length in every environment. Entries of missing blocks and regions are 0.
+The state vector has the same length in every environment. Entries of missing blocks and regions are 0. On request, the
+poses at the start of the episode follow.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ __all__ = [
     "OBSERVATIONS",
     "SEGMENTATIONS",
     "SOLID_VIEW",
+    "START_NAMES",
     "STATE_NAMES",
     "VIEWS",
     "StateEncoder",
@@ -61,6 +63,10 @@ STATE_NAMES: Final[tuple[str, ...]] = (
 World units, rad, units/s and rad/s; colours and shapes are one-hot; angles are not wrapped.
 """
 
+START_NAMES: Final[tuple[str, ...]] = tuple(
+    f"start.{part}.{name}" for part in ("robot", *(f"block{index}" for index in range(MAX_BLOCKS))) for name in _POSE
+)
+"""The names of the entries after those of `STATE_NAMES` in the preset StateStart: the poses in the initial scene."""
 
 FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
 """The indices of the two fingers' angles in the state vector."""
@@ -69,23 +75,31 @@ FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index
 class StateEncoder:
     """Computes the state vectors of one episode.
 
+    Args:
+        scene: the initial scene.
+        start: whether its poses follow in the vector.
+
     Attributes:
-        fixed: the constant entries; the others are 0. Shape (len(STATE_NAMES),).
+        fixed: the constant entries; the others are 0. Shape (len(STATE_NAMES),), or with a start (len(STATE_NAMES) +
+            len(START_NAMES),).
 
     Raises:
         InvalidSceneError: if the scene has more blocks or regions than the vector.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, start: bool = False) -> None:
         if len(scene.blocks) > MAX_BLOCKS or len(scene.regions) > MAX_REGIONS:
             raise InvalidSceneError(
                 f"the state vector has entries for {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, but this scene has "
                 f"{len(scene.blocks)} and {len(scene.regions)}; use pictures as observations, or a smaller scene"
             )
         self._count = len(scene.blocks)
-        self.fixed = np.zeros(len(STATE_NAMES), dtype=np.float32)
+        self.fixed = np.zeros(len(STATE_NAMES) + start * len(START_NAMES), dtype=np.float32)
+        if start:
+            poses = self.fixed[len(STATE_NAMES) :].reshape(-1, len(_POSE))
+            poses[: 1 + len(scene.blocks)] = [scene.robot.pose, *(block.pose for block in scene.blocks)]
         blocks = self._block_rows(self.fixed)
-        regions = self.fixed[len(_ROBOT) + blocks.size :].reshape(MAX_REGIONS, len(_REGION))
+        regions = self.fixed[len(_ROBOT) + blocks.size : len(STATE_NAMES)].reshape(MAX_REGIONS, len(_REGION))
         for row, block in zip(blocks, scene.blocks, strict=False):
             row[[0, _BLOCK.index(block.shape), _BLOCK.index(block.colour)]] = 1.0
         for row, region in zip(regions, scene.regions, strict=False):
@@ -94,7 +108,7 @@ class StateEncoder:
 
     @np.errstate(all="ignore")  # numbers that are too small for float32 become 0
     def __call__(self, poses: Rows, velocities: Rows, fingers: Rows) -> NDArray[np.float32]:
-        """The state as a new vector. Shape (len(STATE_NAMES),).
+        """The state as a new vector, of the shape of `fixed`.
 
         Args:
             poses: x, y, angle of the robot and then of each block, shape (1 + blocks, 3).

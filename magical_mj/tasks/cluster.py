@@ -123,12 +123,17 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
     """By how much blocks that are not right are nearer to another centroid than allowed."""
-    left = 0.0
+    return sum(ways(final, attribute, rules))
+
+
+def ways(final: Scene, attribute: Attribute, rules: Rules = "paper") -> list[float]:
+    """The part of each block in the distance: 0 if it is right."""
+    found = []
     for own, other in _squares(final, attribute):
-        if not _is_right(own, other, rules):
-            way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
-            left += WRONG + max(way - math.sqrt(other), 0.0)  # rounding could make it negative
-    return left
+        way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)
+        # Rounding could make the difference negative.
+        found.append(0.0 if _is_right(own, other, rules) else WRONG + max(way - math.sqrt(other), 0.0))
+    return found
 
 
 def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:

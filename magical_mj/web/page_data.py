@@ -76,6 +76,7 @@ def catalogue(
     environments: Sequence[Pair],
     simulation: Simulation,
     shifts: Mapping[Pair, Mapping[str, Sequence[str]]] = MappingProxyType({}),
+    puzzles: Sequence[Pair] = (),
 ) -> dict[str, Any]:
     """The data that the page needs before the first scene, as JSON data.
 
@@ -83,6 +84,7 @@ def catalogue(
         environments: the pairs (task, variant) that can be chosen.
         simulation: where the simulation runs. The browser has the scenes of a few seeds only.
         shifts: environment -> axis -> the strengths that can be chosen, or the names of bodies.
+        puzzles: the environments of puzzles, with their names on the page.
     """
     return {
         "protocol": PROTOCOL,
@@ -102,6 +104,7 @@ def catalogue(
             {"task": task, "variant": variant, "shifts": shifts.get((task, variant), {})}
             for task, variant in environments
         ],
+        "puzzles": [{"task": name, "variant": variant, "shifts": {}} for name, variant in puzzles],
     }
 
 

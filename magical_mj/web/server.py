@@ -6,7 +6,7 @@ are JSON objects, and each is answered by one:
 
 | message | answer |
 |---|---|
-| `{"open": {"task": ..., "variant": ..., "seed": ...}}` | `{"scene": ...}`, the scene of a new episode |
+| `{"open": {"task": name, "variant": name, "seed": 3}}` | `{"scene": ...}` of a new episode, and a puzzle's `"goal"` |
 | `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
 | `{"arrive": id or null}`, with `"agree": true` after consent | `{"participant": id, "next": ...}` |
 | `{"return": id}`, after a connection broke | `{"participant": id}` |
@@ -27,10 +27,11 @@ import json
 import logging
 import mimetypes
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -44,6 +45,7 @@ from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import MagicalError
 from magical_mj.web.collection import Collection
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data
+from magical_mj.web.puzzles import VARIANTS, Puzzle, goal_data, puzzle_scenes
 
 LOGGER: Final = logging.getLogger(__name__)
 LARGEST_MESSAGE: Final = 100_000  # bytes
@@ -67,6 +69,7 @@ class PlayServer:
         token: the first part of the path; None: a random token.
         origin: the page's public origin if it is not `http://HOST:PORT`, for example behind a reverse proxy.
         collection: the study that saves recordings; None: they are not saved.
+        puzzles: the intents that can be played as puzzles.
     """
 
     environments: Sequence[Pair]
@@ -75,11 +78,14 @@ class PlayServer:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
     origin: str | None = None
     collection: Collection | None = None
+    puzzles: Sequence[Puzzle] = ()
     scripts: ClassVar[str] = "'self'"
     """The allowed sources of scripts, for browsers."""
 
     def __post_init__(self) -> None:
-        known = {**catalogue(self.environments, "server"), "collects": self.collection is not None}
+        pairs = [pair for puzzle in self.puzzles for pair in puzzle.environments]
+        known = {**catalogue(self.environments, "server", puzzles=pairs), "collects": self.collection is not None}
+        self._puzzles = {puzzle.name: puzzle for puzzle in self.puzzles}
         self._operator = ""
         if self.collection is not None:
             study = self.collection.study
@@ -170,6 +176,11 @@ class PlayServer:
             if self.collection is not None and "expert" not in self.collection.study.shows:
                 data |= {"demonstrations": [], "scenes": [{**scene, "expert": ""} for scene in data["scenes"]]}
             return json.dumps(data, separators=(",", ":")).encode()
+        if name.startswith("puzzles/"):
+            task, _, variant = name.removeprefix("puzzles/").removesuffix(".json").partition("-")
+            if task not in self._puzzles or variant not in VARIANTS:
+                return None
+            return json.dumps(puzzle_scenes(self._puzzles[task], variant), separators=(",", ":")).encode()
         return self._files.get(name)
 
     async def _play(self, connection: ServerConnection) -> None:
@@ -178,7 +189,7 @@ class PlayServer:
         runs = bool(self._operator) and path.startswith(f"/{self._operator}/")
         with (
             suppress(ConnectionClosed),  # abnormally, or after too large a message
-            closing(PlayerSession(self.environments, self.collection, runs=runs)) as session,
+            closing(PlayerSession(self.environments, self.collection, self._puzzles, runs=runs)) as session,
         ):
             async for message in connection:
                 await connection.send(await asyncio.to_thread(session.answer, message))
@@ -194,9 +205,15 @@ class PlayerSession:
     """Answers the messages of one connection, with its own simulation. `runs`: it is the operator's connection."""
 
     def __init__(
-        self, environments: Sequence[Pair], collection: Collection | None = None, *, runs: bool = False
+        self,
+        environments: Sequence[Pair],
+        collection: Collection | None = None,
+        puzzles: Mapping[str, Puzzle] = MappingProxyType({}),
+        *,
+        runs: bool = False,
     ) -> None:
         self._environments = environments
+        self._puzzles = puzzles
         self._runs = runs
         self._collection = collection
         self._participant: str | None = None
@@ -222,7 +239,7 @@ class PlayerSession:
     def _reply(self, message: Any) -> dict[str, Any]:
         match message:
             case {"open": {"task": str(task), "variant": str(variant), "seed": int(seed)}}:
-                return {"scene": scene_data(self._open(task, variant, seed).scene)}
+                return self._open(task, variant, seed)
             case {"act": action} if self._engine is not None:
                 self._engine.step(action)
                 return {"poses": poses(self._engine.scene)}
@@ -249,14 +266,16 @@ class PlayerSession:
                     "demonstrations are collected here, arrive or return, and after one of them keep"
                 )
 
-    def _open(self, task: str, variant: str, seed: int) -> Engine:
-        if (task, variant) not in self._environments:
+    def _open(self, task: str, variant: str, seed: int) -> dict[str, Any]:
+        puzzle = self._puzzles.get(task) if variant in VARIANTS else None
+        if (task, variant) not in self._environments and puzzle is None:
             raise MagicalError(f"{task}-{variant} is not available here")
         if self._collection is not None and not self._collection.offered(self._participant, task, variant, seed):
             raise MagicalError("this scene was not offered to you")
         self.close()
-        self._engine = Engine(task, variant, seed=seed)
-        return self._engine
+        self._engine = Engine(puzzle.task if puzzle else task, variant, seed=seed)
+        scene = self._engine.scene
+        return {"scene": scene_data(scene), **({"goal": goal_data(puzzle.intent, scene)} if puzzle else {})}
 
 
 def poses(scene: Scene) -> dict[str, Any]:

@@ -24,6 +24,10 @@ from shifted import SUITE, SWEPT, described, offered, scenes
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
+from magical_mj.intents import SETS, Intent
+from magical_mj.intents.ambiguity import all_conjuncts
+from magical_mj.intents.selectors import REST
+from magical_mj.intents.sets import tasks_in
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories
@@ -37,6 +41,7 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidSceneError, MagicalError
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import HINTS, drawing_style, sample_models, scene_data, solid_shapes
+from magical_mj.web.puzzles import goal_data
 
 ROUGH: Final = 60
 SHIPPED: Final = slice(None, None, 5)  # of each task's demonstrations
@@ -44,6 +49,7 @@ STEPS: Final = 100
 GLANCES: Final = (1, 20, 100)  # numbers of steps before states are compared. The last state is compared as well
 SCORED: Final = 10  # one of this number of demonstration states is scored
 GATHERED: Final = 30  # scored states of each environment
+INTENTS: Final = 25  # of each kind, scored in each state
 SEEN: Final = 25  # states of each task for comparing state vectors and policies
 POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
@@ -147,6 +153,30 @@ def scores() -> Iterator[dict[str, Any]]:
         for seed in range(GATHERED):
             scene = magical_mj.sample_scene(task, variant, seed)
             yield _scored(task, scene, _gathered(scene, rng))
+
+
+def goals() -> Iterator[dict[str, Any]]:
+    """States of scenes with intents: single relations, pairs and those of the eight tasks, with their scores."""
+    rng = np.random.default_rng(2)
+    singles = [Intent((conjunct,)) for conjunct in all_conjuncts() if conjunct.selector != REST]
+    drawn = [task.intent for name in SETS for task in tasks_in(name)]
+    for task, variant in magical_mj.ENVIRONMENTS:
+        for seed in range(GATHERED // 3):
+            initial = magical_mj.sample_scene(task, variant, seed)
+            final = _gathered(initial, rng) if seed % 3 else initial
+            some = [magical_mj.intents.EIGHT[task]]
+            for intents in (singles, drawn):
+                some += [intents[place] for place in rng.integers(len(intents), size=INTENTS)]
+            judged = [
+                {
+                    "intent": str(intent),
+                    "goal": goal_data(intent, initial),
+                    "score": intent.score(initial, final),
+                    "held": intent.holds(initial, final),
+                }
+                for intent in some
+            ]
+            yield {"initial": scene_data(initial), "final": scene_data(final), "goals": judged}
 
 
 def _gathered(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -376,6 +406,7 @@ if __name__ == "__main__":
         "episodes": list(episodes()),
         "policies": list(policies()),
         "scores": list(scores()),
+        "goals": list(goals()),
         "combined": list(combined()),
         "pictures": list(pictures()),
         "looks": list(looks()),

@@ -1,6 +1,7 @@
 """Tests what the browser saved: a recording can be used in all ways, and an edited scene is the same one in Python.
 
-Usage: saved.py FOLDER, in which play.test.mjs and editor.test.mjs wrote. Needs the extras cli, minari and il.
+Usage: saved.py FOLDER, in which play.test.mjs, editor.test.mjs and puzzles.test.mjs wrote.
+Needs the extras cli, minari and il.
 """
 
 from __future__ import annotations
@@ -78,6 +79,24 @@ def use_recording(recording: Path, folder: Path) -> None:
     print(f"{path.name}: verified, exported to Minari, learnt from; the policy scored {scores['score'].mean():.2f}")
 
 
+def check_puzzle(path: Path) -> None:
+    """Raises an error unless Python judges a played puzzle as the page did."""
+    import magical_mj
+    from magical_mj.web.puzzles import puzzle_of
+
+    played = json.loads(path.read_text(encoding="utf-8"))
+    saved = played["saved"]
+    puzzle = puzzle_of(saved["task"])
+    initial = magical_mj.sample_scene(puzzle.task, saved["variant"], saved["seed"])
+    final = initial.moved(saved["final"]["robot"], saved["final"]["blocks"])
+    score, reached = puzzle.intent.score(initial, final), puzzle.reached_instead(initial, final)
+    words = f"What you did instead: {reached.sentence}" if reached else "That is not what you did."
+    words = "That is what you did." if score == 1.0 else words
+    if (f"{score:.2f}", words) != (f"{played['score']:.2f}", played["words"]):
+        raise SystemExit(f"{path.name}: the page says {played['score']}, {played['words']}; Python {score}, {words}")
+    print(f"{path.name}: {score:.2f}. {words}")
+
+
 def _run(*arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "magical_mj", *arguments], check=True)
 
@@ -86,3 +105,4 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as temporary:
         compare_scene(Path(sys.argv[1]) / "edited.json")
         use_recording(Path(sys.argv[1]) / "saved.json", Path(temporary))
+    check_puzzle(Path(sys.argv[1]) / "puzzle.json")

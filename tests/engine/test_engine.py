@@ -21,7 +21,7 @@ from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 from magical_mj.scene.actions import Action, Drive
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.geometry import check_scene
-from magical_mj.scene.state_vector import CAMERAS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.scene.state_vector import CAMERAS, MAX_BLOCKS, MAX_REGIONS, START_NAMES, STATE_NAMES
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     ClosedError,
@@ -160,6 +160,38 @@ def test_state_vector_by_name() -> None:
     heading = np.array([-np.sin(0.25), np.cos(0.25)])
     velocity = np.array([state["robot.x_velocity"], state["robot.y_velocity"]])
     np.testing.assert_allclose(velocity, 0.8 * heading, atol=0.01)
+
+
+def test_the_state_with_the_start_says_where_blocks_began() -> None:
+    """Also in a state that is restored: the blocks that started in a region of another colour can be read from it."""
+    task = "intent:in(starts=matched, home) & out(starts=mismatched)"
+    engine, names = Engine(task, "All", seed=5), (*STATE_NAMES, *START_NAMES)
+    engine.reset()
+    for action in (1, 10, 13, 1, 1, 10, 10):
+        engine.step(action)
+    wanted, saved = engine.initial_scene, engine.get_state()
+    engine.reset(seed=6)
+    engine.reset(state=saved)
+    plain, full = engine.state_vector(), engine.state_vector(start=True)
+    assert full.shape == (185 + 33,)
+    assert full.dtype == np.float32
+    np.testing.assert_array_equal(full[:185], plain)
+    np.testing.assert_array_equal(engine.state_vector(), plain)
+    np.testing.assert_array_equal(full[185:188], np.array(wanted.robot.pose, np.float32))
+    blocks = full[188:].reshape(10, 3)
+    np.testing.assert_array_equal(blocks[: len(wanted.blocks)], np.array([b.pose for b in wanted.blocks], np.float32))
+    assert not blocks[len(wanted.blocks) :].any()
+    assert (full[:3] != full[185:188]).any()
+    state = dict(zip(names, full.tolist(), strict=True))
+    mismatched = tuple(
+        block
+        for block in range(len(wanted.blocks))
+        for region in range(len(wanted.regions))
+        if state[f"region{region}.x_min"] <= state[f"start.block{block}.x"] <= state[f"region{region}.x_max"]
+        if state[f"region{region}.y_min"] <= state[f"start.block{block}.y"] <= state[f"region{region}.y_max"]
+        if any(state[f"region{region}.{name}"] != state[f"block{block}.{name}"] for name in COLOURS)
+    )
+    assert mismatched == magical_mj.intents.parse(task.removeprefix("intent:")).blocks(wanted)[1] != ()
 
 
 def test_plain_scenes_have_no_end_no_score_and_no_seeds() -> None:

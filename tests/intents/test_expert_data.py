@@ -17,6 +17,7 @@ import magical_mj
 from magical_mj.demos import stored
 from magical_mj.intents import dataset, parse
 from magical_mj.intents.expert_data import FILE
+from magical_mj.intents.sets import tasks_in
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, IntentError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
@@ -68,6 +69,23 @@ def test_a_killed_command_continues_and_makes_the_same(made: Path, tmp_path: Pat
     assert seen[0] == (done, 4)
     assert seen[-1] == (4, 4)
     assert sorted(path.read_bytes().splitlines()) == sorted((made / FILE).read_bytes().splitlines())
+
+
+def test_demonstrations_of_test_sets_come_with_the_package(tmp_path: Path) -> None:
+    shipped = stored.shipped()
+    assert shipped
+    tests = {
+        f"intent:{task}" for name in ("seen", "combined", "selector", "relation", "long") for task in tasks_in(name)
+    }
+    assert {task for task, _, _ in shipped} <= tests
+    assert {variant for _, variant, _ in shipped} == {"Demo"}
+    keys = list(shipped)[::15]
+    path = tmp_path / FILE
+    for made in stored.complete(keys, path, known=shipped, jobs=1):
+        demo = stored.replay(made, path)
+        assert demo.score == 1.0
+        assert demo.scene == task_spec(demo.task).demo
+    assert not path.exists()
 
 
 def test_a_larger_data_set_adds_to_the_file(made: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -34,7 +35,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
 from magical_mj.web.inspection import model_files  # noqa: E402
-from magical_mj.web.server import PlayServer, poses  # noqa: E402
+from magical_mj.web.puzzles import goal_data, puzzle_of  # noqa: E402
+from magical_mj.web.server import PlayerSession, PlayServer, poses  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -412,3 +414,22 @@ def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
 def test_a_model_that_is_not_there_is_said(shell: Shell) -> None:
     assert "the file nothing.xml does not exist" in shell.fails(2, "inspect", "nothing.xml")
     assert "only with TASK" in shell.fails(2, "inspect", "nothing.xml", "--seed", 2)
+
+
+def test_an_intent_is_played_at_the_server_as_a_puzzle() -> None:
+    puzzle = puzzle_of("intent:dev/14")
+    session = PlayerSession((), puzzles={puzzle.name: puzzle})
+    with closing(session):
+        opened = json.loads(session.answer(json.dumps({"open": {"task": puzzle.name, "variant": "All", "seed": 77}})))
+        scene = magical_mj.Scene.from_json(json.dumps(opened["scene"]))
+        assert scene == magical_mj.sample_scene(puzzle.task, "All", 77)
+        assert opened["goal"] == json.loads(json.dumps(goal_data(puzzle.intent, scene)))
+        for refused in ("Diagnose", "Jitter"):
+            asked = {"open": {"task": puzzle.name, "variant": refused, "seed": 0}}
+            assert "is not available here" in json.loads(session.answer(json.dumps(asked)))["error"]
+    server = PlayServer(magical_mj.ENVIRONMENTS[:1], token="secret", puzzles=[puzzle])
+    catalogued = json.loads(server._content("catalogue.json") or b"")
+    assert [pair["task"] for pair in catalogued["puzzles"]] == [puzzle.name] * 3
+    data = json.loads(server._content(f"puzzles/{puzzle.name}-Layout.json") or b"")
+    assert data["puzzle"]["sentence"] == puzzle.intent.sentence
+    assert server._content(f"puzzles/{puzzle.name}-Jitter.json") is None

@@ -3,8 +3,8 @@
  * A running episode: actions at 8 Hz, and interpolated scenes between them.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{scene: Scene, act: (action: number | number[]) => Scene | Promise<Scene>, close: () => void,
- *   simulation?: import("./simulation.js").Simulation}} Episode
- *   scene: the initial one; simulation: if the browser simulates
+ *   simulation?: import("./simulation.js").Simulation, goal?: import("./goal.js").Goal}} Episode
+ *   scene: the initial one; simulation: if the browser simulates; goal: of a puzzle, if the server simulates
  */
 import { between } from "./scene.js";
 

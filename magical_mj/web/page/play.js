@@ -6,9 +6,11 @@ import { showAddress } from "./choice.js";
 import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
+import { goalScore } from "./goal.js";
 import { onProgress } from "./mujoco.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
+import { described, drawn, isSecret, outcome } from "./puzzles.js";
 import { recording, save } from "./recording.js";
 import { edit, editedModel, environmentOf, linkedScene } from "./edited.js";
 import { fetchFile, fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
@@ -22,8 +24,11 @@ import { remembered, Seat } from "./server.js";
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 const arena = element("arena");
+const puzzleButtons = /** @type {HTMLElement[]} */ ([...element("puzzle").querySelectorAll("button")]);
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
 const catalogue = await fetchJson("catalogue.json");
+/** @type {import("./address.js").Environment[]} those of tasks, and those of puzzles */
+const environments = [...catalogue.environments, ...catalogue.puzzles];
 /** The features that participants of a study may use. Without a study, all of them. @param {string} what */
 const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
 const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
@@ -54,6 +59,7 @@ const shown = {
   task: "", variant: "", seed: -1, shifts: "", /** a changed scene, as JSON, or "" */ scene: "", editing: false, horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
   /** what is watched, as in addresses, or "" */ method: "", /** whether the player has taken over */ taken: false,
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
+  /** @type {import("./puzzles.js").Judged} */ judged: {}, /** the episode whose outcome is shown @type {Game | null} */ told: null,
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
 };
@@ -87,7 +93,7 @@ async function choose(task, variant, seed, how = {}) {
   const watching = acts || Boolean(replay?.length), watched = watching ? method : "";
   element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts, scene })}`;
   const horizon = entry.horizon ?? environment.horizon;
-  Object.assign(shown, { task, variant, seed: entry.seed, shifts, scene, horizon, environment, watching, method: watched, taken: false });
+  Object.assign(shown, { task, variant, seed: entry.seed, shifts, scene, horizon, environment, watching, method: watched, taken: false, judged: entry });
   shown.helped ||= watching;
   showChoice(isOther, !isAddress);
   if (unknown) say(unknown);
@@ -117,6 +123,7 @@ async function choose(task, variant, seed, how = {}) {
   const policy = file && await loadPolicy(file, /** @type {any} */ (episode.simulation)).catch(failed);
   if ((acts && !policy) || choice !== choices) return episode.close();
   controls.tapped.clear();  // keys that were pressed before the scene appeared do not start it
+  if (episode.goal) shown.judged = { goal: episode.goal };
   const game = new Game(episode, horizon, next, speed);
   shown.game = game;
   return true;
@@ -189,7 +196,7 @@ function watchable() {
   const entry = scenes.find((one) => one.seed === seed || scenes.length === 1);
   return {
     "This scene": [
-      ...entry?.expert.length ? [/** @type {[string, string]} */ ([EXPERT, "The expert (H)"])] : [],
+      ...entry?.expert.length ? [/** @type {[string, string]} */ ([EXPERT, `The ${shown.environment.puzzle ? "demonstration" : "expert"} (H)`])] : [],
       ...demonstrations.map((_, i) => /** @type {[string, string]} */ ([`${DEMO}${i + 1}`, `Demonstration ${i + 1}`])),
     ],
     "Policies that act in this page": seat ? [] : [
@@ -214,17 +221,24 @@ function showWatchable() {
   element("take").hidden = !shown.watching || shown.taken;
 }
 
+/** Lists the tasks, and the shown puzzle. */
+function showTasks() {
+  const puzzle = shown.environment.puzzle ? [new Option("An intent", shown.task)] : [];
+  element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)), ...puzzle);
+}
+
 /** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
   const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   showAddress(hash, isNew && location.hash !== "");
   element("seed").value = shown.seed;
+  showTasks();
   element("task").value = task;
-  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  const variants = environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
   const chosen = Object.fromEntries(shifts.split(",").map((one) => one.split(":")));
-  element("shifts").replaceChildren(...Object.entries(shiftsOf(shown, catalogue.environments)).map(([axis, levels]) => {
+  element("shifts").replaceChildren(...Object.entries(shiftsOf(shown, environments)).map(([axis, levels]) => {
     const label = document.createElement("label"), select = document.createElement("select");
     select.name = axis;
     select.append(new Option(axis === "body" ? "gripper" : "0", ""), ...levels.map((level) => new Option(level)));
@@ -245,12 +259,15 @@ function changeShifts({ target }) {
 
 /** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
 function showChoice(isOther, isNew) {
-  const { task, seed, environment } = shown;
-  const { summary, hint, solved } = catalogue.tasks[task];
+  const { task, variant, seed, environment } = shown, { puzzle } = environment;
+  const { summary, hint, solved } = puzzle ? described(puzzle) : catalogue.tasks[task];
   showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = hint;
-  element("about").href = `../${task === "SweepToTop" ? "bodies" : task}.html`;
+  element("about").href = `../${puzzle ? "intents" : task === "SweepToTop" ? "bodies" : task}.html`;
+  element("puzzle").hidden = !puzzle;
+  element("inspect").hidden = seat !== null || puzzle !== undefined;
+  for (const button of puzzleButtons) button.ariaCurrent = String(button.dataset.variant === variant && Number(button.dataset.seed) === seed);
   showWatchable();
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
@@ -289,8 +306,8 @@ function sceneButton({ seed, scene }) {
  */
 function show(initial, scene) {
   shown.again = () => show(initial, scene);
-  const { task, game, horizon, watching, sending } = shown;
-  const done = game?.actions.length ?? 0, now = lack(task, initial) ? "–" : score(task, initial, game?.now ?? scene).toFixed(2);
+  const { task, game, horizon, watching, sending, judged, environment: { puzzle } } = shown, final = game?.now ?? scene;
+  const done = game?.actions.length ?? 0, points = puzzle ? goalScore(judged.goal ?? null, initial, final) : score(task, initial, final);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     const words = `${view === "allo" ? "From above" : "As the robot sees it"}; blocks: ${scene.blocks.length}, goal regions: ${scene.regions.length}`;
@@ -299,6 +316,13 @@ function show(initial, scene) {
   }
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
+  if (puzzle && game?.over && !watching && shown.told !== game) {
+    shown.told = game;
+    element("words").textContent = outcome(puzzle, judged, initial, final, points);
+    element("summary").textContent = puzzle.sentence;
+  }
+  const isHidden = puzzle && !watching && isSecret(puzzle);
+  const now = isHidden ? "?" : !puzzle && lack(task, initial) ? "–" : points.toFixed(2);
   if (element("score").textContent !== now) element("score").textContent = now;  // otherwise screen readers would repeat it
   element("save").disabled = !game?.over || watching || sending || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
   if (game?.failure) say(game.failure);
@@ -310,7 +334,7 @@ function show(initial, scene) {
 /** What is watched. A policy of the page with its mean scores. */
 function watchedWords() {
   const { method } = shown;
-  if (method === EXPERT) return "the expert";
+  if (method === EXPERT) return shown.environment.puzzle ? `demonstration ${shown.seed + 1}` : "the expert";
   if (method.startsWith(DEMO)) return `demonstration ${method.slice(DEMO.length)}`;
   if (method !== BC) return methods[method]?.name ?? "your policy";
   const scores = Object.entries(policies[shown.task]).map(([variant, score]) => `${score.toFixed(2)} in ${variant}`);
@@ -361,6 +385,12 @@ function watch(method) {
   if (method === OWN) return element("policy").click();
   const exists = Object.values(watchable()).flat().some(([value]) => value === method);
   if (!method || (exists && may("expert"))) return play(shown.seed, { method });
+}
+
+/** Shows a demonstration of a puzzle, or another of its scenes for playing. @param {string} task @param {string} variant @param {number} seed */
+function showPuzzle(task, variant, seed) {
+  arena.focus({ preventScroll: true });
+  return choose(task, variant, seed, { method: variant === "Demo" ? EXPERT : "" });
 }
 
 /** Lets the player continue the watched episode from its current state. */
@@ -449,7 +479,7 @@ function seedIn(text) {
 
 /** Shows the scene in the address, or the most similar one with a message. */
 async function chooseByAddress() {
-  const { task, variant, seed, ...how } = parseAddress(location.hash, catalogue);
+  const { task, variant, seed, ...how } = parseAddress(location.hash, { ...catalogue, environments });
   await choose(task, variant, seed, { ...how, isAddress: true });
 }
 
@@ -481,10 +511,10 @@ for (const [id, changed] of Object.entries({ task: changeNames, variant: changeN
 
 function changeNames() {
   const task = element("task").value, variant = element("variant").value;
-  const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  const there = environments.filter((/** @type {Name} */ one) => one.task === task);
   const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
   const { method, shifts } = shown, found = exists ? variant : there[0].variant;
-  const kept = parseAddress(`#${task}-${found}-0?shifts=${shifts}`, catalogue);  // the shifts that the other environment has as well
+  const kept = parseAddress(`#${task}-${found}-0?shifts=${shifts}`, { ...catalogue, environments });  // the shifts that the other environment has as well
   choose(task, found, 0, { method, shifts: kept.unknown ? "" : kept.shifts });
 }
 
@@ -500,7 +530,10 @@ element("policy").onchange = async () => {
   play(shown.seed, { method: OWN });
 };
 for (const [id, press] of Object.entries({ again, next, take, edit: change })) element(id).onclick = () => press();
-element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
+element("want").onclick = () => showPuzzle(drawn(catalogue.puzzles, shown.task), "Demo", 0);
+for (const button of puzzleButtons) button.onclick = () => showPuzzle(shown.task, button.dataset.variant ?? "", Number(button.dataset.seed));
+element("save").onclick = catalogue.collects ? send
+  : () => save(recording({ ...shown, task: shown.environment.puzzle?.task ?? shown.task }, catalogue.protocol), addressOf(shown));
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
@@ -513,7 +546,8 @@ addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
-element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
+showTasks();
+element("want").hidden = !catalogue.puzzles.length;
 element("seed-label").hidden = !seat;
 for (const link of ["inspect", "about", "docs", "edit"]) element(link).hidden = seat !== null;
 if (seat) element("home").removeAttribute("href");

@@ -16,9 +16,9 @@ export function recording({ task, variant, seed, game }, protocol) {
   return { format: FORMAT, protocol, task, variant, seed, actions: game.actions, final: poses(game.now) };
 }
 
-/** Offers a recording as a download. @param {ReturnType<typeof recording>} data */
-export function save(data) {
-  download(`${data.task}-${data.variant}-${data.seed}.json`, new Blob([JSON.stringify(data)], { type: "application/json" }));
+/** Offers a recording as a download. @param {ReturnType<typeof recording>} data @param {string} name */
+export function save(data, name) {
+  download(`${name}.json`, new Blob([JSON.stringify(data)], { type: "application/json" }));
 }
 
 /** @param {string} name @param {Blob} content */

@@ -3,10 +3,12 @@
  * The scenes of an environment, and their simulation in the browser.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./game.js").Episode} Episode
- * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[][]}} Entry
+ * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[][],
+ *   goal?: import("./goal.js").Goal, rivals?: {sentence: string, goal: import("./goal.js").Goal}[]}} Entry
  *   a scene, an expert's actions in it (letters, or vectors of speeds), the indices of its model's elements,
- *   its shifts, its horizon if its body has another one, and the executed actions with slip or latency (see `taking`), a list for each
- * @typedef {{scenes: Entry[], horizon: number, elements?: string[], demonstrations: string[]}} Environment
+ *   its shifts, its horizon if its body has another one, and the executed actions with slip or latency (see `taking`), a list for each;
+ *   goal, rivals: of a puzzle
+ * @typedef {{scenes: Entry[], horizon: number, elements?: string[], demonstrations: string[], puzzle?: import("./puzzles.js").Puzzle}} Environment
  *   horizon: actions of an episode; demonstrations: actions in its only scene
  * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null, taken?: number[][]}, task: string, variant: string) => Promise<Episode>} Opener
  */
@@ -25,12 +27,15 @@ export async function loadEnvironment(task, variant, shifts = "") {
   const names = shifts.split(",").filter(Boolean), placed = names.find((name) => !CHANGED.includes(name.split(":")[0])) ?? "";
   const others = names.filter((name) => name !== placed);
   const [all, changes] = await Promise.all([
-    fetchJson(placed ? `shifted/${task}-${variant}-${placed.split(":")[0]}.json` : `scenes/${task}-${variant}.json`),
+    fetchJson(placed ? `shifted/${task}-${variant}-${placed.split(":")[0]}.json` : `${task.startsWith(PUZZLE) ? "puzzles" : "scenes"}/${task}-${variant}.json`),
     others.length ? fetchJson(`shifted/${task}-${variant}.json`) : null,
   ]);
   const scenes = placed ? all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === placed) : all.scenes;
   return changes ? changed({ ...all, scenes }, names.join("+"), others, changes) : { ...all, scenes };
 }
+
+/** The names of puzzles begin with this. */
+const PUZZLE = "Intent";
 
 /** The axes that change numbers of the model, or the actions, and can be combined with any scene. */
 const CHANGED = ["latency", "slip", "friction"];

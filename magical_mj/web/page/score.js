@@ -7,7 +7,7 @@
  */
 
 /** @param {Region} region @param {{x: number, y: number}} body */
-const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
+export const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
 
 /** Indices of the blocks in a region. @param {Region} region @param {Block[]} blocks */
 const inside = (region, blocks) => [...blocks.keys()].filter((i) => contains(region, blocks[i]));
@@ -131,7 +131,7 @@ function isWithin(region, { shape, x, y, angle }) {
 }
 
 /** The number of blocks in the longest line. @param {Block[]} blocks */
-function longestLine(blocks) {
+export function longestLine(blocks) {
   let longest = 1;
   for (const one of blocks) for (const other of blocks.slice(blocks.indexOf(one) + 1)) {
     const length = Math.hypot(other.x - one.x, other.y - one.y);
@@ -150,22 +150,27 @@ function longestLine(blocks) {
   return longest;
 }
 
+/** The share of correct blocks, from 0 for a half of them to 1. @param {Block[]} blocks @param {(block: Block) => string} kind */
+function clusters(blocks, kind) {
+  const right = rightBlocks(blocks, kind).filter(Boolean);
+  return Math.max(0, (right.length / blocks.length - 0.5) / 0.5);
+}
+
 /**
- * The share of correct blocks. The squared distance of a correct block to the centroid of its kind is less than a third of that to any other.
+ * Whether each block is correct: its squared distance to the centroid of its kind is less than a third of that to any other.
  * @param {Block[]} blocks
  * @param {(block: Block) => string} kind
  */
-function clusters(blocks, kind) {
+export function rightBlocks(blocks, kind) {
   const kinds = [...new Set(blocks.map(kind))];
   const centroids = kinds.map((name) => {
     const members = blocks.filter((block) => kind(block) === name);
     const mean = (/** @type {(block: Block) => number} */ of) => members.reduce((sum, block) => sum + of(block), 0) / members.length;
     return [mean(({ x }) => x), mean(({ y }) => y)];
   });
-  const right = blocks.filter((block) => {
+  return blocks.map((block) => {
     const squares = centroids.map(([x, y]) => (block.x - x) ** 2 + (block.y - y) ** 2);
     const own = squares[kinds.indexOf(kind(block))];
     return squares.every((square, i) => kinds[i] === kind(block) || own < square / 3);
   });
-  return Math.max(0, (right.length / blocks.length - 0.5) / 0.5);
 }

@@ -103,7 +103,7 @@ export class Seat {
   /** @type {Opener} */
   open = async (_environment, { seed }, task, variant) => {
     const open = () => this.ask({ open: { task, variant, seed } });
-    const { scene } = await open();
+    const { scene, goal } = await open();
     let { socket } = this, isOpen = true;  // the connection whose server simulates this episode
     /** @type {number[]} */
     const actions = [];
@@ -118,7 +118,7 @@ export class Seat {
       actions.push(action);
       return moved(scene, poses);
     });
-    return { scene, act, close: () => { isOpen = false; } };
+    return { scene, goal, act, close: () => { isOpen = false; } };
   };
 }
 

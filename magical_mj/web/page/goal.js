@@ -1,0 +1,69 @@
+// @ts-check
+/**
+ * The scores of intents, the same as in magical_mj/intents. Tests compare them. Python selects the blocks: a goal is an
+ * intent in one initial scene, from `magical_mj.web.puzzles.goal_data`.
+ * @typedef {import("./scene.js").Scene} Scene
+ * @typedef {{relation: string, blocks: number[], argument: string | number, number: number, some: boolean}} Conjunct
+ *   blocks: indices of those that the relation is about; argument: the index of a block if it names one
+ * @typedef {Conjunct[] | null} Goal  null: the intent means nothing in the scene
+ */
+import { contains, longestLine, rightBlocks } from "./score.js";
+
+const NEAR = 0.45, APART = 0.7, AT_WALL = 0.3, STAYED = 0.15, CORNER = Math.SQRT2 / 2;  // world units
+/** @type {Record<string, number[]>} */
+const WALLS = { left: [-1, 0], right: [1, 0], bottom: [0, -1], top: [0, 1] };
+/** @type {Record<string, number[]>} */
+const CORNERS = { "top left": [-1, 1], "top right": [1, 1], "bottom left": [-1, -1], "bottom right": [1, -1] };
+
+/** @typedef {{x: number, y: number}} Point */
+/** @param {Point} one @param {Point} other */
+const distance = (one, other) => Math.hypot(one.x - other.x, one.y - other.y);
+/** The chosen direction, or all of them. @param {Record<string, number[]>} all @param {string | number} name */
+const directions = (all, name) => name === "any" ? Object.values(all) : [all[name]];
+/** @param {Point} body @param {string | number} wall @param {Scene} scene */
+const atWall = ({ x, y }, wall, { half_width: half = 1 }) => directions(WALLS, wall).some(([u, v]) => u * x + v * y >= half - AT_WALL);
+
+/** @type {Record<string, (conjunct: Conjunct, initial: Scene, final: Scene) => boolean[]>} relation -> whether it holds, for each object */
+const RELATIONS = {
+  in: ({ blocks, argument }, initial, { regions, blocks: now }) => blocks.map((i) => argument === "home"
+    ? contains(regions[initial.regions.findIndex((region) => contains(region, initial.blocks[i]))], now[i])
+    : regions.some((region) => contains(region, now[i]))),
+  out: ({ blocks }, _, { regions, blocks: now }) => blocks.map((i) => !regions.some((region) => contains(region, now[i]))),
+  exactly: ({ blocks, number }, _, { regions: [region], blocks: now }) => [blocks.filter((i) => contains(region, now[i])).length === number],
+  wall: ({ blocks, argument }, _, final) => blocks.map((i) => atWall(final.blocks[i], argument, final)),
+  corner: ({ blocks, argument }, _, { blocks: now, half_width: half = 1 }) =>
+    blocks.map((i) => directions(CORNERS, argument).some(([u, v]) => distance(now[i], { x: u * half, y: v * half }) <= CORNER)),
+  near: ({ blocks, argument }, _, { blocks: now }) => blocks.map((i) => distance(now[i], now[Number(argument)]) <= NEAR),
+  apart: ({ blocks }, _, { blocks: now }) => blocks.map((i) => blocks.every((k) => k === i || distance(now[i], now[k]) >= APART)),
+  line: ({ blocks }, _, { blocks: now }) => {
+    const right = longestLine(blocks.map((i) => now[i]));
+    return blocks.map((_, i) => i < right);
+  },
+  clustered: ({ blocks, argument }, _, { blocks: now }) => {
+    const right = rightBlocks(now, (block) => argument === "colour" ? block.colour : block.shape);
+    return blocks.map((i) => right[i]);
+  },
+  untouched: ({ blocks }, initial, { blocks: now }) => blocks.map((i) => distance(initial.blocks[i], now[i]) <= STAYED),
+  "robot in": (_, __, { regions: [region], robot }) => [contains(region, robot)],
+  "robot near": ({ argument }, _, { robot, blocks }) => [distance(robot, blocks[Number(argument)]) <= NEAR],
+  "robot wall": ({ argument }, _, final) => [atWall(final.robot, argument, final)],
+};
+
+/** The mean over the relations of the share of objects for which each holds. @param {Goal} goal @param {Scene} initial @param {Scene} final */
+function share(goal, initial, final) {
+  if (!goal) return 0;
+  const shares = goal.map((conjunct) => {
+    const all = RELATIONS[conjunct.relation](conjunct, initial, final), parts = conjunct.some ? [all.includes(true)] : all;
+    return parts.length ? parts.filter(Boolean).length / parts.length : 1;
+  });
+  return shares.every((part) => part === 1) ? 1 : shares.reduce((sum, part) => sum + part) / shares.length;
+}
+
+/** Whether an intent holds in a final scene. @param {Goal} goal @param {Scene} initial @param {Scene} final */
+export const holds = (goal, initial, final) => share(goal, initial, final) === 1;
+
+/** The score of a final scene, in [0, 1]. @param {Goal} goal @param {Scene} initial @param {Scene} final */
+export function goalScore(goal, initial, final) {
+  const now = share(goal, initial, final), before = share(goal, initial, initial);
+  return now === 1 ? 1 : before === 1 ? 0 : Math.max(0, (now - before) / (1 - before));
+}
