@@ -407,20 +407,24 @@ def check_spec(spec: Any, task: str) -> None:
                 f"the demo scene of {spec.name} is solved at the start: a policy that does nothing scores 1.0 in it",
                 stacklevel=2,
             )
-        for variant in variants_of(spec):
-            drawn = vary(spec, variant, 0)
-            check_drawn(spec, variant, 0, drawn)
-            if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
-                raise TaskError(
-                    f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
-                    "except those of the given generator"
-                )
+        _check_variants(spec)
     except TaskError:
         raise
     except MagicalError as error:
         raise TaskError(f"{task} is invalid: {error}{location(error)}") from error
     except Exception as error:
         raise TaskError(f"{task} is invalid: {with_location(error)}") from error
+
+
+def _check_variants(spec: TaskSpec) -> None:
+    for variant in variants_of(spec):
+        drawn = vary(spec, variant, 0)
+        check_drawn(spec, variant, 0, drawn)
+        if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
+            raise TaskError(
+                f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
+                "except those of the given generator"
+            )
 
 
 def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
