@@ -78,7 +78,7 @@ the four of MoveToCorner-Colour, have the same scenes in both."""
 Names = str | Iterable[str]
 """Names as a list, or as one string separated by commas. "all" means all of them."""
 
-TASK_GROUP: Final = "magical_mj.tasks"
+ENTRY_POINTS: Final = "magical_mj.tasks"
 """The entry-point group for tasks of installed packages, such as ``PushOut = "push_out:SPEC"``."""
 _SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
 """How a module defines a task."""
@@ -340,7 +340,7 @@ def _check_same(initial: Scene, final: Scene) -> None:
 @cache
 def task_plugins() -> Mapping[str, EntryPoint]:
     """The entry points of announced tasks by the tasks' names."""
-    return announced("task", TASK_GROUP, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
+    return announced("task", ENTRY_POINTS, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
 
 
 def announced_name(task: str) -> str:
