@@ -20,7 +20,7 @@ if sys.platform == "linux":
     os.environ.setdefault("MUJOCO_GL", "egl")
 
 import magical_mj
-from magical_mj.rendering.libraries import load_triton
+from magical_mj.rendering.backend import load_triton
 from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES
 

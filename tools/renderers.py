@@ -30,7 +30,7 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.canvas import opengl_name
-from magical_mj.rendering.opengl import FlatRenderer
+from magical_mj.rendering.opengl import OpenGLRenderer
 from magical_mj.rendering.software import SoftwareRenderer
 from magical_mj.scene.state_vector import VIEWS
 
@@ -72,7 +72,7 @@ def compare(task: str, variant: str, seeds: int, count: int) -> np.ndarray:
     for seed in range(seeds):
         opengl = software = None
         for model, data in states(task, variant, seed, count):
-            opengl, software = opengl or FlatRenderer(model), software or SoftwareRenderer(model)
+            opengl, software = opengl or OpenGLRenderer(model), software or SoftwareRenderer(model)
             for view in VIEWS:
                 a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
                 levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)

@@ -98,14 +98,14 @@ class Demonstration:
 
     def scenes(self) -> list[Scene]:
         """The scenes before the first and after each action."""
-        world = SceneModel(self.scene)
-        return [world.read(qpos) for qpos in self.qpos]
+        model = SceneModel(self.scene)
+        return [model.read(qpos) for qpos in self.qpos]
 
     def rescored(self, step: int | None = None) -> float:
         """The score after this number of steps, computed from the states. None: at the end."""
-        world, last = SceneModel(self.scene), len(self.actions) if step is None else step
+        model, last = SceneModel(self.scene), len(self.actions) if step is None else step
         first = 1 if task_spec(self.task).trajectory else last
-        return score_trajectory(self.task, (self.scene, *map(world.read, self.qpos[first : last + 1])))
+        return score_trajectory(self.task, (self.scene, *map(model.read, self.qpos[first : last + 1])))
 
 
 HEADER_FIELDS: Final = {name: kind for name, kind in annotated(Demonstration).items() if name not in (*ARRAYS, "scene")}

@@ -73,7 +73,7 @@ def stream(
 
 def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | None = None) -> Observations:
     """The observations of the preset before the first and after each action: steps + 1 rows."""
-    kind, world = preset_named(preset), SceneModel(demo.scene)
+    kind, model = preset_named(preset), SceneModel(demo.scene)
     with np.errstate(all="ignore"):  # underflow to 0 in float32 is expected, even if the caller makes it an error
         if kind.layout == "state" and task_spec(demo.task).speeds and not kind.start:
             return np.array([state_vector(scene) for scene in demo.scenes()])
@@ -81,7 +81,7 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
             encode = StateEncoder(demo.scene, start=kind.start)
             states = zip(demo.qpos, demo.qvel, strict=True)
             return np.array(
-                [encode(world.poses(qpos), world.velocities(qvel), world.fingers(qpos)) for qpos, qvel in states]
+                [encode(model.poses(qpos), model.velocities(qvel), model.fingers(qpos)) for qpos, qvel in states]
             )
         stacks = Stacks(kind, kind.image_size)
         rows: dict[str, NDArray[Any]] = {
@@ -96,5 +96,5 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         if kind.layout != "dict":
             return next(iter(rows.values()))
         if kind.fingers:
-            rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
+            rows["fingers"] = np.array([model.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows

@@ -32,7 +32,7 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, as_integer, short_repr
 
 SUFFIX: Final = ".pkl.gz"
-MOST_BYTES: Final = 200_000_000
+MOST_PACKED: Final = 200_000_000
 """The size of the largest file that is read."""
 MOST_UNPACKED: Final = 500_000_000
 """The size of the largest content: pictures of 384 x 384 take about 200 MB in the longest episodes."""
@@ -126,7 +126,7 @@ def loaded(path: Path) -> Any:
         DemonstrationError: if the file holds or refers to anything else, is damaged, or too large.
         OSError: if it cannot be read.
     """
-    packed = files.read_foreign(path, most=MOST_BYTES, error=DemonstrationError)
+    packed = files.read_foreign(path, most=MOST_PACKED, error=DemonstrationError)
     try:
         with gzip.open(io.BytesIO(packed)) as file:
             content = file.read(MOST_UNPACKED + 1)

@@ -413,5 +413,5 @@ def _path(demo: Demonstration) -> NDArray[np.float64]:
 
 def _poses(demo: Demonstration) -> NDArray[np.float64]:
     """The poses of the robot and the blocks at each time. Shape (steps + 1, 1 + blocks, 3)."""
-    world = SceneModel(demo.scene)
-    return np.array([world.poses(qpos) for qpos in demo.qpos])
+    model = SceneModel(demo.scene)
+    return np.array([model.poses(qpos) for qpos in demo.qpos])

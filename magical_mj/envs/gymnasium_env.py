@@ -125,8 +125,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         task_spec(task).check_reward(reward)
         self.reward: Reward = reward
         self._remaining = 0.0  # before the last step, for dense rewards
-        world: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
-        self._engine = Engine(task, variant, seed=0, speeds=action == "speeds", **world)
+        settings: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
+        self._engine = Engine(task, variant, seed=0, speeds=action == "speeds", **settings)
         self._limit = self._engine.setup.horizon or 0
         if limit is not None:
             self.limit = limit

@@ -101,7 +101,7 @@ def _register_xmagical() -> None:
             gymnasium.registry[id_] = EnvSpec(
                 id_,
                 entry_point=f"magical_mj.envs.xmagical:{'XMagicalEnv' if own else 'SpeedsEnv'}",
-                vector_entry_point=f"magical_mj.envs.xmagical:make_{'suite' if own else 'speed'}_worlds",
+                vector_entry_point=f"magical_mj.envs.xmagical:make_{'suite' if own else 'speed'}_vector",
                 kwargs=kwargs if own else {"task": spec.name, **kwargs},
                 max_episode_steps=spec.horizon("paper", body),
                 additional_wrappers=AT_THE_END,
@@ -117,7 +117,7 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
         registry[id_] = EnvSpec(
             id_,
             entry_point="magical_mj:MagicalEnv",
-            vector_entry_point="magical_mj.envs.vector:make_worlds",
+            vector_entry_point="magical_mj.envs.vector:make_vector",
             kwargs={"task": task, "variant": variant, "preset": preset},
             max_episode_steps=steps,
             additional_wrappers=AT_THE_END,

@@ -39,7 +39,7 @@ def make_vec(
         num_envs: the number of environments.
         variant: the task's variant; ids contain theirs.
         preset: the observation preset; ids contain theirs.
-        settings: the arguments of `make_worlds` and of `MagicalEnv`.
+        settings: the arguments of `make_vector` and of `MagicalEnv`.
 
     Example:
         >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
@@ -50,7 +50,7 @@ def make_vec(
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 
 
-def make_worlds(
+def make_vector(
     kind: Callable[..., MagicalEnv] = MagicalEnv,
     *,
     num_envs: int = 1,

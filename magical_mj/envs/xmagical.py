@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, Observation
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import Preset
-from magical_mj.envs.vector import make_worlds
+from magical_mj.envs.vector import make_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.spec import Rules
 from magical_mj.tasks.sweep_to_top import REWARDS, SPEC, RewardKind, arrived, dense_reward, original_scene, state_vector
@@ -200,6 +200,6 @@ class XMagicalEnv(SpeedsEnv):
         return {"eval_score": np.float64(score), "is_success": np.array(score == 1.0), "in_zone": inside}
 
 
-make_suite_worlds: Final = partial(make_worlds, XMagicalEnv)
-make_speed_worlds: Final = partial(make_worlds, SpeedsEnv)
+make_suite_vector: Final = partial(make_vector, XMagicalEnv)
+make_speed_vector: Final = partial(make_vector, SpeedsEnv)
 """The vector entry points of the ids, which `gymnasium.make_vec` calls."""

@@ -85,7 +85,7 @@ class EvaluationSettings(Settings):
         Count | None,
         Meta(
             description="Number of worker processes; by default one per core, if there is enough work. With 1, "
-            "everything is played in this process; worlds of a policy that acts in batches are stepped on all cores."
+            "everything is played in this process; environments of a policy that acts in batches use all cores."
         ),
     ] = None
     backend: Annotated[Backend, Meta(description="Where the workers run: on this machine or on a cluster.")] = "local"

@@ -32,7 +32,7 @@ _Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float
 
 
 class TrainingEnvs(VecEnv):
-    """The environments of a run, for stable-baselines3: single environments on all cores, or one batch of worlds.
+    """The environments of a run, for stable-baselines3: single environments on all cores, or one batch.
 
     `single` contains the spaces of one environment's observations and actions.
 
@@ -81,18 +81,18 @@ class TrainingEnvs(VecEnv):
         if self._history:
             last = self._history.add(last)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for world in np.flatnonzero(ended):
-            infos[world] = {
-                "terminal_observation": {OBSERVATION: last[world], TASK: self._one_hot[world]},
-                "TimeLimit.truncated": not broken[world],  # a broken state is a termination
-                "eval_score": float(scores[world]),
+        for number in np.flatnonzero(ended):
+            infos[number] = {
+                "terminal_observation": {OBSERVATION: last[number], TASK: self._one_hot[number]},
+                "TimeLimit.truncated": not broken[number],  # a broken state is a termination
+                "eval_score": float(scores[number]),
             }
         self._restart(ended, observations)
         return self._observations(observations), np.zeros(self.num_envs, np.float32), ended, infos
 
-    def _restart(self, worlds: NDArray[np.bool_], observations: NDArray[Any]) -> None:
+    def _restart(self, chosen: NDArray[np.bool_], observations: NDArray[Any]) -> None:
         if self._history:
-            self._history.restart(worlds, observations)
+            self._history.restart(chosen, observations)
 
     def _observations(self, observations: NDArray[Any]) -> Observations:
         return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
@@ -115,11 +115,11 @@ class LocalEnvs(TrainingEnvs):
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        worlds = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
-        self._envs = VectorEnv(worlds, autoreset_mode=AutoresetMode.DISABLED)
+        envs = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
+        self._envs = VectorEnv(envs, autoreset_mode=AutoresetMode.DISABLED)
         super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
         self._episodes = np.full(self.num_envs, -1)
-        self._taken = [list[int]() for _ in worlds]
+        self._taken = [list[int]() for _ in envs]
 
     def reset(self) -> Observations:
         """Begins the next episodes, the first ones with random actions."""
@@ -135,9 +135,9 @@ class LocalEnvs(TrainingEnvs):
         observations = last
         if ended.any():
             self._episodes[ended] += 1
-            for world in np.flatnonzero(ended):
-                self._taken[world] = []
-            seeds = [self._scene_seed(world) if ends else None for world, ends in enumerate(ended)]
+            for number in np.flatnonzero(ended):
+                self._taken[number] = []
+            seeds = [self._scene_seed(number) if ends else None for number, ends in enumerate(ended)]
             observations, _ = self._envs.reset(seed=seeds, options={"reset_mask": ended})
         return observations, ended, last, infos["eval_score"], np.zeros_like(ended)
 
@@ -148,8 +148,8 @@ class LocalEnvs(TrainingEnvs):
 
     def set_state(self, state: Sequence[dict[str, Any]]) -> Observations:
         """Restores a state by replaying its actions."""
-        self._episodes = np.array([world["episode"] for world in state])
-        return self._replay([world["actions"].tolist() for world in state])
+        self._episodes = np.array([env["episode"] for env in state])
+        return self._replay([env["actions"].tolist() for env in state])
 
     def close(self) -> None:
         """Frees the simulations."""
@@ -161,14 +161,14 @@ class LocalEnvs(TrainingEnvs):
         rows: list[Any] = [None] * self.num_envs
         histories: list[History | None] = [None] * self.num_envs
 
-        def replay(world: int) -> None:
-            env = self._envs.envs[world]
-            rows[world], _ = env.reset(seed=self._scene_seed(world))
-            history = histories[world] = History(rows[world]) if self._states else None
-            for action in actions[world]:
-                rows[world] = env.step(action)[0]
+        def replay(number: int) -> None:
+            env = self._envs.envs[number]
+            rows[number], _ = env.reset(seed=self._scene_seed(number))
+            history = histories[number] = History(rows[number]) if self._states else None
+            for action in actions[number]:
+                rows[number] = env.step(action)[0]
                 if history:
-                    history.add(rows[world])
+                    history.add(rows[number])
 
         self._envs.each_environment(replay)
         observations = np.stack(rows)
@@ -177,15 +177,15 @@ class LocalEnvs(TrainingEnvs):
             self._history.states = np.stack([history.states for history in histories if history])
         return self._observations(observations)
 
-    def _scene_seed(self, world: int) -> int:
-        return int(self._rng(world).integers(2**63))
+    def _scene_seed(self, number: int) -> int:
+        return int(self._rng(number).integers(2**63))
 
-    def _rng(self, world: int) -> np.random.Generator:
-        return np.random.default_rng([self._seed, world, int(self._episodes[world])])
+    def _rng(self, number: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, number, int(self._episodes[number])])
 
 
 class BatchedEnvs(TrainingEnvs):
-    """All environments of a run as worlds of one batch, on the learner's device.
+    """All environments of a run in one batch, on the learner's device.
 
     Observations are copied to the host, where stable-baselines3 keeps rollouts.
     """
@@ -204,7 +204,7 @@ class BatchedEnvs(TrainingEnvs):
         super().__init__(settings, (self._batch.single_observation_space, self._batch.single_action_space))
 
     def reset(self) -> Observations:
-        """Starts the worlds at different steps, so that their random actions end together."""
+        """Starts the environments at different steps, so that their random actions end together."""
         rng = np.random.default_rng(self._seed)
         observations, _ = self._arrays.reset()
         self._history = History(observations) if self._states else None
@@ -223,7 +223,7 @@ class BatchedEnvs(TrainingEnvs):
         return observations, ended, last, final["eval_score"], final["broken"]
 
     def get_state(self) -> dict[str, Any]:
-        """The state of all worlds."""
+        """The state of all environments."""
         return {"worlds": self._arrays.get_state(), "history": self._history and self._history.states}
 
     def set_state(self, state: dict[str, Any]) -> Observations:

@@ -1,23 +1,23 @@
 """The choice between OpenGL and the software renderer, and of OpenGL's backend.
 
-The backend is chosen when it is first needed. mujoco and dm_control read MUJOCO_GL when they are imported. Here,
-contexts come from mujoco's module for the chosen backend. So the order of imports does not matter, and no variable is
-changed.
+The backend is chosen at the first picture. mujoco and dm_control read MUJOCO_GL when they are imported. Here, contexts
+come from mujoco's module for the chosen backend, so the order of imports does not matter.
 """
 
 from __future__ import annotations
 
 import atexit
-import importlib
+import ctypes
+import importlib.util
 import os
-import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
-from magical_mj.rendering.libraries import load_triton, osmesa_works
 from magical_mj.utils.errors import check_name
 
 RendererName = Literal["opengl", "software"]
@@ -27,19 +27,14 @@ VARIABLE: Final = "MAGICAL_MJ_RENDERER"
 """The environment variable with the renderer of the whole process."""
 
 HEADLESS: Final = ("egl", "osmesa")
-"""The backends that need no display. The first is tried first."""
-SIDE: Final = 64
-"""Side of a context's own picture, in pixels. Our pictures are drawn into other buffers."""
+"""The backends that need no display."""
 PACKAGES: Final = {"egl": "libegl1, libgl1-mesa-dri", "osmesa": "libosmesa6"}
 REMEDY: Final = (
     f"Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: "
     f"{PACKAGES['egl']}), osmesa (package: {PACKAGES['osmesa']}) or, with a display, glfw."
 )
-NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"
-OFF: Final = ("off", "disable", "disabled", "false", "0")
-KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", *OFF, *HEADLESS)
-"""The values of MUJOCO_GL that mujoco and dm_control accept."""
-_TRY_EGL: Final = "from mujoco.egl import GLContext; GLContext(1, 1).make_current()"
+STARTING: Final = threading.RLock()
+"""Held while OpenGL starts: drivers have crashed when two threads drew their first frames at once."""
 
 
 class Backend(NamedTuple):
@@ -84,13 +79,16 @@ def has_display() -> bool:
 
 @cache
 def opengl() -> Backend:
-    """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL, OSMesa or GLFW, whichever starts first."""
+    """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL or, if that does not start, GLFW."""
+    with STARTING:
+        return _chosen()
+
+
+@cache
+def _chosen() -> Backend:
     wanted = wanted_backend()
     if wanted or sys.platform != "linux":
         return _started(wanted)
-    # PyOpenGL cannot change its platform. So if there is a choice, another process tries EGL.
-    if osmesa_works() and subprocess.run([sys.executable, "-c", _TRY_EGL], capture_output=True, check=False).returncode:
-        return _started("osmesa")
     egl = _started("egl")
     return _started("glfw") if egl.problem and has_display() else egl
 
@@ -98,12 +96,10 @@ def opengl() -> Backend:
 def _started(name: str) -> Backend:
     """The backend of this name, after a test whether it can make a context."""
     load_triton()
-    problem = _known_problem(name)
     try:
-        if not problem:
-            with ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
-                thread.submit(lambda: new_context(name).free()).result()
-            return Backend(name)
+        with ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
+            thread.submit(lambda: new_context(name).free()).result()
+        return Backend(name)
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
         problem = " ".join(str(error).split()).rstrip(".")
     device = os.environ.get("MUJOCO_EGL_DEVICE_ID")
@@ -112,39 +108,16 @@ def _started(name: str) -> Backend:
     return Backend(name, f"{source}: {problem}{suffix}")
 
 
-def _known_problem(name: str) -> str:
-    if name in OFF:
-        return "it switches OpenGL off"
-    if name and name not in KNOWN:
-        return "mujoco does not know it"
-    if name == "osmesa" and not osmesa_works():
-        return "its library is missing"
-    if sys.platform == "linux" and name not in HEADLESS and not has_display():
-        return "GLFW needs a display"
-    return "on macOS it draws in the main thread only" if sys.platform == "darwin" and name == "glfw" else ""
-
-
-def new_context(name: str = "") -> Any:
-    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so.
-
-    If this starts Mesa's software OpenGL, it uses no threads, which is faster for small pictures. The variable for that
-    is reset afterwards, so that other processes can use threads.
-
-    Args:
-        name: the backend; "" means the chosen one, see `opengl`.
-    """
-    name = name or opengl().name
-    before = {variable: os.environ.get(variable) for variable in ("LP_NUM_THREADS", "PYOPENGL_PLATFORM")}
-    os.environ.setdefault("LP_NUM_THREADS", "0")
+def new_context(name: str) -> Any:
+    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so."""
+    missing = {"LP_NUM_THREADS", "PYOPENGL_PLATFORM"} - os.environ.keys()
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL draws small pictures faster without threads
     try:
         with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
-            context = thread.submit(_context_class(name), SIDE, SIDE).result()
+            context = thread.submit(_context_class(name), 64, 64).result()  # our pictures are drawn into other buffers
     finally:
-        for variable, value in before.items():
-            if value is None:
-                os.environ.pop(variable, None)
-            else:
-                os.environ[variable] = value
+        for variable in missing:
+            os.environ.pop(variable, None)
     if name == "egl":
         from OpenGL import EGL
 
@@ -157,6 +130,12 @@ def new_context(name: str = "") -> Any:
 def _context_class(name: str) -> type[Any]:
     """MuJoCo's class of contexts. Freeing one never fails: at exit, other code may have closed EGL before."""
     module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
+    if not hasattr(module, "GLContext"):
+        raise RuntimeError("it switches OpenGL off, or mujoco does not know it")
+    if name not in HEADLESS and sys.platform == "linux" and not has_display():
+        raise RuntimeError("GLFW needs a display")
+    if name == "glfw" and sys.platform == "darwin":
+        raise RuntimeError("on macOS it draws in the main thread only")
 
     class Context(module.GLContext):
         def free(self) -> None:
@@ -164,3 +143,22 @@ def _context_class(name: str) -> type[Any]:
                 super().free()
 
     return Context
+
+
+@cache
+def load_triton() -> None:
+    """Loads Triton's library, if it is installed, before an OpenGL driver is loaded. It takes 0.05 s.
+
+    PyTorch's CUDA builds include Triton, and their optimisers import it. It contains LLVM, as Mesa's drivers do. If
+    Mesa's LLVM is loaded first, Triton calls functions of that one, and the process crashes. If other code, such as
+    mujoco's renderer, has already loaded a driver, this does nothing.
+    """
+    if sys.platform != "linux" or (package := importlib.util.find_spec("triton")) is None:
+        return
+    with suppress(OSError):
+        if "libLLVM" in Path("/proc/self/maps").read_text():
+            return
+    for folder in package.submodule_search_locations or ():
+        for library in Path(folder).glob("_C/libtriton*.so"):
+            with suppress(OSError):
+                ctypes.CDLL(str(library), os.RTLD_NOW | os.RTLD_LOCAL)

@@ -1,47 +1,88 @@
-"""Pictures of one model by OpenGL: the flat views in exact colours, and the view "scene" in 3-D.
+"""Pictures of one model by MuJoCo and OpenGL: the flat views in exact colours, and the view "scene" in 3-D.
 
 On software OpenGL every drawn pixel costs time. Flat pictures are cheap because of this:
 
 - They are drawn at twice the size and averaged 2 x 2: cheaper than multisampling, and closer to the original.
 - The floor, which is white, is not drawn: pixels without a geom (alpha 0) become white afterwards.
+- There are no lights, shadows, reflections, haze and sky, and no shadow map, which takes 100 MB.
+- There is no depth buffer, which takes a fifth of the time: geoms are drawn in the order in which the model lists them,
+  static ones first. Their heights have the same order, so viewers with a depth buffer show the same picture.
+
+A drawing context (`MjrContext`) holds the meshes, textures and skins of a model, and draws all models that have the
+same ones. Most models of this package differ only in the number of regions, so each canvas needs only a few.
 """
 
 from __future__ import annotations
 
+from copy import copy
+from hashlib import blake2b
 from typing import Final
 
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.canvas import CANVASES, Canvas
-from magical_mj.rendering.drawing import Drawing
-from magical_mj.rendering.picture import Picture
+from magical_mj.rendering.canvas import CANVASES, NO_OPENGL, Canvas
+from magical_mj.rendering.picture import IS_DRAWN, Picture
+from magical_mj.scene.state_vector import SOLID_VIEW
+from magical_mj.utils.errors import RenderingError
 
 OVERSAMPLING: Final = 2
-"""Drawn pixels per side of a picture's pixel."""
+"""Drawn pixels per side of a picture's pixel; in the view "scene" twice as many, for smooth slanted edges."""
+KEPT: Final = 8
+"""Drawing contexts of a canvas, of 4 MB each without shadows."""
+TRANSLUCENT: Final = (
+    "the views ego and allo show opaque geoms only, and these are translucent: {names}. Give them an alpha of 1, or a "
+    "group that these views do not show, such as group=4"
+)
+_OFFSCREEN: Final = mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value
+_STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+_ALL: Final = mujoco.mjtCatBit.mjCAT_ALL.value
+_GEOM: Final = mujoco.mjtObj.mjOBJ_GEOM.value
+_ASSETS: Final = (
+    *("mesh_vertnum", "mesh_facenum", "mesh_vert", "mesh_normal", "mesh_face", "mesh_facenormal", "mesh_graph"),
+    *("mesh_texcoord", "mesh_facetexcoord", "tex_type", "tex_height", "tex_width", "tex_nchannel", "tex_data"),
+    *("hfield_nrow", "hfield_ncol", "hfield_size", "hfield_data", "skin_vertnum", "skin_face", "skin_texcoord"),
+    *("flex_dim", "flex_vertnum", "flex_edge", "flex_elem", "flex_shell", "flex_texcoord", "mat_texrepeat"),
+)
+"""What a drawing context copies from a model."""
 _EACH: Final = np.uint64(0x0001_0001_0001_0001)
 """One in each quarter of a word: red, green, blue, alpha, lowest first."""
 _EACH_COLOUR: Final = np.uint64(0x0000_0001_0001_0001)
 
 
-class FlatRenderer:
-    """Draws what the cameras ego and allo see of one model. Cheap to make; OpenGL starts at the first picture."""
+class OpenGLRenderer:
+    """Draws one model. Cheap to make; OpenGL starts at the first picture.
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model, self._drawing = model, Drawing(model, lit=False)
-        self._cameras: dict[str, mujoco.MjvCamera] = {}
+    Args:
+        model: the model.
+        lit: whether it draws the view "scene", with everything that MuJoCo's viewers show at first, or flat views,
+            with the geoms and skins that the cameras ego and allo see.
+    """
 
-    def start(self) -> None:
-        """Starts OpenGL. Raises a `RenderingError` if it does not work here."""
-        CANVASES.draw(self._drawing.context)
+    def __init__(self, model: mujoco.MjModel, *, lit: bool = False) -> None:
+        self._model, self._lit, self._kind = model, lit, b""
+        self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
+        room = 2 * (model.ngeom + model.nsite + model.nskin + model.nflex + model.nwrap + model.nsensor)
+        self._scene = mujoco.MjvScene(model, room)
+        self._cameras = {SOLID_VIEW: mujoco.MjvCamera()}
+        mujoco.mjv_defaultFreeCamera(model, self._cameras[SOLID_VIEW])
+        if not lit:
+            self._option.geomgroup[:] = self._option.skingroup[:] = IS_DRAWN
+            self._option.sitegroup[:] = self._option.tendongroup[:] = 0
+            self._scene.flags[:] = 0
 
     def draw(
         self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
     ) -> Picture:
-        """A picture from a camera of the model, as `rendering.renderer.Views.draw`."""
+        """A picture from a camera of the model or of the view "scene", as `rendering.renderer.Views.draw`."""
 
         def paint(canvas: Canvas) -> Picture:
-            pixels = self._drawing.draw(canvas, data, self._camera(camera), OVERSAMPLING * size)
+            if self._lit:
+                twice = on_white(self._pixels(canvas, data, camera, 2 * OVERSAMPLING * size))
+                picture = np.empty((size, size, 3), np.uint8) if out is None else out
+                picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
+                return picture
+            pixels = self._pixels(canvas, data, camera, OVERSAMPLING * size)
             if bare is not None:
                 empty = (pixels[::-1, :, 3] == 0).reshape(size, OVERSAMPLING, size, OVERSAMPLING)
                 empty.sum(axis=(1, 3), dtype=np.uint8, out=bare)
@@ -49,31 +90,79 @@ class FlatRenderer:
 
         return CANVASES.draw(paint)
 
-    def _camera(self, name: str) -> mujoco.MjvCamera:
-        if name not in self._cameras:
+    def _pixels(self, canvas: Canvas, data: mujoco.MjData, camera: str, side: int) -> Picture:
+        """Red, green, blue, alpha; bottom row first. Shape (side, side, 4).
+
+        Alpha is 0, like the colours, where nothing was drawn. The canvas's next picture overwrites the array.
+        """
+        from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0  # the whole `OpenGL.GL` takes 85 ms and 6 MB
+
+        self._set_up(data, camera)
+        context = self._context(canvas)
+        resized = context.offWidth != side
+        if resized:  # the whole buffer, which is cleared for each picture
+            mujoco.mjr_resizeOffscreen(side, side, context)
+        mujoco.mjr_setBuffer(_OFFSCREEN, context)
+        if resized and not self._lit:
+            depth = GL_3_0.GL_DEPTH_STENCIL_ATTACHMENT, GL_3_0.GL_RENDERBUFFER, 0
+            GL_3_0.glFramebufferRenderbuffer(GL_3_0.GL_FRAMEBUFFER, *depth)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, side, side), self._scene, context)
+        if len(canvas.pixels) != side:
+            canvas.pixels = np.empty((side, side, 4), np.uint8)
+        # MuJoCo's own mjr_readPixels has no alpha, and is slower.
+        GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, canvas.pixels)
+        if self._lit:
+            alpha = canvas.pixels[..., 3]
+            alpha[alpha > 0] = 255  # of translucent geoms
+        return canvas.pixels
+
+    def _set_up(self, data: mujoco.MjData, name: str) -> None:
+        """Writes what a camera sees into the scene."""
+        if (camera := self._cameras.get(name)) is None:
             camera = self._cameras[name] = mujoco.MjvCamera()
             camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera(name).id
-        return self._cameras[name]
+        model, scene, option, perturbation = self._model, self._scene, self._option, self._perturbation
+        mujoco.mjv_updateScene(model, data, option, perturbation, camera, _ALL if self._lit else _STILL, scene)
+        if self._lit:
+            return
+        mujoco.mjv_addGeoms(model, data, option, perturbation, _MOVING, scene)
+        scene.nlight, light = 1, scene.lights[0]
+        light.ambient, light.diffuse, light.specular = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if not self._kind:  # the first picture
+            geoms = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] < 1 and geom.objtype == _GEOM]
+            if names := ", ".join(model.geom(geom.objid).name or f"geom {geom.objid}" for geom in geoms):
+                raise RenderingError(TRANSLUCENT.format(names=names))
 
+    def _context(self, canvas: Canvas) -> mujoco.MjrContext:
+        """The canvas's drawing context for models of this kind."""
+        self._kind = self._kind or self._kind_of()
+        context = canvas.drawings.pop(self._kind, None)
+        if context is None:
+            if len(canvas.drawings) >= KEPT:
+                canvas.drawings.pop(next(iter(canvas.drawings))).free()
+            model = copy(self._model)
+            model.vis.quality.offsamples = 0
+            model.vis.global_.offwidth = model.vis.global_.offheight = 1  # the first picture gives it its size
+            if not self._lit:
+                model.vis.quality.shadowsize = 0
+            try:
+                context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            except Exception as error:
+                raise RenderingError(NO_OPENGL.format(error=error)) from error
+        canvas.drawings[self._kind] = context
+        return context
 
-class SolidRenderer:
-    """Draws one model in 3-D with lights and shadows, as MuJoCo's viewers show it at first."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._drawing, self._camera = Drawing(model, lit=True), mujoco.MjvCamera()
-        mujoco.mjv_defaultFreeCamera(model, self._camera)
-
-    def draw(self, data: mujoco.MjData, size: int, out: Picture | None = None) -> Picture:
-        """A picture, as `rendering.renderer.Views.draw`."""
-
-        def paint(canvas: Canvas) -> Picture:
-            pixels = self._drawing.draw(canvas, data, self._camera, 4 * size)
-            twice = on_white(pixels).reshape(size, 2, size, 2, 3)  # for smooth slanted edges
-            picture = np.empty((size, size, 3), np.uint8) if out is None else out
-            picture[:] = (twice.sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
-            return picture
-
-        return CANVASES.draw(paint)
+    def _kind_of(self) -> bytes:
+        """A digest that is the same for all models that one drawing context can draw."""
+        planes = self._model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
+        if not self._lit:
+            planes &= IS_DRAWN.take(self._model.geom_group, mode="clip")
+        arrays = [getattr(self._model, name) for name in _ASSETS]
+        digest = blake2b(bytes([self._lit]), digest_size=16)
+        for array in (*arrays, self._model.geom_size[planes], self._model.geom_matid[planes]):
+            digest.update(f"{array.shape}".encode())
+            digest.update(array.tobytes())
+        return digest.digest()
 
 
 def on_white(pixels: Picture, out: Picture | None = None) -> Picture:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import mujoco
 
-from magical_mj.rendering.backend import check_renderer
-from magical_mj.rendering.canvas import FORKED
-from magical_mj.rendering.opengl import FlatRenderer, SolidRenderer
+from magical_mj.rendering.backend import check_renderer, opengl
+from magical_mj.rendering.canvas import NO_OPENGL
+from magical_mj.rendering.opengl import OpenGLRenderer
 from magical_mj.rendering.picture import Picture
 from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
 from magical_mj.utils.errors import RenderingError
@@ -37,9 +37,7 @@ class Views:
     ) -> None:
         self.model, self._cameras = model, cameras
         self._wanted = check_renderer(renderer)
-        self._flat: FlatRenderer | SoftwareRenderer | None = None
-        self._segments: SoftwareRenderer | None = None
-        self._solid: SolidRenderer | None = None
+        self._drawn: dict[str, OpenGLRenderer | SoftwareRenderer] = {}
 
     def draw(
         self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None, bare: Picture | None = None
@@ -57,31 +55,21 @@ class Views:
         Raises:
             RenderingError: if OpenGL is needed and does not work here.
         """
-        if view in SEGMENTATIONS:
-            self._segments = self._segments or _software(self.model)
-            return self._segments.draw(data, view, size, out)
-        if view == SOLID_VIEW:
-            self._solid = self._solid or SolidRenderer(self.model)
-            return self._solid.draw(data, size, out)
-        self._flat = self._flat or self._choose()
-        return self._flat.draw(data, self._cameras.get(view, view), size, out, bare)
+        kind = view if view == SOLID_VIEW else "segments" if view in SEGMENTATIONS else "flat"
+        renderer = self._drawn.get(kind) or self._drawn.setdefault(kind, self._choose(kind))
+        return renderer.draw(data, self._cameras.get(view, view), size, out, bare)
 
-    def _choose(self) -> FlatRenderer | SoftwareRenderer:
-        if self._wanted == "software":
+    def _choose(self, kind: str) -> OpenGLRenderer | SoftwareRenderer:
+        if kind == "segments":
+            return _software(self.model)
+        problem = opengl().problem if self._wanted is None else ""
+        if kind == "flat" and (problem or self._wanted == "software"):
             with contextlib.suppress(RenderingError):  # if users have changed the model
-                return _software(self.model)
-            return FlatRenderer(self.model)
-        try:
-            renderer = FlatRenderer(self.model)
-            renderer.start()
-            return renderer
-        except RenderingError as error:
-            if self._wanted != "opengl" and str(error) != FORKED:
-                with contextlib.suppress(RenderingError):
-                    renderer = _software(self.model)
-                    _warn(str(error))
-                    return renderer
-            raise
+                renderer = _software(self.model)
+                if problem:
+                    _warn(NO_OPENGL.format(error=problem))
+                return renderer
+        return OpenGLRenderer(self.model, lit=kind == SOLID_VIEW)
 
 
 def _software(model: mujoco.MjModel) -> SoftwareRenderer:

@@ -33,7 +33,6 @@ FINGER_THICKNESS: Final = 0.05
 FINGER_BEND: Final = math.pi / 8  # rad, forearm against upper segment
 FINGER_OPEN: Final = math.pi / 8  # rad, left finger positive, right finger negative; closed is 0
 FINGER_MASS: Final = 0.125  # each, centred on the pivot
-FINGER_INERTIA: Final = 0.005
 EYE_CENTRE: Final = (0.08, 0.06)  # right eye in the robot's frame
 EYE_RADIUS: Final = 0.04
 PUPIL_CENTRE: Final = (0.08, 0.074)

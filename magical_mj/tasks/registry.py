@@ -78,7 +78,7 @@ the four of MoveToCorner-Colour, have the same scenes in both."""
 Names = str | Iterable[str]
 """Names as a list, or as one string separated by commas. "all" means all of them."""
 
-TASK_GROUP: Final = "magical_mj.tasks"
+ENTRY_POINTS: Final = "magical_mj.tasks"
 """The entry-point group for tasks of installed packages, such as ``PushOut = "push_out:SPEC"``."""
 _SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
 """How a module defines a task."""
@@ -340,7 +340,7 @@ def _check_same(initial: Scene, final: Scene) -> None:
 @cache
 def task_plugins() -> Mapping[str, EntryPoint]:
     """The entry points of announced tasks by the tasks' names."""
-    return announced("task", TASK_GROUP, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
+    return announced("task", ENTRY_POINTS, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
 
 
 def announced_name(task: str) -> str:
@@ -407,20 +407,24 @@ def check_spec(spec: Any, task: str) -> None:
                 f"the demo scene of {spec.name} is solved at the start: a policy that does nothing scores 1.0 in it",
                 stacklevel=2,
             )
-        for variant in variants_of(spec):
-            drawn = vary(spec, variant, 0)
-            check_drawn(spec, variant, 0, drawn)
-            if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
-                raise TaskError(
-                    f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
-                    "except those of the given generator"
-                )
+        _check_variants(spec)
     except TaskError:
         raise
     except MagicalError as error:
         raise TaskError(f"{task} is invalid: {error}{location(error)}") from error
     except Exception as error:
         raise TaskError(f"{task} is invalid: {with_location(error)}") from error
+
+
+def _check_variants(spec: TaskSpec) -> None:
+    for variant in variants_of(spec):
+        drawn = vary(spec, variant, 0)
+        check_drawn(spec, variant, 0, drawn)
+        if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
+            raise TaskError(
+                f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
+                "except those of the given generator"
+            )
 
 
 def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:

@@ -48,9 +48,6 @@ from magical_mj.tasks.rules import (
 )
 from magical_mj.tasks.spec import Rules, TaskSpec
 
-SUITE_PROTOCOL: Final = 1
-"""The protocol number of the suite xmagical; `magical_mj.tasks.protocol.PROTOCOL` is that of the benchmark."""
-
 DEBRIS_MASS: Final = 0.01
 HALF_WIDTH: Final = 1.1  # half width of the arena, world units
 COLUMNS: Final = (-0.8, -0.32, 0.16, 0.64)

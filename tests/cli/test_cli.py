@@ -21,7 +21,6 @@ import magical_mj
 from magical_mj.cli import environments
 from magical_mj.cli.film import Film, film, in_words
 from magical_mj.evaluation.scores import read
-from magical_mj.rendering.libraries import OSMESA_LIBRARIES
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from tests.helpers.commands import COMMANDS, Shell, opened, process
@@ -187,7 +186,7 @@ def test_demo(tmp_path: Path) -> None:
     magical_mj.evaluate("expert,random,noop", out=tmp_path, **settings)
     broken = tmp_path.parent / "broken libraries"
     broken.mkdir()
-    for name in ("libEGL.so.1", "libGL.so.1", *OSMESA_LIBRARIES):
+    for name in ("libEGL.so.1", "libGL.so.1"):
         (broken / name).write_text("no library")
     command = ("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", str(tmp_path))
     result = process(*command, MUJOCO_GL="", DISPLAY="", LD_LIBRARY_PATH=str(broken))

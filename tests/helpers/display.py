@@ -40,7 +40,9 @@ def hidden_display(folder: Path) -> Iterator[Display]:
     command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
     with subprocess.Popen([*command, "-fbdir", folder], pass_fds=[writing], stderr=subprocess.DEVNULL) as server:
         os.close(writing)
-        with os.fdopen(reading) as answer:
-            number = answer.readline().strip()
-        yield Display(f":{number}", folder / "Xvfb_screen0")
-        server.terminate()
+        try:
+            with os.fdopen(reading) as answer:
+                number = answer.readline().strip()
+            yield Display(f":{number}", folder / "Xvfb_screen0")
+        finally:
+            server.terminate()

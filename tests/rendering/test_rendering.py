@@ -15,8 +15,7 @@ from magical_mj.assets import style
 from magical_mj.engine.export import mjcf_text
 from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.canvas import CANVASES
-from magical_mj.rendering.drawing import KEPT
-from magical_mj.rendering.opengl import FlatRenderer, on_white
+from magical_mj.rendering.opengl import KEPT, OpenGLRenderer, on_white
 from magical_mj.rendering.picture import DRAWN_GROUPS, LARGEST, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
@@ -215,7 +214,7 @@ def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
     )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    red, green, blue = FlatRenderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
+    red, green, blue = OpenGLRenderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
     assert min(red, green) > blue
     np.testing.assert_array_equal(ours.draw("allo", 96), before)
 
@@ -231,7 +230,7 @@ def test_drawing_contexts_are_few_however_many_kinds_of_models_are_drawn() -> No
         )
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        return int((FlatRenderer(model).draw(data, "c", 96) == (255, 0, 0)).all(axis=2).sum())
+        return int((OpenGLRenderer(model).draw(data, "c", 96) == (255, 0, 0)).all(axis=2).sum())
 
     widths = np.linspace(0.1, 0.9, KEPT + 4)
     areas = [shown(width) for width in widths]

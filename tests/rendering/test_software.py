@@ -20,7 +20,7 @@ from magical_mj.assets import style
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering import scanlines
 from magical_mj.rendering.backend import check_renderer, drawn_by
-from magical_mj.rendering.opengl import FlatRenderer
+from magical_mj.rendering.opengl import OpenGLRenderer
 from magical_mj.rendering.renderer import Views
 from magical_mj.rendering.software import BLOCK, FINGER, FLOOR, REGION, ROBOT, WALL, SoftwareRenderer, polygons_of
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
@@ -92,7 +92,7 @@ def test_pictures_are_those_of_opengl(task: str) -> None:
     different = pixels = 0
     for variant in ("Demo", "Dynamics" if task == "MoveToCorner" else "All"):
         model, data = world(magical_mj.sample_scene(task, variant, 1))
-        opengl, software = FlatRenderer(model), SoftwareRenderer(model)
+        opengl, software = OpenGLRenderer(model), SoftwareRenderer(model)
         for size in (96, 61):
             data.ctrl[:] = rng.uniform(-1, 1, model.nu)
             mujoco.mj_step(model, data, 20)
@@ -108,7 +108,7 @@ def test_pictures_are_those_of_opengl(task: str) -> None:
 @pytest.mark.parametrize("size", [1, 2, 3, 97, 320])  # 320: drawn at 640, MuJoCo's default width
 def test_any_size(size: int) -> None:
     model, data = world(CORNER)
-    opengl, software = FlatRenderer(model), SoftwareRenderer(model)
+    opengl, software = OpenGLRenderer(model), SoftwareRenderer(model)
     for view in VIEWS:
         far = np.abs(software.draw(data, view, size).astype(int) - opengl.draw(data, view, size)).max(axis=2)
         assert np.count_nonzero(far) <= 1 + size * size / 2000
@@ -122,7 +122,7 @@ def test_a_body_with_more_corners_than_a_polygon_may_have_is_drawn_in_parts() ->
     table, _, _ = polygons_of(model)
     assert (table[:, scanlines.LAST] - table[:, scanlines.FIRST]).max() <= scanlines.MAX_CORNERS
     picture = SoftwareRenderer(model).draw(data, "allo", 96)
-    assert np.count_nonzero((picture != FlatRenderer(model).draw(data, "allo", 96)).any(axis=2)) <= 5
+    assert np.count_nonzero((picture != OpenGLRenderer(model).draw(data, "allo", 96)).any(axis=2)) <= 5
 
 
 def test_a_rewritten_model_is_drawn_anew() -> None:

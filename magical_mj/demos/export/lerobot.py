@@ -154,7 +154,7 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
     """Yields each action with the observation before it: pictures, or the state vector if `keys` is empty."""
-    sentence, world = task_spec(demo.task).summary, SceneModel(demo.scene)
+    sentence, model = task_spec(demo.task).summary, SceneModel(demo.scene)
     if keys:
         pictures = render_demo(demo, list(keys), IMAGE_SIZE)
         observed = ({key: frame[view] for view, key in keys.items()} for frame in pictures)
@@ -163,7 +163,7 @@ def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> I
     for parts, qpos, action in zip(observed, demo.qpos, demo.actions, strict=False):
         yield {
             **parts,
-            "observation.state": state(world.fingers(qpos) if fingers else None),
+            "observation.state": state(model.fingers(qpos) if fingers else None),
             "action": action if np.ndim(action) else to_vector(action),
             "task": sentence,
         }

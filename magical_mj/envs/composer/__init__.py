@@ -10,10 +10,11 @@ from typing import Any, Final
 import mujoco
 
 from magical_mj.engine import State
-from magical_mj.rendering.backend import HEADLESS, KNOWN, REMEDY, has_display, opengl, wanted_backend
-from magical_mj.rendering.libraries import load_triton
+from magical_mj.rendering.backend import HEADLESS, REMEDY, has_display, load_triton, opengl, wanted_backend
 from magical_mj.utils.errors import MissingExtraError, RenderingError
 
+_OTHERS: Final = ("glfw", "on", "enable", "enabled", "true", "1", "off", "disable", "disabled", "false", "0")
+"""The values of MUJOCO_GL, besides `HEADLESS`, that mujoco and dm_control accept."""
 _GLFW_CHOSEN: Final = (
     "dm_control was imported first, without a display and without MUJOCO_GL, so it has chosen GLFW: physics.render "
     "and dm_control's viewer find no OpenGL context of their own. Set MUJOCO_GL to {backend} before Python starts, "
@@ -44,7 +45,7 @@ def _prepare() -> None:
     if not wanted:
         return
     os.environ["MUJOCO_GL"] = wanted  # dm_control accepts lower case only
-    problem = "" if wanted in KNOWN and wanted not in HEADLESS else opengl().problem
+    problem = "" if wanted in _OTHERS else opengl().problem
     if wanted in HEADLESS and platform not in ("", wanted):
         problem = f"PYOPENGL_PLATFORM is {platform}, which does not go with MUJOCO_GL={wanted}"
     if problem:
