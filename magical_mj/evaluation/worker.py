@@ -171,7 +171,8 @@ class Player:
         is split to find out which.
         """
         limit, several, playing = self.settings.time_limit, len(unit.seeds) > 1, self._playing(unit)
-        episodes, results = self._episodes(unit), self._recorder(unit)
+        others = self._others(unit)
+        episodes, results = self._episodes(unit, others), self._recorder(unit, others)
         outcome = Outcome(failure=late(limit), seconds=limit)
         too_late = Split(unit.one_by_one()) if several else Played(results([outcome]))
         seconds = limit * len(unit.seeds)
@@ -203,12 +204,12 @@ class Player:
         env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
         return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
 
-    def _episodes(self, unit: Unit) -> list[Episode]:
-        """The information that the policy receives at the start of each episode."""
+    def _episodes(self, unit: Unit, others: Sequence[str]) -> list[Episode]:
+        """The information that the policy receives at the start of each episode. `others` is from `_others`."""
         policy, settings = self._policy(unit), self.settings
         task, shown = policy_task(unit.task, policy, settings.like), self._shown(unit.task, policy)
-        others = self._others(unit) if settings.control == "wrong-instruction" else ()
-        sentences = [task_spec(other).summary for other in others] or [""] * len(unit.seeds)
+        misled = settings.control == "wrong-instruction"
+        sentences = [task_spec(other).summary if misled else "" for other in others]
         return [
             Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
             for seed, sentence in zip(unit.seeds, sentences, strict=True)
@@ -239,8 +240,8 @@ class Player:
             return Split(unit.one_by_one())
         return Played(results(outcomes), outcomes[-1].cause)
 
-    def _recorder(self, unit: Unit) -> Results:
-        """The function that makes the results of a unit from its outcomes."""
+    def _recorder(self, unit: Unit, others: Sequence[str]) -> Results:
+        """The function that makes the results of a unit from its outcomes. `others` is from `_others`."""
         settings, policy = self.settings, self._policy(unit)
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
@@ -255,7 +256,6 @@ class Player:
         }
         episodes = [Episode(unit.task, unit.variant, seed, unit.run) for seed in unit.seeds]
         scenes = [start_digest(unit.task, unit.variant, seed, unit.shift, settings.body) for seed in unit.seeds]
-        others = self._others(unit)
 
         def results(outcomes: list[Outcome]) -> list[EpisodeResult]:
             played = zip(episodes, outcomes, scenes, others, strict=True)
