@@ -12,7 +12,7 @@ like MuJoCo's within rounding, until heaps of blocks make the movement chaotic. 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final, NamedTuple
 
@@ -55,14 +55,9 @@ STATE: Final = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
 
 GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
 BODY_FIELDS: Final = ("body_inertia", "body_invweight0")
-FIELDS: Final = (
-    *GEOM_FIELDS,
-    *BODY_FIELDS,
-    "dof_invweight0",
-    "dof_frictionloss",
-    "pair_friction",
-    "tendon_frictionloss",
-)
+SHAPE_FIELDS: Final = (*GEOM_FIELDS, *BODY_FIELDS, "dof_invweight0")
+DYNAMICS_FIELDS: Final = ("dof_frictionloss", "pair_friction", "tendon_frictionloss")
+FIELDS: Final = (*SHAPE_FIELDS, *DYNAMICS_FIELDS)
 """The names of the model's arrays that differ between the environments of a batch."""
 
 PARKED: Final = 1000.0  # world units above the plane; each geom has its own height, so that they do not collide
@@ -114,15 +109,18 @@ class Physics:
         self._columns = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
         self._fingers = torch.tensor(self._columns, device=device)
         self._graph: Any = None
+        self._by_shape = {name: torch.from_numpy(values).to(self._fields[name]) for name, values in self._parts()}
+        self._slot_of = {name: torch.from_numpy(slots).to(device) for name, slots in self._owners()}
         self.reset(scenes, torch.arange(self.num_envs, device=device))
 
     def reset(self, scenes: BatchScenes, envs: Tensor) -> None:
         """Places scenes, at rest, into the environments with these numbers, shape (n,), int64."""
-        fields = self._fields_of(scenes)
-        impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
-        error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
-        fields["pair_friction"][..., :2] *= error[:, None]
-        for name, values in fields.items():
+        shapes = torch.from_numpy(scenes.shapes).to(self._planar)  # ABSENT is the last row of `_by_shape`
+        for name, values in self._by_shape.items():
+            columns = torch.arange(values.shape[1], device=self._device)
+            field = self._fields[name]
+            field[envs] = values[shapes[:, self._slot_of[name]], columns].reshape(len(envs), *field.shape[1:])
+        for name, values in self._dynamics(scenes.dynamics).items():
             field = self._fields[name]
             field[envs] = torch.from_numpy(values).to(field).reshape(len(envs), *field.shape[1:])
         for name, values in self._state.items():
@@ -130,35 +128,39 @@ class Physics:
             values[envs] = torch.from_numpy(start).to(values)
         self._overflow[envs] = 0
 
-    def _fields_of(self, scenes: BatchScenes) -> Fields:
-        """The values of all `FIELDS`, a row for each environment."""
-        envs = len(scenes.shapes)
-        fields = {name: np.repeat(getattr(self.model, name)[None], envs, axis=0) for name in FIELDS}
-        for number, slot in enumerate(self._slots):
+    def _parts(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Yields the fields that depend on shapes, with a row for each shape in all slots, and last for no block."""
+        fields = {name: np.repeat(getattr(self.model, name)[None], len(SHAPES) + 1, axis=0) for name in SHAPE_FIELDS}
+        for slot in self._slots:
             heights = PARKED + 7.0 * slot.geoms
             fields["geom_pos"][:, slot.geoms] = np.stack([0 * heights, 0 * heights, heights], axis=-1)
-            for index, shape in enumerate(SHAPES):
-                where = np.flatnonzero(scenes.shapes[:, number] == index)
-                if len(where):
-                    self._write_block(fields, where, slot, block_parts(shape))
-        self._write_dynamics(fields, scenes.dynamics)
-        return fields
+            for row, shape in enumerate(SHAPES):
+                self._write_block(fields, row, slot, block_parts(shape))
+        yield from fields.items()
 
-    def _write_block(self, fields: Fields, envs: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
-        """Writes this block into the slot of these environments."""
+    def _owners(self) -> Iterator[tuple[str, NDArray[np.int64]]]:
+        """Yields the same fields' slots: for each geom, body or degree of freedom. 0 for those that have no slot."""
+        for name in SHAPE_FIELDS:
+            owners = np.zeros(len(getattr(self.model, name)), np.int64)
+            for number, slot in enumerate(self._slots):
+                owners[slot.rows(name)] = number
+            yield name, owners
+
+    def _write_block(self, fields: Fields, row: int, slot: Slot, block: BlockParts) -> None:
+        """Writes this block into the slot in a row of the fields."""
         free: dict[Kind, list[int]] = {}
         for geom in slot.geoms.tolist():
             free.setdefault(_kind(self.model, geom), []).append(geom)
         geoms = np.array([free[kind].pop(0) for kind in block.kinds])
-        rows = envs[:, None]
         for name, values in block.geoms.items():
-            fields[name][rows, geoms] = values.reshape(len(geoms), *fields[name].shape[2:])
+            fields[name][row, geoms] = values.reshape(len(geoms), *fields[name].shape[2:])
         for name, values in block.bodies.items():
-            fields[name][rows, slot.bodies] = values
-        fields["dof_invweight0"][rows, slot.joints] = block.dof_invweight0
+            fields[name][row, slot.bodies] = values
+        fields["dof_invweight0"][row, slot.joints] = block.dof_invweight0
 
-    def _write_dynamics(self, fields: Fields, dynamics: NDArray[np.float64]) -> None:
-        """Writes the force caps of each environment."""
+    def _dynamics(self, dynamics: NDArray[np.float64]) -> Fields:
+        """The fields that depend on the force caps, a row for each environment."""
+        fields = {name: np.repeat(getattr(self.model, name)[None], len(dynamics), axis=0) for name in DYNAMICS_FIELDS}
         drive, turn, finger, force, torque = dynamics.T
         feet = {f"block{number}_foot": force for number in range(len(self._slots))}
         for name, forces in (wheel_caps(drive) | feet).items():
@@ -167,6 +169,10 @@ class Physics:
             fields["tendon_frictionloss"][:, self.model.tendon(name).id] = torques
         for slot in self._slots:
             fields["dof_frictionloss"][:, slot.joints[2]] = torque
+        impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
+        error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
+        fields["pair_friction"][..., :2] *= error[:, None]
+        return fields
 
     def _positions(self, scenes: BatchScenes) -> NDArray[np.float64]:
         """MuJoCo's `qpos` of the scenes, a row for each environment."""
@@ -266,6 +272,10 @@ class Slot(NamedTuple):
     """The collision geoms."""
     joints: NDArray[np.int64]
     """The degrees of freedom x, y and angle."""
+
+    def rows(self, field: str) -> NDArray[np.int64]:
+        """The indices of the slot in one of `SHAPE_FIELDS`."""
+        return self.geoms if field in GEOM_FIELDS else np.array(self.bodies) if field in BODY_FIELDS else self.joints
 
     @classmethod
     def of(cls, model: mujoco.MjModel, number: int) -> Slot:

@@ -140,7 +140,8 @@ def tables(scenes: BatchScenes, episodes: Sequence[EpisodeShifts] = ()) -> Table
     """The tables of scenes, as arrays, with the shifts of their episodes, if any."""
     table = polygons(scenes)
     counts = table[..., LAST] - table[..., FIRST]
-    models = [shifted_model(episode) for episode in episodes] or [library().model] * len(table)
+    models = [shifted_model(episode) for episode in episodes] or [library().model]
+    every = len(table) // len(models)  # without shifts, all environments have the same colours and cameras
     lights = [light.numbers for episode in episodes if isinstance(light := episode.named("light"), Light)]
     grounds = [episode.ground(c.ARENA_HALF_WIDTH).reshape(-1) for episode in episodes if episode.changes_ground]
     tones, slopes, bars = zip(*lights, strict=True) if lights else (np.zeros((0, 3, 256), np.int32), *_NO_LIGHT)
@@ -148,8 +149,8 @@ def tables(scenes: BatchScenes, episodes: Sequence[EpisodeShifts] = ()) -> Table
         polygons=table,
         corners=library().corners,
         quads=scenes.quads.reshape(len(table), -1, 2),
-        palettes=np.stack([palette(model) for model in models]),
-        cameras=np.stack([cameras(model) for model in models]),
+        palettes=np.stack([palette(model) for model in models] * every),
+        cameras=np.stack([cameras(model) for model in models] * every),
         places=counts.cumsum(axis=-1, dtype=np.int32) - counts,
         grounds=np.stack(grounds) if grounds else np.zeros((0, 0), np.uint8),
         tones=np.asarray(tones),

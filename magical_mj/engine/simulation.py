@@ -156,14 +156,15 @@ class Simulation:
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
-        if self.shifts is not None and self.shifts.changes_model:
-            write_numbers(self.model, compiled_model(self.scene_model.structure))
-        self.shifts = shifts
+        changed = self.shifts is not None and self.shifts.changes_model
+        before, self.shifts = self.scene_model.structure, shifts
         if scene != self.scene_model.scene:
-            before, self.scene_model = self.scene_model, SceneModel(scene)
-            if self.scene_model.structure != before.structure:
-                self.model = copy(compiled_model(self.scene_model.structure))
-                self.data = mujoco.MjData(self.model)
+            self.scene_model = SceneModel(scene)
+        if self.scene_model.structure != before:
+            self.model = copy(compiled_model(self.scene_model.structure))
+            self.data = mujoco.MjData(self.model)
+        elif changed:
+            write_numbers(self.model, compiled_model(before))
         self._begin()
 
     def _begin(self) -> None:

@@ -115,10 +115,11 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
         nonlocal count
         for geom in geoms:
             body = int(model.geom_bodyid[geom])
+            segment = _segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body))
             for part in _parts(model, geom):
                 table.append((count, count + len(part), body, geom, 0))
                 corners.append(part)
-                segments.append(_segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body)))
+                segments.append(segment)
                 count += len(part)
 
     shown = np.flatnonzero(drawn(model.geom_group))
@@ -138,6 +139,7 @@ def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
     return mujoco.mj_id2name(model, kind.value, index) or ""
 
 
+@lru_cache(maxsize=256)
 def _segment(body: str) -> int:
     part = body.strip("/").rpartition("/")[2]  # composer's names begin with those of their trees
     block = re.fullmatch(r"block(\d+)", part)
