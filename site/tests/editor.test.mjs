@@ -186,6 +186,21 @@ test("scenes from Python open and come back, in play and inspect", async () => {
   assert.deepEqual(complaints, []);
 });
 
+test("if the editor cannot be loaded, the page says so and goes on", async () => {
+  for (const [path, spot] of [["play/", "#status"], ["play/inspect.html", "#message"]]) {
+    await page.goto("about:blank");
+    await page.route("**/editor.js", (route) => route.abort());
+    await page.goto(`${site.address}${path}#MoveToCorner-Demo-0`);
+    await page.waitForFunction((spot) => /^(Press.*|)$/.test(document.querySelector(spot)?.textContent ?? "-"), spot);
+    await page.click("#edit");
+    await page.waitForFunction((spot) => document.querySelector(spot)?.textContent?.includes("The editor could not be loaded"), spot);
+    await page.unroute("**/editor.js");
+    await page.selectOption("#task", "MoveToRegion");
+    await page.waitForFunction(() => location.hash === "#MoveToRegion-Demo-0");
+  }
+  complaints.length = 0;  // those about the request
+});
+
 test("a bad link says what is wrong, and another scene can be chosen", async () => {
   for (const [path, spot] of [["play/", "#status"], ["play/inspect.html", "#message"]]) {
     await page.goto("about:blank");

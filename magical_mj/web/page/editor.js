@@ -188,10 +188,10 @@ export class Editor {
     }
     const name = /** @type {HTMLElement} */ (target).dataset.object;
     if (!name || event.altKey) return;
-    const object = this.#object(name), step = shiftKey ? FINE : STEP;
+    const object = this.#object(name), step = shiftKey ? FINE : STEP, grown = key === "-" ? -step : step;
     if (ARROWS[key]) this.#change(this.#with(name, this.#moved(object, ARROWS[key][0] * step, ARROWS[key][1] * step)));
     else if (key.toLowerCase() === "r") this.#turn(shiftKey ? -TURN : TURN);
-    else if (["+", "=", "-"].includes(key) && "x_min" in object) this.#change(this.#with(name, this.#resized(object, ["x_max", "y_max"], ...key === "-" ? [-step, -step] : [step, step])));
+    else if (["+", "=", "-"].includes(key) && "x_min" in object) this.#change(this.#with(name, this.#resized(object, ["x_max", "y_max"], grown, grown)));
     else if (key === "Delete" || key === "Backspace") this.#remove(name);
     else return;
     event.preventDefault();
