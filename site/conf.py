@@ -5,6 +5,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+
 from magical_mj import __version__
 
 PAPER = "https://arxiv.org/abs/2011.00401"
@@ -45,8 +47,14 @@ html_copy_source = False
 html_show_sourcelink = False
 
 
+LENGTHS = {"long": 36, "phrase": 14}
+"""Class -> the number of characters. Cells of words with more characters get the class, and so a minimum width."""
+NUMBERS = re.compile(r"\[-?[\d.]+, -?[\d.]+\]|^[\d.]+( / [\d.]+)+$")
+"""Intervals, and numbers with slashes: lines do not break in them."""
+
+
 def setup(app: Any) -> None:
-    """Escapes asterisks in docstrings, and adds a description and a preview picture to each page."""
+    """Escapes asterisks in docstrings, adds a description and a preview picture to each page, and marks long cells."""
 
     def escape(*arguments: Any) -> None:
         lines: list[str] = arguments[-1]
@@ -61,5 +69,15 @@ def setup(app: Any) -> None:
             address = f"{html_baseurl.rstrip('/')}/media/scene.png"
             context["metatags"] = context.get("metatags", "") + f'<meta property="og:image" content="{address}">'
 
+    def mark_cells(_app: Any, tree: nodes.document, _page: str) -> None:
+        for cell in tree.findall(nodes.entry):
+            text = cell.astext()
+            if re.search("[a-z]{3}", text):
+                cell["classes"] += [name for name, length in LENGTHS.items() if len(text) > length][:1]
+            for part in list(cell.findall(nodes.Text)):
+                joined = NUMBERS.sub(lambda found: found[0].replace(" ", "\u00a0"), part)
+                part.parent.replace(part, nodes.Text(joined))
+
+    app.connect("doctree-resolved", mark_cells)
     app.connect("autodoc-process-docstring", escape)
     app.connect("html-page-context", about)

@@ -46,7 +46,8 @@ plans towards it keeps its score. All methods: <a href="standings.html">leaderbo
 {chart}
 """
 SIDE: Final = """<figure><picture><source media="(prefers-reduced-motion: reduce)" srcset="{still}">
-<img src="{moving}" width="448" height="448" alt="The policy drives in {place}; the score is {score:.2f}"></picture>
+<img src="{moving}" width="448" height="448" fetchpriority="low" decoding="async"
+alt="The policy drives in {place}; the score is {score:.2f}"></picture>
 <figcaption><strong>{words}</strong> ({variant}): mean score {mean:.2f}. <a href="{link}">Watch more</a></figcaption>
 </figure>"""
 

@@ -23,14 +23,20 @@ SEEDS: Final = 3
 FRAMES: Final = 130  # the maximum number of frames of an animation
 
 
-def animation(task: str, path: Path) -> None:
-    """Writes a demonstration in both views as a looping animated WebP. Long ones are shown faster."""
+def animation(task: str, path: Path) -> str:
+    """Writes a demonstration in both views as a looping animated WebP. Long ones are shown faster.
+
+    Its first picture is written as well. Returns the name of this.
+    """
     demo = demos.load(task)[0]
     frames = demos.render_demo(demo, ("allo", "ego"), ANIMATION)
     shown = itertools.islice(frames, 0, None, 1 + len(demo.actions) // FRAMES)
     frames = [Image.fromarray(np.hstack([views["allo"], views["ego"]])) for views in shown]
     frames += [frames[-1]] * CONTROL_RATE
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=PERIOD, loop=0, quality=55, method=4)
+    still = path.with_name(f"{path.stem}-still.webp")
+    frames[0].save(still, quality=70, method=4)
+    return still.name
 
 
 def film(env: Engine, actions: Sequence[Any], path: Path, size: int = FILM, frames: int = 36) -> tuple[str, str]:

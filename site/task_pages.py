@@ -14,6 +14,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.page_data import sections
 
 METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
+ABOUT = "An expert at work, from above and as the robot sees it"
 
 
 def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
@@ -30,10 +31,11 @@ def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
     methods = [*(one for one in published() if one.name in METHODS), *own]
     cards = []
     for task in TASKS:
-        animation(task, media / f"{task}.webp")
+        still = animation(task, media / f"{task}.webp")
         (folder / f"{task}.md").write_text(_page(task, methods, media), encoding="utf-8")
         goal = _sentence(task_spec(task).summary)
-        shown = _animation(task, media, loading="lazy")
+        moves = f'src="media/{still}" data-moving="media/{task}.webp" loading="lazy"'
+        shown = f'<img class="wide" {moves} width="{2 * ANIMATION}" height="{ANIMATION}" alt="{ABOUT}">'
         cards.append(f'<a class="card" href="{task}.html">{shown}<strong>{task}</strong> {goal}</a>')
     cards_html = f'<div class="cards">{"".join(cards)}</div>'
     listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
@@ -66,12 +68,11 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _animation(task: str, media: Path, loading: str = "eager") -> str:
+def _animation(task: str, media: Path) -> str:
     """The animation of a task. Browsers with reduced motion show the initial scene instead."""
     still = next(iter(scenes(task, "Demo", media))).name
-    size = f'width="{2 * ANIMATION}" height="{ANIMATION}" loading="{loading}"'
-    about = "An expert at work, from above and as the robot sees it"
-    image = f'<img class="wide" src="media/{task}.webp" {size} alt="{about}">'
+    size = f'width="{2 * ANIMATION}" height="{ANIMATION}"'
+    image = f'<img class="wide" src="media/{task}.webp" {size} alt="{ABOUT}">'
     return f'<picture><source media="(prefers-reduced-motion: reduce)" srcset="media/{still}">{image}</picture>'
 
 

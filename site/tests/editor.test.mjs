@@ -41,7 +41,7 @@ const status = () => page.textContent("#status");
 /** The scene that would be saved. The focus stays. */
 async function sceneNow() {
   const focused = await page.evaluate(() => document.activeElement?.getAttribute("data-object"));
-  const { text } = await downloaded(page, "#editor button:has-text('Save scene')");
+  const { text } = await downloaded(page, "#save-scene");
   if (focused) await handle(focused).focus();
   return JSON.parse(text);
 }
@@ -129,8 +129,8 @@ test("by keyboard: Tab selects, keys move, turn, resize and remove, fields take 
   await handle(`block ${scene.blocks.length - 1}`).focus();
   await page.selectOption("#editor [name=colour]", "green");
   assert.match(await verdict() ?? "", /Score at the start: /);
-  saved.scene = (await downloaded(page, "#editor button:has-text('Save scene')")).text;
-  saved.model = (await downloaded(page, "#editor button:has-text('Save model')")).text;
+  saved.scene = (await downloaded(page, "#save-scene")).text;
+  saved.model = (await downloaded(page, "#save-model")).text;
   saved.blocks = JSON.parse(saved.scene).blocks;
   assert.deepEqual(complaints, []);
   assert.deepEqual(await barriers(page), []);
@@ -167,7 +167,8 @@ test("scenes from Python open and come back, in play and inspect", async () => {
   await openEditor("FindDupe-Demo-0");
   for (const { scene } of cases.filter((_, i) => i % 40 === 0)) {
     await page.setInputFiles("#editor input[type=file]", { name: "scene.json", mimeType: "application/json", buffer: Buffer.from(scene) });
-    saved.returned.push([scene, (await downloaded(page, "#editor button:has-text('Save scene')")).text]);
+    await page.waitForFunction(() => /** @type {HTMLInputElement} */ (document.querySelector("#editor input[type=file]")).files?.length === 0);  // it was read
+    saved.returned.push([scene, (await downloaded(page, "#save-scene")).text]);
   }
   await page.setInputFiles("#editor input[type=file]", { name: "bad.json", mimeType: "application/json", buffer: Buffer.from('{"format": 1, "robot": {}}') });
   await page.waitForFunction(() => document.querySelector("#editor .verdict")?.textContent?.startsWith("bad.json cannot be opened. robot lacks the field x"));
@@ -182,8 +183,23 @@ test("scenes from Python open and come back, in play and inspect", async () => {
   await page.waitForFunction(() => document.title.startsWith("SweepToTop-edited") && document.getElementById("message")?.textContent === "");
   await page.click("#edit");
   await page.waitForSelector("#editor");
-  saved.returned.push([scene, (await downloaded(page, "#editor button:has-text('Save scene')")).text]);
+  saved.returned.push([scene, (await downloaded(page, "#save-scene")).text]);
   assert.deepEqual(complaints, []);
+});
+
+test("if the editor cannot be loaded, the page says so and goes on", async () => {
+  for (const [path, spot] of [["play/", "#status"], ["play/inspect.html", "#message"]]) {
+    await page.goto("about:blank");
+    await page.route("**/editor.js", (route) => route.abort());
+    await page.goto(`${site.address}${path}#MoveToCorner-Demo-0`);
+    await page.waitForFunction((spot) => /^(Press.*|)$/.test(document.querySelector(spot)?.textContent ?? "-"), spot);
+    await page.click("#edit");
+    await page.waitForFunction((spot) => document.querySelector(spot)?.textContent?.includes("The editor could not be loaded"), spot);
+    await page.unroute("**/editor.js");
+    await page.selectOption("#task", "MoveToRegion");
+    await page.waitForFunction(() => location.hash === "#MoveToRegion-Demo-0");
+  }
+  complaints.length = 0;  // those about the request
 });
 
 test("a bad link says what is wrong, and another scene can be chosen", async () => {

@@ -1,6 +1,7 @@
 // @ts-check
 /** The documentation pages: accessibility, sorting, filters, animations and charts. */
 import assert from "node:assert/strict";
+import { readdir } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
 import { after, before, test } from "node:test";
 import { barriers, launch, PAGES, serve } from "./browser.mjs";
@@ -33,6 +34,44 @@ test("axe finds no accessibility problems, and no page is wider than a phone", a
     assert.deepEqual(await barriers(page), [], path);
   }
   await page.setViewportSize({ width: 1280, height: 800 });
+});
+
+test("no page is wider than a laptop or a phone; on a laptop, cells are not a column of single words; code scrolls in its box", async () => {
+  const names = (await readdir(`${OUT}site`)).filter((name) => name.endsWith(".html") && name !== "genindex.html");
+  for (const width of [1280, 390]) {
+    await page.setViewportSize({ width, height: 800 });
+    for (const name of names) {
+      await page.goto(site.address + name, { waitUntil: "domcontentloaded" });
+      const { wide, narrow } = await page.evaluate(() => {
+        const cells = [...document.querySelectorAll("article :is(td, th)")].filter((cell) => /** @type {HTMLElement} */ (cell).offsetParent && !cell.closest(".standings"));
+        return {
+          wide: document.documentElement.scrollWidth - innerWidth,
+          narrow: cells.filter((cell) => {
+            const range = document.createRange(), words = (cell.textContent ?? "").trim().split(/\s+/);
+            range.selectNodeContents(cell);
+            const lines = new Set([...range.getClientRects()].map(({ bottom }) => Math.round(bottom / 8))).size;
+            return words.length >= 5 && Math.max(...words.map(({ length }) => length)) < 16 && lines > 0.75 * words.length;
+          }).map((cell) => cell.textContent),
+        };
+      });
+      assert.ok(wide <= 0, `${name} is ${wide} px wider than ${width}`);
+      if (width > 1000) assert.deepEqual(narrow, [], name);
+    }
+  }
+  await page.setViewportSize({ width: 1280, height: 800 });
+  await page.goto(`${site.address}evaluation.html`);
+  const boxes = await page.$$eval("article pre", (all) => all.filter((one) => one.scrollWidth > one.clientWidth).map((one) => getComputedStyle(one).overflowX));
+  assert.ok(boxes.length > 0 && boxes.every((one) => one === "auto"), boxes.join());
+});
+
+test("the home page loads little, and its cards move when they are pointed at", async () => {
+  const loaded = /** @type {string[]} */ ([]), note = (/** @type {import("playwright-core").Request} */ request) => loaded.push(request.url());
+  page.on("request", note);
+  await page.goto(`${site.address}index.html`, { waitUntil: "networkidle" });
+  assert.deepEqual(loaded.filter((url) => /media\/(?!home|.*-still).*webp$/.test(url)), []);
+  await page.locator(".card").first().hover();
+  await page.waitForFunction(() => document.querySelector("img[src$='MoveToCorner.webp']"));
+  page.off("request", note);
 });
 
 test("the first screen says what this is, and links work from a missing page at any depth", async () => {

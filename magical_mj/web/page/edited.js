@@ -34,7 +34,9 @@ export async function editedModel({ look, tasks }, sceneId, scene) {
  * @param {string} action  the label of the button that ends editing @param {(scene: string | null) => void} done  called with JSON; null: unchanged
  */
 export async function edit(catalogue, sceneId, scene, action, done) {
-  const { Editor } = await import("./editor.js"), { task } = sceneId;
+  const { task } = sceneId, { Editor } = await import("./editor.js").catch(() => {  // browsers do not try it again
+    throw new Error("The editor could not be loaded. Reload the page to try again");
+  });
   const address = (/** @type {string} */ text) => new URL(`#${addressOf({ ...sceneId, scene: text })}`, location.href).href;
   new Editor({ catalogue, scene, task, name: `${task}-edited`, action, address, model: (changed) => editedModel(catalogue, sceneId, changed), done });
 }

@@ -54,8 +54,8 @@ export class Editor {
       region: button("+ Region", () => this.#add("regions")),
       undo: button("Undo", () => this.#undo(), { ariaKeyShortcuts: "Control+Z" }),
       redo: button("Redo", () => this.#redo(), { ariaKeyShortcuts: "Control+Y" }),
-      json: button("Save scene", () => this.#download("json", writeScene(this.scene))),
-      mjcf: button("Save model", () => this.#saveModel()),
+      json: button("Save scene", () => this.#download("json", writeScene(this.scene)), { id: "save-scene" }),
+      mjcf: button("Save model", () => this.#saveModel(), { id: "save-model" }),
       link: button("Copy link", () => this.#copyLink()),
       open: button("Open …", () => this.file.click()),
       done: button(options.action, () => this.#close(this.#before.length ? writeScene(this.scene) : null), { className: "main" }),
@@ -188,10 +188,10 @@ export class Editor {
     }
     const name = /** @type {HTMLElement} */ (target).dataset.object;
     if (!name || event.altKey) return;
-    const object = this.#object(name), step = shiftKey ? FINE : STEP;
+    const object = this.#object(name), step = shiftKey ? FINE : STEP, grown = key === "-" ? -step : step;
     if (ARROWS[key]) this.#change(this.#with(name, this.#moved(object, ARROWS[key][0] * step, ARROWS[key][1] * step)));
     else if (key.toLowerCase() === "r") this.#turn(shiftKey ? -TURN : TURN);
-    else if (["+", "=", "-"].includes(key) && "x_min" in object) this.#change(this.#with(name, this.#resized(object, ["x_max", "y_max"], ...key === "-" ? [-step, -step] : [step, step])));
+    else if (["+", "=", "-"].includes(key) && "x_min" in object) this.#change(this.#with(name, this.#resized(object, ["x_max", "y_max"], grown, grown)));
     else if (key === "Delete" || key === "Backspace") this.#remove(name);
     else return;
     event.preventDefault();
@@ -246,8 +246,8 @@ export class Editor {
     const options = CHOICES[key], value = this.#object(name)[key];
     const field = options ? make("select", {}, ...options.map((one) => new Option(one))) : make("input", { type: "number", step: "any" });
     Object.assign(field, { name: key, value });
-    field.onchange = () => {
-      const given = options ? field.value : field.valueAsNumber, scene = this.#with(name, { [key]: given });
+    field.onchange = () => {  // Firefox rounds valueAsNumber
+      const given = options ? field.value : field.value ? Number(field.value) : null, scene = this.#with(name, { [key]: given });
       try {
         readScene(writeScene(scene), Object.keys(this.options.catalogue.solids.robots));
         this.#change(scene);

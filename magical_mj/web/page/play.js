@@ -129,7 +129,11 @@ async function choose(task, variant, seed, how = {}) {
   return true;
 }
 
-/** The environment of a changed scene: with this scene only. @param {string} task @param {string} variant @param {number} seed @param {string} text */
+/**
+ * The environment of a changed scene: with this scene only.
+ * @param {string} task @param {string} variant @param {number} seed @param {string} text  the scene
+ * @returns {Promise<import("./scenes.js").Environment>}
+ */
 async function loadEdited(task, variant, seed, text) {
   const sceneId = { task, variant, seed, shifts: "" }, scene = linkedScene(text, catalogue);
   const [environment, model] = await Promise.all([environmentOf(sceneId, scene), editedModel(catalogue, sceneId, scene)]);

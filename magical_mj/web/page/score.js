@@ -102,8 +102,8 @@ const NEEDS = {
   ClusterShape: (scene) => lacksKinds(scene, "shape"),
 };
 
-/** What a scene lacks to be one of a task; "" if nothing. @param {string} task @param {Scene} scene */
-export const lack = (task, scene) => NEEDS[task](scene);
+/** What a scene lacks to be one of a task; "" if nothing, and for other tasks. @param {string} task @param {Scene} scene */
+export const lack = (task, scene) => NEEDS[task]?.(scene) ?? "";
 
 /**
  * The score of the final scene, in [0, 1].
