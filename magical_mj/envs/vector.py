@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
+from magical_mj.envs.wrappers import check_named
 from magical_mj.scene.actions import ACTIONS, as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
@@ -47,6 +48,7 @@ def make_vec(
     """
     known = isinstance(environment, str) and environment in gymnasium.registry
     name = environment if known else env_id(environment, variant, preset)
+    check_named(name, settings)
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.engine import Engine
 from magical_mj.engine.engine import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
+from magical_mj.shifts.registry import split_body
 from magical_mj.utils.errors import InvalidActionError, SettingsError, as_integer, short_repr
 
 __all__ = ["ContinuousActions", "ScoreAtTheEnd"]
@@ -68,7 +70,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         env: a `magical_mj` environment, with any wrappers.
 
     Raises:
-        SettingsError: if `env` is another environment, or `max_episode_steps` is more than the task's horizon.
+        SettingsError: if `env` is another environment, if `max_episode_steps` is more than the task's horizon, or if an
+            argument of `gymnasium.make` contradicts the id.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
@@ -79,6 +82,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps only environments of magical_mj, not {self.unwrapped}")
         self._inner = env
+        if env.spec is not None:
+            check_named(env.spec.id, env.spec.kwargs)
         if env.spec is not None and env.spec.max_episode_steps is not None:
             limit = check_limit(env.spec.max_episode_steps, engine.setup)
             if isinstance(env, gymnasium.wrappers.TimeLimit):
@@ -105,6 +110,20 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             if getattr(self._base, "reward", "none") != "none":
                 reward = float(reward) + float(score)
         return observation, reward, terminated, truncated, info
+
+
+def check_named(id_: str, settings: Mapping[str, Any]) -> None:
+    """Raises a `SettingsError` if the settings contradict the id of an environment, for example in its task or body."""
+    named = gymnasium.registry[id_].kwargs if id_ in gymnasium.registry else {}
+    given = {**named, **settings}
+    if "body" in named and given.get("shifts"):
+        given["body"] = split_body(given["shifts"], given["task"], given["body"])[1]
+    for name, value in named.items():
+        if value and given[name] != value:  # ids without a preset leave it open
+            raise SettingsError(
+                f"{id_} has {name}={value!r}, and not {short_repr(given[name])}: take the id of another environment, "
+                "or leave the argument out"
+            )
 
 
 def check_limit(limit: int, setup: Setup) -> int:

@@ -180,6 +180,24 @@ def test_all_tasks_have_ids_with_bodies_whose_actions_are_speeds(task: str, body
     assert pixels.reset(seed=4)[0].shape == (48, 48, 3)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"body": "gripper"}, {"task": "FindDupe"}, {"variant": "All"}, {"shifts": "body:gripper"}]
+)
+def test_arguments_that_contradict_the_id_are_refused(wrong: dict[str, str]) -> None:
+    id_, said = "magical_mj/MatchRegions-Longstick-State-Allo-Demo-v0", f"has {next(iter(wrong))}=|has body='longstick'"
+    with pytest.raises(SettingsError, match=said):
+        gymnasium.make(id_, **wrong)
+    with pytest.raises(SettingsError, match=said):
+        gymnasium.make_vec(id_, 1, "sync", **wrong)
+    with pytest.raises(
+        SettingsError, match="has preset='State', and not 'LoRes4E': take the id of another environment"
+    ):
+        gymnasium.make("magical_mj/MatchRegions-Demo-State-v0", preset="LoRes4E")
+    with pytest.raises(SettingsError, match="has body='longstick', and not 'gripper'"):
+        magical_mj.make_vec(id_, 1, body="gripper")
+    gymnasium.make("magical_mj/MatchRegions-Demo-v0", preset="State", body="longstick", action="speeds").close()
+
+
 def test_speeds_are_actions_of_any_environment_without_shifts_of_actions() -> None:
     env = gymnasium.make("magical_mj/MatchRegions-Demo-State-v0", body="longstick", action="speeds", shifts="camera:1")
     env.reset(seed=0)
