@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from html import escape
 from itertools import permutations
 from pathlib import Path
@@ -14,6 +16,8 @@ import numpy as np
 from charts import Chart, text
 
 from magical_mj.evaluation.replay import obstacle
+from magical_mj.intents import parse
+from magical_mj.intents.readings import ENDINGS
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import (
     ABOVE,
@@ -176,24 +180,34 @@ def _details(name: str, method: Standing) -> str:
     about = "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>"
     watch = f"<p>Mean scores{'; each opens the first episode there' if stored else ''}.</p>"
     table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return f"{about}{watch}{table}{_endings(method)}{_repeat(method)}"
+    return f"{about}{watch}{table}{_endings(name)}{_repeat(method)}"
 
 
-def _endings(method: Standing) -> str:
-    """What the method's episodes did in the tasks of choice, from the table of docs/intents.md."""
-    page = (ROOT / "docs" / "intents.md").read_text(encoding="utf-8")
-    lines = page.partition("<!-- choices:")[2].partition("<!-- end of choices")[0].splitlines()[1:]
-    header, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
-    own = [row for row in rows if row[0].rpartition(", ")[0] == method.name]
-    if not own or method.block == "released":
+def _endings(name: str) -> str:
+    """What the method's episodes did in each task, and the other goal that failed ones reached most often."""
+    own = [row for row in _measured() if row["entry"] == name]
+    if not own:
         return ""
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in ("Task", *header[2:]))
-    body = "".join(
-        f'<tr><th scope="row">{row[0].rpartition(", ")[2]}</th>{"".join(f"<td>{cell}</td>" for cell in row[2:])}</tr>'
-        for row in own
-    )
-    words = 'Which blocks its episodes moved, in per cent (<a href="intents.html#endings">endings</a>):'
+    heads = ("Task", "Episodes", *ENDINGS, "Failed episodes most often did")
+    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
+    body = "".join(f"<tr>{_ending_cells(row)}</tr>" for row in own)
+    words = 'What its episodes did, in per cent (<a href="explain.html#endings">endings</a>):'
     return f'<p>{words}</p><table class="heat"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+
+
+def _ending_cells(row: Mapping[str, str]) -> str:
+    shares = [100 * float(row[name]) / int(row["episodes"]) for name in ENDINGS]
+    cells = "".join(f"<td>{share:.0f}</td>" if share else "<td></td>" for share in shares)
+    share = 100 * float(row["share"] or 0)
+    rival = f"{escape(parse(row['rival']).sentence[:-1])}: {share:.0f} %" if round(share) else ""
+    return f'<th scope="row">{row["task"]}</th><td>{row["episodes"]}</td>{cells}<td>{rival}</td>'
+
+
+@cache
+def _measured() -> list[dict[str, str]]:
+    """The rows of docs/endings.csv, which `python -m tools.attribution endings` writes."""
+    with (ROOT / "docs" / "endings.csv").open(encoding="utf-8", newline="") as file:
+        return sorted(csv.DictReader(file), key=lambda row: TASKS.index(row["task"]))
 
 
 def _repeat(method: Standing) -> str:

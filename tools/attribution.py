@@ -1,16 +1,21 @@
 """Writes the tables about intents: rivals of the intents, what test scenes distinguish, and what our policies did.
 
-python -m tools.attribution                     # all of them, in half an hour on one core
+python -m tools.attribution                     # all of them, in an hour on one core
 python -m tools.attribution identifiability     # or some
 
-Those of episodes replay the entries in results/. docs/intents.md and docs/benchmark-card.md have the tables.
+Those of episodes replay the entries in results/. docs/intents.md, explain.md and benchmark-card.md have the tables.
+`endings` and `failures` are made of docs/endings.csv and docs/failures.csv, which get a row for each entry and task
+that they lack.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,11 +24,13 @@ from magical_mj.evaluation.attribution import BITS, Attribution, attribute, task
 from magical_mj.evaluation.entry import Entry, read_entry
 from magical_mj.evaluation.reports.explained import shares
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.evaluation.turning import FAILURES, turning
 from magical_mj.intents import EIGHT
 from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, readings, refutes, same_places
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
+from magical_mj.utils.errors import counted
 from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, filled, table
 
@@ -33,8 +40,17 @@ CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
 """The tasks that require moving only some of the blocks."""
 TESTED: Final = [variant for variant in VARIANTS if variant != "Demo"]
 TELLING: Final = ("FixColour", "Colour")
-MORE: Final = 10
-"""The number of scenes of each environment that the table of some entries covers."""
+FEW: Final = 5
+"""The number of scenes of each environment that the table of all entries covers."""
+FEW_LONG: Final = 2
+"""The same in the tasks `LONG`, whose episodes take longest."""
+LONG: Final = ("ClusterColour", "ClusterShape")
+LOST: Final = 2
+"""The number of failed episodes of each task in `LOST_IN` whose last solvable step is found."""
+LOST_IN: Final = ("MoveToCorner", "MoveToRegion", *CHOICES)
+ENDED: Final = ROOT / "docs" / "endings.csv"
+FAILED: Final = ROOT / "docs" / "failures.csv"
+"""The files of what the entries' episodes did, and of what went wrong in some."""
 COMPARED: Final = (
     "pixels-bc-quick",
     "pixels-redraw-quick",
@@ -135,14 +151,92 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
     return float(at_place), float(of_colour), float(intended)
 
 
-def choices() -> str:
-    """What some policies did in the tasks `CHOICES`, over the scenes of all variants."""
+def endings() -> str:
+    """What all policies did, over all environments that they have played."""
     rows = []
-    for entry in entries(COMPARED):
-        for task in CHOICES:
-            played = [episode for episode in entry.episodes if first(entry, episode, MORE) and episode.task == task]
-            rows.append((f"{entry.method}, {task}", str(len(played)), *map(_percent, ended(entry, played))))
-    return table(("Method and task", "Episodes", *ENDINGS), rows)
+    for name, group in _by_entry(measured(ENDED, TASKS, _ended)).items():
+        entry = read_entry(RESULTS / name)
+        places = {(episode.task, episode.variant) for episode in entry.episodes if covered(entry, episode)}
+        part = "" if len(places) == len(ENVIRONMENTS) else f" ({counted(len(places), 'environment')})"
+        total = sum(int(row["episodes"]) for row in group)
+        parts = [sum(float(row[name]) for row in group) / total for name in ENDINGS]
+        rows.append((f"{entry.method}{part}", str(total), *map(_percent, parts)))
+    return table(("Method", "Episodes", *ENDINGS), rows)
+
+
+def failures() -> str:
+    """What went wrong in some failed episodes, by the last step from which the expert solves them."""
+    rows = []
+    for name, group in _by_entry(measured(FAILED, LOST_IN, _lost, COMPARED)).items():
+        counts = [sum(int(row[kind]) for row in group) for kind in FAILURES]
+        if total := sum(counts):
+            parts = (_percent(count / total) for count in counts)
+            rows.append((read_entry(RESULTS / name).method, str(total), *parts))
+    return table(("Method", "Failed episodes", *FAILURES), rows)
+
+
+Row = dict[str, Any]
+
+
+def measured(
+    path: Path,
+    tasks: Sequence[str],
+    measure: Callable[[Entry, Sequence[EpisodeResult]], Row],
+    names: Sequence[str] = (),
+) -> list[dict[str, str]]:
+    """The rows of a file, one for each entry and task. Those that are missing are measured and stored first."""
+    head = ("entry", "task", *measure(read_entry(RESULTS / "noop"), []))
+    if not path.exists():
+        path.write_text(",".join(head) + "\n", encoding="utf-8")
+    done = {(row["entry"], row["task"]) for row in _stored(path)}
+    every = sorted(
+        folder.name for folder in RESULTS.iterdir() if folder.is_dir() and (not names or folder.name in names)
+    )
+    for name in every:
+        missing = [task for task in tasks if (name, task) not in done]
+        entry = read_entry(RESULTS / name) if missing else None
+        for task in missing:
+            episodes = [one for one in entry.episodes if one.task == task and covered(entry, one)] if entry else []
+            if entry and episodes:
+                row = measure(entry, episodes)
+                with path.open("a", encoding="utf-8", newline="") as file:
+                    csv.writer(file, lineterminator="\n").writerow([name, task, *row.values()])
+    return sorted(_stored(path), key=lambda row: (row["entry"], TASKS.index(row["task"])))
+
+
+def _stored(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _by_entry(rows: Sequence[dict[str, str]]) -> dict[str, list[dict[str, str]]]:
+    groups: dict[str, list[dict[str, str]]] = {}
+    for row in rows:
+        groups.setdefault(row["entry"], []).append(row)
+    return groups
+
+
+def _ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> Row:
+    """Numbers of episodes by endings; and of the failed ones, the rival with the largest share, and that share."""
+    failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
+    counts = {kind: len(failed) * part for kind, part in shares(failed).items()} if failed else {}
+    counts["intended"] = len(episodes) - len(failed)
+    reached = Counter[int]()
+    for result in failed:
+        reached.update(result.rivals)
+    row: Row = {"episodes": len(episodes)} | {kind: f"{counts.get(kind, 0):.6g}" for kind in ENDINGS}
+    row |= {"failed": len(failed), "rival": "", "share": ""}
+    for rival, share in reached.most_common(1):
+        row |= {"rival": str(task_rivals(failed[0].episode.task)[rival]), "share": f"{share / len(failed):.3f}"}
+    return row
+
+
+def _lost(entry: Entry, episodes: Sequence[EpisodeResult]) -> Row:
+    """Numbers of some failed episodes by what went wrong."""
+    failed = [episode for episode in episodes if episode.score < 1.0]
+    chosen = failed[:: max(1, len(failed) // LOST)][:LOST]
+    kinds = Counter(turning(result).failure for result in replayed(entry, chosen))
+    return {kind: kinds[kind] for kind in FAILURES}
 
 
 def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
@@ -151,18 +245,14 @@ def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
         yield read_entry(folder)
 
 
+def covered(entry: Entry, episode: EpisodeResult) -> bool:
+    """Whether the table of all entries covers an episode."""
+    return first(entry, episode, FEW_LONG if episode.task in LONG else FEW)
+
+
 def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
     """Whether an episode is one of the first run, in one of the first scenes of its environment."""
     return episode.run == entry.runs[0] and episode.seed - SPLITS["test"] < scenes
-
-
-def ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> list[float]:
-    """The shares of the endings of some episodes of an entry. Episodes with the full score are not replayed."""
-    failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
-    solved = len(episodes) - len(failed)
-    parts = shares(failed) if failed else dict.fromkeys(ENDINGS, 0.0)
-    parts = {name: part * len(failed) / len(episodes) for name, part in parts.items()}
-    return list((parts | {"intended": solved / len(episodes)}).values())
 
 
 def replayed(entry: Entry, episodes: Iterable[EpisodeResult]) -> list[Attribution]:
@@ -182,8 +272,9 @@ def _percent(share: float) -> str:
 WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "identifiability": ("docs/benchmark-card.md", identifiability),
     "left-open": ("docs/intents.md", left_open),
-    "place-or-colour": ("docs/intents.md", place_or_colour),
-    "choices": ("docs/intents.md", choices),
+    "place-or-colour": ("docs/explain.md", place_or_colour),
+    "endings": ("docs/explain.md", endings),
+    "failures": ("docs/explain.md", failures),
 }
 """Table -> its page, and the function that makes it."""
 

@@ -3,6 +3,7 @@
     python -m tools.intents draw             writes magical_mj/intents/sets.txt
     python -m tools.intents show 200         prints random intents with their sentences
     python -m tools.intents expert OUT       plays the test sets with the expert; called again, it continues
+    python -m tools.intents picture          draws docs/intents.png
     python -m tools.intents demonstrations   makes those of the test sets, and writes the file that the package ships;
                                              called again, it continues. It takes half an hour of one core
 
@@ -17,9 +18,10 @@ import hashlib
 import lzma
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from itertools import count, islice
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -30,7 +32,7 @@ from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import DEMONSTRATIONS_GIVEN
 from magical_mj.intents import EIGHT, sets
-from magical_mj.intents.intent import Intent, intent_of
+from magical_mj.intents.intent import Intent, intent_of, parse
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import keeps
@@ -76,6 +78,13 @@ TRAIN, DEV, TEST = 1000, 50, 50
 SPARE: Final = 5
 """The number of further test intents, since some have the meaning of others."""
 CHANCE: Final = 0.2
+PICTURED: Final = (
+    "in(colour=red, region) & untouched(others)",
+    "near(all, to=blue star)",
+    "wall(nearest=region, left)",
+    "line(all)",
+)
+"""The intents in the picture of the docs."""
 EPISODES, FIRST = 20, 3
 NEVER_TRAINED_SELECTORS: Final = ("odd", "farthest")
 NEVER_TRAINED_RELATIONS: Final = ("corner", "apart", "robot near")
@@ -305,6 +314,26 @@ def demonstrations() -> None:
     print(f"{stored.shipped_path()}: {len(lines)} of {len(keys)} demonstrations")
 
 
+# The picture
+
+
+def picture() -> None:
+    """Draws the initial scene of some intents, and the final scene of a plan, into docs/intents.png."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.6, 5.6), layout="constrained")
+    panels: Any = figure.subfigures(2, 2, wspace=0.04, hspace=0.04)
+    for panel, text in zip(panels.flat, PICTURED, strict=True):
+        intent = parse(text)
+        start = intent.spec().demo
+        panel.suptitle(f"{text}\n{intent.sentence}", fontsize=8)
+        for axes, scene in zip(panel.subplots(1, 2), (start, solved(intent, start) or start), strict=True):
+            with closing(Engine.of_scene(scene, renderer="software")) as engine:
+                axes.imshow(engine.render("allo", 240))
+            axes.set_axis_off()
+    figure.savefig(ROOT / "docs" / "intents.png", dpi=100)
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["draw"]:
@@ -315,5 +344,7 @@ if __name__ == "__main__":
             expert(out)
         case ["demonstrations"]:
             demonstrations()
+        case ["picture"]:
+            picture()
         case _:
             sys.exit(__doc__)

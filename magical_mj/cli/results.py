@@ -62,7 +62,7 @@ Videos = Annotated[
 Explain = Annotated[
     bool,
     typer.Option(
-        "--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/intents.md."
+        "--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md."
     ),
 ]
 LastSolvable = Annotated[

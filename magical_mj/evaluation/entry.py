@@ -45,10 +45,11 @@ SHARED: Final = ("observations", "rules", "protocol")
 """The fields in which all files of an entry must agree."""
 MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
+GIVEN: Final = "demonstrations at test"
+"""The privilege of methods whose policies receive demonstrations."""
 PLAIN: Final = {
     "split": ("test", "on the split {}, but entries must be played on test"),
     "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
-    "demonstrations": ("", "with demonstrations at test time ({}), which entries do not have"),
     "other": ("", "as a control, with what belongs to {}"),
 }
 """Field -> the value that all episodes of an entry must have, and the error for other values."""
@@ -82,12 +83,14 @@ Privilege = Literal[
     "other scenes",
     "knowledge of tasks",
     "simulator at test",
+    "demonstrations at test",
 ]
 """Information that a method uses in addition to the observations and actions of demonstrations.
 
 In this order: the demonstrations' states; in training, the simulator, pictures of any state, and the task's score; a
 program for a part of the tasks, such as gripping a block; choices by scores in dev scenes of the test variants; scenes
-other than the demo scene; the author's knowledge of the tasks; and a copy of the simulation during tests."""
+other than the demo scene; the author's knowledge of the tasks; a copy of the simulation during tests; and the
+demonstrations of the task at the start of each episode, of which training saw none."""
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
@@ -116,7 +119,7 @@ class Card(Struct, forbid_unknown_fields=True):
     demonstrations: Demonstrations = msgspec.field(default_factory=Demonstrations)
     training: Training = msgspec.field(default_factory=Training)
     hardware: Line | None = None
-    privileges: Annotated[list[Privilege], Meta(max_length=9)] | None = None
+    privileges: Annotated[list[Privilege], Meta(max_length=10)] | None = None
     commands: Annotated[list[Annotated[str, Meta(max_length=500)]], Meta(max_length=20)] | None = None
     """The commands that reproduce it, from a checkout of this repository or of the method's."""
 
@@ -290,6 +293,8 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         for name, (usual, problem) in PLAIN.items():
             if (value := getattr(episode, name)) != usual:
                 raise EvaluationError(f"{folder} was played {problem.format(value)}")
+        if episode.demonstrations and GIVEN not in (card.privileges or ()):
+            raise EvaluationError(f'{folder} was played with {episode.given}: add "{GIVEN}" to the card\'s privileges')
         if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
             raise EvaluationError(
                 f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}"

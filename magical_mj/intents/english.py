@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -19,22 +20,22 @@ CLAUSES: Final[dict[str, tuple[str, ...]]] = {
     "in": ("bring {blocks} into the region", "put {blocks} in the region", "move {blocks} into the region"),
     HOME: (
         "keep {blocks} in the region where {they} started",
-        "at the end, have {blocks} in the region where {they} started",
+        "leave {blocks} in the region where {they} started",
     ),
-    KEPT: ("keep {blocks} in the region", "at the end, have {blocks} in the region"),
-    "out": ("make sure that {blocks} {are} outside all regions", "at the end, have {blocks} outside all regions"),
+    KEPT: ("keep {blocks} in the region", "let the region still contain {blocks}"),
+    "out": ("make sure that {blocks} {are} outside all regions", "let no region contain {any}"),
     "exactly": (
         "have {blocks} in the region",
-        "leave {blocks} in the region",
+        "let the region contain {blocks}",
         "see to it that {blocks} {are} in the region",
     ),
     "wall": ("push {blocks} to {wall}", "move {blocks} to {wall}"),
     "corner": ("push {blocks} into {corner}", "move {blocks} into {corner}"),
     "near": ("bring {blocks} next to the {reference}", "put {blocks} close to the {reference}"),
-    "apart": ("move {blocks} apart from each other", "spread out {blocks}"),
+    "apart": ("move {blocks} apart", "spread out {blocks}"),
     "line": ("arrange {blocks} in a line", "line up {blocks}"),
     "clustered": ("sort {blocks} into clusters by {argument}", "gather {blocks} into groups of the same {argument}"),
-    "untouched": ("leave {blocks} where {they} {are}", "do not move {blocks}"),
+    "untouched": ("leave {blocks} where {they} {are}", "do not move {any}"),
     "robot in": ("drive into the region", "park in the region"),
     "robot near": ("drive next to the {reference}", "park next to the {reference}"),
     "robot wall": ("drive to {wall}", "park at {wall}"),
@@ -63,9 +64,11 @@ def _clauses(conjunct: Conjunct) -> list[str]:
     """What asks for one conjunct, in different words."""
     argument = conjunct.argument
     one = conjunct.some or names_one(conjunct.selector) or conjunct.number == 1
+    blocks = _blocks(conjunct) if RELATIONS[conjunct.relation].of_blocks else ""
     words = {
         "argument": argument,
-        "blocks": _blocks(conjunct) if RELATIONS[conjunct.relation].of_blocks else "",
+        "blocks": blocks,
+        "any": re.sub("^all ", "any ", blocks),
         "they": "it" if one else "they",
         "are": "is" if one else "are",
         "wall": _side(argument, "wall"),

@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from magical_mj.envs.presets import PRESETS
-from magical_mj.evaluation.entry import SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.evaluation.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.reports.statistics import (
     Floats,
@@ -29,7 +29,15 @@ from magical_mj.utils.errors import counted
 
 Kind = Literal["official", "partial", "published"]
 Block = Literal[
-    "pictures", "pictures and more", "states", "states and more", "simulator", "nothing", "undeclared", "released"
+    "pictures",
+    "pictures and more",
+    "states",
+    "states and more",
+    "simulator",
+    "given",
+    "nothing",
+    "undeclared",
+    "released",
 ]
 BLOCKS: Final[Mapping[Block, str]] = {
     "pictures": "From pictures",
@@ -37,6 +45,7 @@ BLOCKS: Final[Mapping[Block, str]] = {
     "states": "From states",
     "states and more": "From states, with more than the paper's setting in training",
     "simulator": "With a simulator at test",
+    "given": "With demonstrations at test",
     "nothing": "Without looking",
     "undeclared": "Privileges not declared",
     "released": "By the rules of the paper's released code",
@@ -124,6 +133,8 @@ class Standing:
             return "undeclared"
         if "simulator at test" in self.privileges:
             return "simulator"
+        if GIVEN in self.privileges:
+            return "given"
         if self.entry.observations is None:
             return "nothing"
         more = bool({*self.privileges} - USUAL)

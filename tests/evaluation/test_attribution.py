@@ -55,7 +55,7 @@ def test_bc_takes_the_block_at_the_demonstrated_place_as_the_page_says() -> None
     results = replayed(entry, [episode for episode in there if episode.seed in seeds])
     row = [entry.method, len(results), *(round(100 * share) for share in pursued(results))]
     assert row == ["BC (ST, quick)", 90, 96, 0, 8]
-    page = (ROOT / "docs" / "intents.md").read_text("utf-8")
+    page = (ROOT / "docs" / "explain.md").read_text("utf-8")
     assert f"| {' | '.join(map(str, row))} |" in page
     assert f"In {len(seeds)} of FixColour's 100 Colour scenes" in page
     text = " ".join(page.split())

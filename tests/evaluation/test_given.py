@@ -18,7 +18,8 @@ from magical_mj.evaluation.reports.results import results
 from magical_mj.evaluation.reports.tables import control_tables, result_tables
 from magical_mj.evaluation.scores import SETTINGS, read
 from magical_mj.intents import EIGHT
-from magical_mj.leaderboard import submit
+from magical_mj.leaderboard import check_entries, read_entry, submit
+from magical_mj.leaderboard.standings import standing
 from magical_mj.policies.interface import NEUTRAL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, EvaluationError, IntentError, SettingsError
@@ -214,10 +215,23 @@ def test_reports_group_methods_by_what_they_were_given(tmp_path: Path) -> None:
     assert [*control_tables(alone)] == []
 
 
-def test_entries_of_the_leaderboard_have_no_demonstrations(tmp_path: Path) -> None:
+def test_entries_with_demonstrations_at_test_say_so_and_have_a_block_of_their_own(tmp_path: Path) -> None:
     evaluate(agents.Nearest(), out=tmp_path / "run", **DEMO)
-    with pytest.raises(EvaluationError, match="with demonstrations at test time"):
-        submit([tmp_path / "run"], tmp_path / "entry.json.xz")
+    card, path = tmp_path / "card.toml", tmp_path / "entry.json.xz"
+    for declared in ("", "privileges = []\n"):
+        card.write_text(declared)
+        with pytest.raises(EvaluationError, match=r'played with .* demonstrations.*: add "demonstrations at test" to'):
+            submit([tmp_path / "run"], path, card=card)
+    card.write_text('privileges = ["demonstrations at test"]\n')
+    submit([tmp_path / "run"], path, card=card)
+    entry = read_entry(path)
+    assert standing(entry).block == "given"
+    (findings,) = check_entries({"entry": entry}, most=None).values()
+    assert findings.episodes == len(entry.episodes) > 0
+    assert findings.good
+    evaluate(agents.Nearest(), out=tmp_path / "other", control="wrong-demonstrations", **DEMO)
+    with pytest.raises(EvaluationError, match="as a control, with what belongs to"):
+        submit([tmp_path / "other"], tmp_path / "other.json.xz", card=card)
 
 
 def test_policies_do_not_receive_the_intent_of_a_task(cache: Path) -> None:

@@ -234,6 +234,31 @@ def test_rivals_say_something() -> None:
             assert "others" not in str(intent) or "(all" not in str(intent)
 
 
+@pytest.mark.parametrize(
+    ("text", "sentences"),
+    [
+        ("untouched(colour=red)", ["Leave all red blocks where they are.", "Do not move any red blocks."]),
+        ("apart(starts=out)", ["Move apart all blocks that start outside the regions."]),
+        (
+            "out(shape!=star)",
+            [
+                "Make sure that all blocks that are not stars are outside all regions.",
+                "Let no region contain any blocks that are not stars.",
+            ],
+        ),
+        (
+            "exactly(2, shape!=star)",
+            [
+                "Have in the region exactly two blocks that are not stars.",
+                "Let the region contain exactly two blocks that are not stars.",
+            ],
+        ),
+    ],
+)
+def test_long_descriptions_come_last_and_negations_say_any(text: str, sentences: list[str]) -> None:
+    assert list(parse(text).paraphrases)[: len(sentences)] == sentences
+
+
 def test_paraphrases_say_the_same_in_other_words() -> None:
     intent = parse("in(any, colour!=red, shape!=star, region) & untouched(nearest=robot)")
     first, *others = intent.paraphrases

@@ -124,7 +124,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     out.mkdir(parents=True, exist_ok=True)
     parts = [
         "# What the policies were after",
-        "docs/intents.md says what the words mean. Episodes are replayed from their actions.",
+        "docs/explain.md says what the words mean. Episodes are replayed from their actions.",
         *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
