@@ -319,6 +319,32 @@ class Window:
         self._pygame.font.quit()
 
 
+def _is_puzzle(first: tuple[str, str, int]) -> bool:
+    return first[0].startswith("intent:")
+
+
+def _check_page(
+    first: tuple[str, str, int] | None, environments: Sequence[Pair], collecting: bool, origin: str | None
+) -> None:
+    """Raises a `SettingsError` unless the page has these environments, and may have this address."""
+    if not set(environments) <= set(ENVIRONMENTS) or (
+        first is not None and first[0] not in TASKS and not _is_puzzle(first)
+    ):
+        raise SettingsError("the page has the benchmark's own tasks, and any intent as TASK: play others in a window")
+    if first is not None:
+        check_seed_in_browser(first[2])
+        if not _is_puzzle(first) and first[:2] not in environments:
+            raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
+        if collecting:
+            raise SettingsError(
+                "with --collect, the server chooses the environments: give --tasks and --variants, not TASK"
+            )
+    if origin is not None and not ORIGIN.fullmatch(origin):
+        raise SettingsError(
+            f"--origin must be an address such as https://study.example.org, without a path, not {origin!r}"
+        )
+
+
 def serve_page(
     first: tuple[str, str, int] | None,
     environments: Sequence[Pair],
@@ -330,23 +356,9 @@ def serve_page(
     origin: str | None,
 ) -> None:
     """Serve until Ctrl-C. `first` is the task, the variant and the seed that the printed link opens."""
-    is_puzzle = first is not None and first[0].startswith("intent:")
-    if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS and not is_puzzle):
-        raise SettingsError("the page has the benchmark's own tasks, and any intent as TASK: play others in a window")
-    if first is not None:
-        check_seed_in_browser(first[2])
-        if not is_puzzle and first[:2] not in environments:
-            raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
-        if collect is not None:
-            raise SettingsError(
-                "with --collect, the server chooses the environments: give --tasks and --variants, not TASK"
-            )
+    _check_page(first, environments, collect is not None, origin)
     if (wanted is not None or study is not None) and collect is None:
         raise SettingsError(f"{'--wanted' if study is None else '--study'} needs --collect")
-    if origin is not None and not ORIGIN.fullmatch(origin):
-        raise SettingsError(
-            f"--origin must be an address such as https://study.example.org, without a path, not {origin!r}"
-        )
     origin = origin and origin.rstrip("/").lower()  # browsers send and compare it in this form
     check_extra("games in a browser", "web")
     from magical_mj.web.collection import Collection, Study, read_study
@@ -360,7 +372,7 @@ def serve_page(
         environments = list(asked.pairs)
         collection = Collection(make_writable_folder(collect), asked)
     offered, fragment = list(puzzles()), "" if first is None else "#" + "-".join(map(str, first))
-    if first is not None and is_puzzle:
+    if first is not None and _is_puzzle(first):
         check_name("variant", first[1], VARIANTS)
         puzzle = puzzle_of(first[0])
         offered += [puzzle] * (puzzle not in offered)

@@ -91,7 +91,8 @@ def commands_in(folder: Path) -> list[list[str]]:
 def test_every_command_works(tmp_path: Path) -> None:
     """In a read-only folder, isolated, without HOME and TMPDIR, in the C locale, with unusual file names."""
     missing = [name for name in ALL if not any(command[: len(name.split())] == name.split() for command in COMMANDS)]
-    assert missing == ["inspect"]  # like `play --web`, it serves a page until it is interrupted
+    # One serves a page until it is interrupted, like `play --web`; tests/learners/test_rewards.py runs the other.
+    assert missing == ["inspect", "evaluate-reward"]
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
     folder = tmp_path / f"two\nlines{'x' * 237}.png"
     program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(folder)))
