@@ -92,6 +92,13 @@ test("by mouse: objects are moved, regions get another size, illegal places glow
   assert.deepEqual([larger.x_min, larger.y_min], [added.x_min, added.y_min]);
   assert.ok(Math.abs(larger.x_max - added.x_max - 0.1) < 0.02 && Math.abs(larger.y_max - added.y_max - 0.2) < 0.02);
   assert.match(await verdict() ?? "", /No score: MoveToCorner needs no goal regions, but this has 1/);
+  await handle("block 0").focus();
+  await page.keyboard.press("Delete");
+  await button("Play it").click();
+  await page.waitForFunction(() => document.getElementById("status")?.textContent === "No score: MoveToCorner needs exactly one block, but this has 0");
+  await page.waitForFunction(() => document.getElementById("score")?.textContent === "–");
+  await page.keyboard.press("ArrowUp");
+  await page.waitForFunction(() => document.getElementById("status")?.textContent === "Playing");
   assert.deepEqual(complaints, []);
 });
 

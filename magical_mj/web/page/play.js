@@ -270,7 +270,7 @@ function showChoice(isOther, isNew) {
   element("words").textContent = hint;
   element("about").href = `../${puzzle ? "intents" : task === "SweepToTop" ? "bodies" : task}.html`;
   element("puzzle").hidden = !puzzle;
-  element("inspect").hidden = seat !== null || puzzle !== undefined;
+  for (const id of ["inspect", "edit"]) element(id).hidden = seat !== null || puzzle !== undefined;
   for (const button of puzzleButtons) button.ariaCurrent = String(button.dataset.variant === variant && Number(button.dataset.seed) === seed);
   showWatchable();
   if (isOther) {
@@ -311,7 +311,8 @@ function sceneButton({ seed, scene }) {
 function show(initial, scene) {
   shown.again = () => show(initial, scene);
   const { task, game, horizon, watching, sending, judged, environment: { puzzle } } = shown, final = game?.now ?? scene;
-  const done = game?.actions.length ?? 0, points = puzzle ? goalScore(judged.goal ?? null, initial, final) : score(task, initial, final);
+  const done = game?.actions.length ?? 0, isScored = puzzle || !lack(task, initial);
+  const points = puzzle ? goalScore(judged.goal ?? null, initial, final) : isScored ? score(task, initial, final) : 0;
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     const words = `${view === "allo" ? "From above" : "As the robot sees it"}; blocks: ${scene.blocks.length}, goal regions: ${scene.regions.length}`;
@@ -326,7 +327,7 @@ function show(initial, scene) {
     element("summary").textContent = puzzle.sentence;
   }
   const isHidden = puzzle && !watching && isSecret(puzzle);
-  const now = isHidden ? "?" : !puzzle && lack(task, initial) ? "–" : points.toFixed(2);
+  const now = isHidden ? "?" : !isScored ? "–" : points.toFixed(2);
   if (element("score").textContent !== now) element("score").textContent = now;  // otherwise screen readers would repeat it
   element("save").disabled = !game?.over || watching || sending || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
   if (game?.failure) say(game.failure);
