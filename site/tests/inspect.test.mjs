@@ -27,11 +27,9 @@ before(async () => {
   browser = await launch();
   page = await browser.context.newPage();
   await page.setViewportSize({ width: 400, height: 500 });  // few pixels, because software renders them
-  page.on("console", (message) => {
-    const text = message.text(), isOfTest = text.includes("blocked an inline style");  // Firefox about Playwright's screenshots
-    if (message.type() === "error" && !isOfTest) complaints.push(text);
-  });
-  page.on("pageerror", (error) => complaints.push(error.message));
+  const complain = (/** @type {string} */ text) => { if (!text.includes("blocked an inline style")) complaints.push(text); };  // Firefox about Playwright's screenshots
+  page.on("console", (message) => { if (message.type() === "error") complain(message.text()); });
+  page.on("pageerror", (error) => complain(error.message));
 });
 after(async () => {
   await browser.close();
