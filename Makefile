@@ -137,7 +137,7 @@ $(LEROBOT)/.installed: pyproject.toml
 WORLDMODEL := .venv-worldmodel
 
 worldmodel-test: $(WORLDMODEL)/.installed  ## the environments in stable-worldmodel's World, in an environment of its own (7 GB)
-	OMP_NUM_THREADS=1 $(WORLDMODEL)/bin/python -m pytest -rP tests/integrations/test_stable_worldmodel.py $(ARGS)
+	OMP_NUM_THREADS=1 $(WORLDMODEL)/bin/python -m pytest -rP tests/integrations/test_world_model.py $(ARGS)
 
 $(WORLDMODEL)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(WORLDMODEL)

@@ -18,18 +18,18 @@ from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
-import stable_worldmodel as swm
+import stable_worldmodel as swm  # pyright: ignore[reportMissingImports]
 import torch
-from stable_worldmodel.policy import BasePolicy, PlanConfig, WorldModelPolicy
-from stable_worldmodel.solver import CEMSolver
-from stable_worldmodel.wm.lewm import LeWM
-from stable_worldmodel.wm.lewm.module import MLP, Embedder, Predictor
-from stable_worldmodel.wm.loss import SIGReg
+from stable_worldmodel.policy import BasePolicy, PlanConfig, WorldModelPolicy  # pyright: ignore[reportMissingImports]
+from stable_worldmodel.solver import CEMSolver  # pyright: ignore[reportMissingImports]
+from stable_worldmodel.wm.lewm import LeWM  # pyright: ignore[reportMissingImports]
+from stable_worldmodel.wm.lewm.module import MLP, Embedder, Predictor  # pyright: ignore[reportMissingImports]
+from stable_worldmodel.wm.loss import SIGReg  # pyright: ignore[reportMissingImports]
 from torch import nn
 
 import magical_mj
 from magical_mj.experts import GoalPicture
-from magical_mj.integrations.stable_worldmodel import WorldEnv
+from magical_mj.integrations.world_model import WorldEnv
 
 BLOCK: Final = 5  # environment steps for each step of the model
 FRAMES: Final = 4  # of a training sequence

@@ -1,7 +1,7 @@
 """SAC and PPO of Stable-Baselines3 from states, with dense rewards and with the score: the curves in docs/rewards.md.
 
     nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000]
-    python -m tools.research.dense_rewards --out FOLDER --plot docs/rewards.png
+    python -m tools.research.dense_rewards --out FOLDER --plot    # docs/rewards.png and the table in docs/rewards.md
 
 Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
 actions. Both have two layers of 64 units and otherwise the library's settings, except for those below. A stopped run
@@ -12,6 +12,7 @@ line before, and the seconds.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -20,15 +21,19 @@ import gymnasium
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 import magical_mj
+from tools.pages import ROOT, filled, number, table
 
 TASKS: Final = ("MoveToRegion", "MoveToCorner", "FixColour")
 REWARDS: Final = ("dense", "score")
+REACHED: Final = 0.5
+"""The mean score whose first step the table names."""
 POINTS: Final = 20
 """The number of lines of a curve."""
 WORLDS: Final = 8  # of PPO
@@ -88,22 +93,46 @@ def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> Non
     worlds.close()
 
 
+def curves(runs: Path) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
+    """(learner, task) -> reward -> rows of steps and mean scores, of the steps that both rewards have reached."""
+    found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
+    for learner, task in itertools.product(("ppo", "sac"), TASKS):
+        paths = [runs / f"{learner}-{task}-{reward}" / "curve.csv" for reward in REWARDS]
+        if all(path.exists() for path in paths):
+            rows = [np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, :2] for path in paths]
+            least = min(map(len, rows))
+            if least > 1:
+                found[learner, task] = {reward: part[:least] for reward, part in zip(REWARDS, rows, strict=True)}
+    return found
+
+
 def plot(picture: Path, runs: Path) -> None:
     """Draws the mean scores over the steps, with a panel for each learner and task of which there are runs."""
-    pairs = [(learner, task) for learner in ("sac", "ppo") for task in TASKS]
-    pairs = [pair for pair in pairs if list(runs.glob("-".join((*pair, "*/curve.csv"))))]
-    figure = Figure((1.0 + 3.0 * len(pairs), 2.8), layout="constrained", dpi=100)
-    panels = figure.subplots(1, len(pairs), sharey=True, squeeze=False)[0]
-    for axes, (learner, task) in zip(panels, pairs, strict=True):
-        for reward in REWARDS:
-            path = runs / f"{learner}-{task}-{reward}" / "curve.csv"
-            rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2) if path.exists() else np.zeros((0, 3))
+    shown = curves(runs)
+    figure = Figure((1.0 + 2.2 * len(shown), 2.6), layout="constrained", dpi=100)
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, ((learner, task), parts) in zip(panels, shown.items(), strict=True):
+        for reward, rows in parts.items():
             axes.plot(rows[:, 0] / 1000, rows[:, 1], label=f'reward="{reward}"')
-        axes.set(title=f"{learner.upper()}, {task}", ylim=(-0.03, 1.03), xlabel="thousands of steps")
+        axes.set(ylim=(-0.03, 1.03), xlabel="thousands of steps")
+        axes.set_title(f"{learner.upper()}, {task}", fontsize=9)
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("mean score")
     panels[0].legend()
     figure.savefig(picture)
+
+
+def results(runs: Path) -> str:
+    """The table of docs/rewards.md."""
+    lines = []
+    for (learner, task), parts in curves(runs).items():
+        late = [number(float(rows[-max(1, len(rows) // 5) :, 1].mean())) for rows in parts.values()]
+        reached = [rows[rows[:, 1] >= REACHED, 0] for rows in parts.values()]
+        first = [f"{int(steps[0]):,}" if len(steps) else "not" for steps in reached]
+        lines.append([learner.upper(), task, f"{int(parts['score'][-1, 0]):,}", *late, *first])
+    names = [f"`{reward}`" for reward in REWARDS]
+    rule = [f"{REACHED} after steps, {name}" for name in names]
+    return table(["Learner", "Task", "Steps", *(f"Last fifth, {name}" for name in names), *rule], lines)
 
 
 def main() -> None:
@@ -113,10 +142,13 @@ def main() -> None:
     parser.add_argument("--sac", type=int, default=8_000)
     parser.add_argument("--ppo", type=int, default=30_000)
     parser.add_argument("--tasks", default=",".join(TASKS))
-    parser.add_argument("--plot", type=Path)
+    parser.add_argument("--plot", action="store_true")
     options = parser.parse_args()
     if options.plot:
-        plot(options.plot, options.out)
+        plot(ROOT / "docs" / "rewards.png", options.out)
+        page = ROOT / "docs" / "rewards.md"
+        text = filled(page.read_text("utf-8"), {"curves": results(options.out)}, "tools.research.dense_rewards")
+        page.write_text(text, "utf-8")
         return
     torch.set_num_threads(1)
     for task in options.tasks.split(","):

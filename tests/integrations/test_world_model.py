@@ -29,7 +29,7 @@ TASK = "MatchRegions"
 @pytest.mark.skipif(find_spec("stable_worldmodel") is not None, reason="stable-worldmodel is installed")
 def test_without_stable_worldmodel_one_line_says_what_to_install() -> None:
     with pytest.raises(MissingExtraError, match="pip install stable-worldmodel"):
-        import_module("magical_mj.integrations.stable_worldmodel")
+        import_module("magical_mj.integrations.world_model")
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     monkeypatch.setenv("MAGICAL_MJ_RENDERER", "software")
     from stable_worldmodel import World
 
-    from magical_mj.integrations.stable_worldmodel import WorldEnv
+    from magical_mj.integrations.world_model import WorldEnv
 
     def made(task: str = TASK, variant: str = "Demo", *wrappers: Any, count: int = 2, **settings: Any) -> Any:
         settings = {"max_episode_steps": None, "action": "continuous", "image_shape": (64, 64), **settings}
@@ -63,7 +63,7 @@ def repeating(actions: dict[int, list[int]]) -> Any:
 
 @needs_library
 def test_variations_are_ours_and_their_values_are_those_of_the_episode(world: Callable[..., Any]) -> None:
-    from magical_mj.integrations.stable_worldmodel import _nested
+    from magical_mj.integrations.world_model import _nested
 
     one = world()
     with closing(one), closing(magical_mj.MagicalEnv(TASK, "Demo", "State")) as env:
@@ -138,7 +138,7 @@ def test_success_is_the_full_score_at_the_horizon(world: Callable[..., Any]) -> 
 
 @needs_library
 def test_wrong_inputs_of_worlds_say_what_is_wrong(world: Callable[..., Any]) -> None:
-    from magical_mj.integrations.stable_worldmodel import WorldEnv
+    from magical_mj.integrations.world_model import WorldEnv
 
     with pytest.raises(SettingsError, match="WorldEnv needs an environment of magical_mj"):
         WorldEnv(gymnasium.make("CartPole-v1"))
