@@ -6,8 +6,8 @@
     python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the tables
     python -m tools.intent_baselines write              writes the tables
 
-It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Two policies
-are trained on other intents before, with python -m magical_intents.train KIND OUT/KIND (sentence or demonstrations).
+It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Policies for
+many intents are trained before, with python -m magical_intents.train OUT and python -m magical_intents.pictures OUT.
 """
 
 from __future__ import annotations
@@ -26,28 +26,29 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
 from magical_mj.evaluation.reports.statistics import mean_interval
-from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import parse
 from magical_mj.intents.ambiguity import ends_of
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.utils.errors import EvaluationError
+from tools.intents import TESTS, VARIANTS
 from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
 INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
 PAGE: Final = ROOT / "docs" / "intents.md"
-TESTS: Final = ("seen", "combined", "selector", "relation", "long")
-VARIANTS: Final = ("Demo", "Layout", "All")
 INTENTS: Final = 6
 """The number of intents of each set that a baseline plays."""
 FEW: Final = 3
 """The same for baselines that are trained for each intent."""
 EPISODES: Final = 1
 """The number of episodes of each intent in each variant."""
+SECONDS: Final = 3600.0
+"""The time limit of an episode. It includes a training, on a machine that may do other work."""
 SHOWN: Final = 4
-"""The number of demonstrations that a policy is given."""
+"""The number of demonstrations that a policy is given, in any number of scenes."""
 
 
 class Baseline(NamedTuple):
@@ -65,27 +66,38 @@ def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
     return {"demonstrations": SHOWN, "scenes": scenes, "contrasting": contrasting}
 
 
-KINDS: Final = ("sentence", "demonstrations")
+TRAINED: Final = ("sentence", "demonstrations", "pictures")
 """The trained policies: folders in `OUT`."""
 GOALS: Final = "magical_goals.policy:InferredGoal"
+SCENES: Final = (1, 4)
+"""The numbers of demo scenes. tools.intent_scenes has more."""
+
+
+def in_scenes(number: int, contrasting: bool) -> str:
+    """What is given: demonstrations in a number of scenes."""
+    kind = "contrasting " if contrasting else "random " if number > 1 else ""
+    return f"demonstrations in {number} {kind}scene{'s' if number > 1 else ''}"
+
+
+def rows_of(name: str, method: str, policy: str) -> dict[str, Baseline]:
+    """Rows for numbers of demo scenes, random and contrasting."""
+    every = [(number, contrasting) for contrasting in (False, True) for number in SCENES if number > contrasting]
+    return {
+        f"{name}-{number}{'-contrasting' if contrasting else ''}": Baseline(
+            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting)
+        )
+        for number, contrasting in every
+    }
+
+
 BASELINES: Final = {
     "noop": Baseline("Doing nothing", "", "noop"),
     "random": Baseline("Random actions", "", "random"),
-    "cloned-1": Baseline(
-        "BC for each intent", "demonstrations in 1 scene", "magical_intents.cloning:Cloned", shown(1), FEW
-    ),
+    "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1), FEW),
+    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures"),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
-    "demonstrations-policy-1": Baseline(
-        "Policy for many intents", "demonstrations in 1 scene", "demonstrations", shown(1)
-    ),
-    "demonstrations-policy-4": Baseline(
-        "Policy for many intents", "demonstrations in 4 random scenes", "demonstrations", shown(4)
-    ),
-    "goals-1": Baseline("Intent inference", "demonstrations in 1 scene", GOALS, shown(1)),
-    "goals-4": Baseline("Intent inference", "demonstrations in 4 random scenes", GOALS, shown(4)),
-    "goals-4-contrasting": Baseline(
-        "Intent inference", "demonstrations in 4 contrasting scenes", GOALS, shown(4, contrasting=True)
-    ),
+    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
+    **rows_of("goals", "Intent inference", GOALS),
     "expert": Baseline("Expert", "the intent", "expert"),
 }
 """Name -> row."""
@@ -118,12 +130,13 @@ def play(out: Path, names: Iterable[str]) -> None:
     for name in names:
         baseline, folder = BASELINES[name], out / name
         magical_mj.evaluate(
-            str(out / baseline.policy) if baseline.policy in KINDS else baseline.policy,
+            str(out / baseline.policy) if baseline.policy in TRAINED else baseline.policy,
             name=baseline.method,
             tasks=list(played(baseline.intents).values()),
             variants=list(VARIANTS),
             episodes=EPISODES,
             jobs=1,
+            time_limit=SECONDS,
             out=folder,
             resume=folder.exists(),
             **baseline.settings,
@@ -135,9 +148,8 @@ def gather(out: Path) -> list[Mean]:
     means = []
     for name in BASELINES:
         scores: dict[tuple[str, str], list[float]] = {}
-        with suppress(EvaluationError):  # nothing was played yet
-            for row in read(out / name):
-                scores.setdefault((row.task, row.variant), []).append(row.score)
+        for row in episodes_of(out / name):
+            scores.setdefault((row.task, row.variant), []).append(row.score)
         of_rows = {
             (name, *place, variant): scores.get((task, variant), [])
             for place, task in played(BASELINES[name].intents).items()
@@ -146,6 +158,16 @@ def gather(out: Path) -> list[Mean]:
         if all(of_rows.values()):
             means += [Mean(*key, float(np.mean(each))) for key, each in of_rows.items()]
     return means
+
+
+def episodes_of(folder: Path) -> list[EpisodeResult]:
+    """The episodes that were played. None may have failed."""
+    with suppress(EvaluationError):  # nothing was played yet
+        episodes = read(folder)
+        if failures := [episode for episode in episodes if episode.failure]:
+            sys.exit(f"{folder}: {len(failures)} episodes failed, such as {failures[0]}")
+        return episodes
+    return []
 
 
 def stored() -> list[Mean]:
@@ -172,7 +194,7 @@ def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
 
 
 def baselines(means: Sequence[Mean]) -> str:
-    """The table: means by set over the variants, by variant over the sets, and of all, with intervals over intents."""
+    """The table: means by set, by variant and of all, with intervals over intents."""
     kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
     kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
     rows = []
@@ -207,12 +229,20 @@ def infer_all() -> None:
         given = demonstrations_given(EvaluationSettings(**how)) if left else {}
         for place, task in left.items():
             inferred = infer([ends_of(demonstration) for demonstration in with_states(given[task])])[0].intent
-            with INFERRED.open("a", encoding="utf-8", newline="") as file:
-                csv.writer(file, lineterminator="\n").writerow((name, *place, intent_of(task), inferred))
+            add(Reading(name, *place, str(intent_of(task)), str(inferred)))
+
+
+def add(reading: Reading) -> None:
+    """Adds a line to the file of readings, which is created if it is missing."""
+    new = not INFERRED.exists()
+    with INFERRED.open("a", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([*([Reading._fields] if new else []), reading])
 
 
 def readings() -> list[Reading]:
-    """The readings in the file."""
+    """The readings in the file; none if it is missing."""
+    if not INFERRED.exists():
+        return []
     with INFERRED.open(encoding="utf-8", newline="") as file:
         return [
             Reading(r["baseline"], r["set"], int(r["number"]), r["intent"], r["inferred"]) for r in csv.DictReader(file)

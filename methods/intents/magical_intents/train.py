@@ -1,62 +1,89 @@
-"""Trains a policy on many intents: it is told which one by a sentence, or by demonstrations in other scenes.
+"""Trains policies for many intents: a skill, and planners that receive a sentence, or demonstrations in other scenes.
 
-python -m magical_intents.train sentence OUT
-python -m magical_intents.train demonstrations OUT
+python -m magical_intents.train OUT
 
-Called again with the same folder, it continues. The demonstrations are made by the expert if they are not there yet.
+It writes OUT/skill, OUT/sentence and OUT/demonstrations. The last two are folders of policies. Called again with the
+same folder, it continues. The demonstrations are made by the expert if they do not exist yet.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
-from magical_intents.network import Conditioned, moments_of, words_of
-from magical_intents.policy import POLICY
+from magical_intents.network import Planner, Skill
+from magical_intents.plans import SCENES, planned
+from magical_intents.policy import KINDS, POLICY
+from magical_intents.subgoals import DONE, Labels, Shown, labels_of
+from magical_intents.symmetries import MIRRORED, Symmetry, changed, drawn, moved, renamed, words_of
 from magical_mj.demos import Transitions
 from magical_mj.intents import SETS, Intent, dataset
 from magical_mj.intents.expert_data import Example
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
-from magical_mj.policies.interface import histories
 from magical_mj.policies.models import torch_settings
-from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import DemonstrationError, TrainingError
 
 VARIANTS: Final = ("Demo", "Layout", "All")
 """Of each intent one demonstration in each: so what varies in an intent is seen."""
-INTENTS: Final = 200
-UPDATES: Final = 4000
-BATCH: Final = 16
-"""The number of intents in a batch."""
-STEPS: Final = 16
-"""The number of steps of each of them, from one demonstration."""
+INTENTS: Final = 1000
+"""The number of intents of the plans."""
+SIMULATED_INTENTS: Final = 200
+"""The number of intents of the demonstrations."""
+UPDATES: Final = {"skill": 6000, "sentence": 3000, "demonstrations": 3000}
 LEARNING_RATE: Final = 1e-3
-SAVED: Final = 200
-"""The number of updates after which the policy is written."""
-
-
-class Shown(NamedTuple):
-    """A demonstration: the history before each action but no-ops, the actions, and moments."""
-
-    histories: NDArray[np.float32]
-    actions: NDArray[np.int64]
-    moments: NDArray[np.float32]
+LARGEST: Final = 1.0
+"""The largest norm of a gradient."""
+SAVED: Final = 100
+"""The number of updates after which a network is written."""
+GROUPS: Final = 80
+"""The number of contexts in a planner's batch."""
+STEPS: Final = 4
+"""The number of steps for each, from demonstrations that are not part of the context."""
+SIMULATED: Final = 0.3
+"""The share of contexts whose steps are from simulated demonstrations. The others are from plans."""
+ALIKE: Final = 0.3
+"""The share of contexts with one demonstration, repeated, as if all were in one scene."""
+DECISIVE: Final = 0.5
+"""The share of steps after which another object is brought. The others are random."""
+REST: Final = 6
+"""The number of steps after the last object that are learnt."""
+MOST_SHOWN: Final = 4
+"""The most demonstrations in a context."""
+SKILLS: Final = 512
+"""The number of steps in a batch of the skill."""
+NOISE: Final = (0.01, 0.01, 0.02)
+"""The standard deviation of noise on the robot's pose: units, units, rad."""
+PLACE_NOISE: Final = 0.02
+"""The standard deviation of noise on the places that the skill receives (units)."""
+WEIGHT: Final = 0.3
+"""The weight of places in the planner's loss."""
 
 
 class Lesson(NamedTuple):
-    """An intent: the words of its sentences, and its demonstrations."""
+    """An intent: the words of its sentences, shape (sentences, LENGTH), and its demonstrations."""
 
-    words: list[NDArray[np.int64]]
+    words: NDArray[np.int64]
     shown: list[Shown]
+
+
+class Quality(NamedTuple):
+    """How well a planner predicts the steps of demonstrations."""
+
+    loss: float
+    objects: float
+    """The share of objects that are predicted."""
+    places: float
+    """The share of places, of predicted objects, with an error of at most 0.15 units."""
 
 
 def trained_intents(number: int = INTENTS) -> list[Intent]:
@@ -69,7 +96,8 @@ def lessons(intents: Sequence[Intent], folder: Path | None = None, jobs: int | N
     found = []
     for intent in intents:
         try:
-            found.append(lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs)))
+            one = lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs))
+            found += [one] if len(one.shown) > 1 else []
         except DemonstrationError as error:
             warnings.warn(f"left out: {error}", stacklevel=2)
     return found
@@ -79,34 +107,54 @@ def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
     """An intent with some demonstrations from states."""
     shown = []
     for example in examples:
-        states = np.asarray(example.observations, np.float32)
-        acts = np.flatnonzero(example.actions != NOOP)
-        shown.append(Shown(histories(states)[acts], example.actions[acts].astype(np.int64), moments_of(states)))
-    return Lesson([words_of(sentence) for sentence in intent.paraphrases], shown)
+        states, actions = np.asarray(example.observations, np.float32), np.asarray(example.actions, np.int64)
+        labels = labels_of(states, actions)
+        if (labels.objects == DONE).all():  # what it moved, it moved by too little
+            continue
+        last = int(np.flatnonzero(labels.objects != DONE).max(initial=0)) + 1
+        rows = slice(min(len(actions), last + REST))
+        cut = Labels(labels.objects[rows], labels.places[rows])
+        first = np.flatnonzero(np.diff(cut.objects, prepend=-1))
+        shown.append(Shown(states[rows], actions[rows], cut, states[-1], first))
+    return Lesson(_words(intent), shown)
+
+
+def planned_lessons(intents: Sequence[Intent], scenes: int = SCENES) -> list[Lesson]:
+    """The intents with plans of the expert, without simulation. Those with fewer than two plans are left out."""
+    every = [Lesson(_words(one), planned(one, np.random.default_rng(k), scenes)) for k, one in enumerate(intents)]
+    return [one for one in every if len(one.shown) > 1]
+
+
+def _words(intent: Intent) -> NDArray[np.int64]:
+    return np.stack([words_of(sentence) for sentence in intent.paraphrases])
 
 
 def train(
     data: Sequence[Lesson],
     out: Path,
+    kind: str,
     *,
-    reads: bool,
-    updates: int = UPDATES,
+    plans: Sequence[Lesson] = (),
+    skill: Path | None = None,
+    updates: int | None = None,
     saved: int = SAVED,
+    seed: int = 0,
     watch: Callable[[int, float], object] = lambda _, __: None,
 ) -> None:
-    """Minimises -E log pi(a | s, context), with a mean over intents; writes the policy into `out`.
+    """Trains one of `KINDS`, and writes it into `out`. A planner's folder also gets the skill, and is a policy.
 
-    `watch` is called with the number of updates and the loss when the policy was written.
+    `watch` is called with the number of updates and the mean loss when the network was written.
 
     Raises:
         TrainingError: if the folder holds another training.
     """
-    path, training = out / POLICY, {"reads": reads, "updates": updates, "intents": len(data)}
-    with seeded(0):
-        network = Conditioned(reads=reads)
+    updates = updates or UPDATES[kind]
+    path, training = out / POLICY, {"kind": kind, "updates": updates, "intents": [len(data), len(plans)], "seed": seed}
+    with seeded(seed):
+        network: Any = Skill() if kind == "skill" else Planner(reads=kind == "sentence")
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
     rate = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.01, updates)
-    done = 0
+    done, losses = 0, []
     if path.exists():
         state = checkpoint.read(path)
         if state["training"] != training:
@@ -115,49 +163,147 @@ def train(
         network.load_state_dict(state["weights"])
         optimizer.load_state_dict(state["optimizer"])
         rate.load_state_dict(state["rate"])
+    acts = checkpoint.read(skill / POLICY)["weights"] if skill else None
     out.mkdir(parents=True, exist_ok=True)
     for update in range(done, updates):
-        loss = _loss(network, data, np.random.default_rng(update), reads=reads)
+        rng = np.random.default_rng([seed, update])
+        loss = skill_loss(network, data, rng) if kind == "skill" else planner_loss(network, data, plans, rng)
         optimizer.zero_grad()
         loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), LARGEST)
         optimizer.step()
         rate.step()
+        losses.append(loss.item())
         if (update + 1) % saved == 0 or update + 1 == updates:
             kept = {"weights": network.state_dict(), "optimizer": optimizer.state_dict(), "rate": rate.state_dict()}
-            checkpoint.write(path, {"reads": reads, "training": training, "updates": update + 1, **kept})
-            watch(update + 1, loss.item())
+            checkpoint.write(path, {"training": training, "updates": update + 1, "skill": acts, **kept})
+            watch(update + 1, float(np.mean(losses)))
+            losses.clear()
 
 
-def _loss(network: Conditioned, data: Sequence[Lesson], rng: np.random.Generator, *, reads: bool) -> torch.Tensor:
-    """The loss of a batch. The context is a sentence, or the demonstrations without the one that is cloned."""
-    given, before, actions = [], [], []
-    for number in rng.integers(len(data), size=BATCH):
-        lesson = data[number]
-        cloned, *others = (lesson.shown[place] for place in rng.permutation(len(lesson.shown)))
-        given.append(
-            lesson.words[rng.integers(len(lesson.words))] if reads else np.concatenate([o.moments for o in others])
-        )
-        steps = rng.integers(len(cloned.actions), size=STEPS)
-        before.append(cloned.histories[steps])
-        actions.append(cloned.actions[steps])
-    context = network.context(torch.from_numpy(np.stack(given))).repeat_interleave(STEPS, 0)
-    logits = network(torch.from_numpy(np.concatenate(before)), context)
-    return nn.functional.cross_entropy(logits, torch.from_numpy(np.concatenate(actions)))
+def skill_loss(network: Skill, data: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
+    """-E log pi(a | s, object, place) in steps of all demonstrations before `DONE`."""
+    states, actions, objects, places = [], [], [], []
+    for number in rng.integers(len(data), size=SKILLS // 8):
+        shown = data[number].shown[rng.integers(len(data[number].shown))]
+        (steps,) = np.nonzero(shown.labels.objects != DONE)
+        steps = steps[rng.integers(len(steps), size=8)]
+        states.append(shown.states[steps])
+        actions.append(shown.actions[steps])
+        objects.append(shown.labels.objects[steps])
+        places.append(shown.labels.places[steps])
+    by = drawn(SKILLS, rng)
+    now = torch.from_numpy(np.concatenate(states))
+    now[:, :3] += torch.from_numpy(rng.normal(0.0, NOISE, (SKILLS, 3))).float()
+    wanted = (
+        torch.from_numpy(np.concatenate(places))
+        + PLACE_NOISE * torch.from_numpy(rng.standard_normal((SKILLS, 2))).float()
+    )
+    right = torch.from_numpy(np.concatenate(actions))
+    logits = network(changed(now[:, None], by)[:, 0], torch.from_numpy(np.concatenate(objects)), moved(wanted, by))
+    return nn.functional.cross_entropy(logits, torch.where(by.mirrored, MIRRORED[right], right))
+
+
+class Batch(NamedTuple):
+    """Steps for a planner: the states at the start and now (n, names), the context's input, and the labels."""
+
+    initial: Tensor
+    now: Tensor
+    given: Tensor
+    objects: Tensor
+    places: Tensor
+
+
+def batch(
+    data: Sequence[Lesson],
+    rng: np.random.Generator,
+    *,
+    reads: bool,
+    plans: Sequence[Lesson] = (),
+    symmetries: bool = True,
+) -> Batch:
+    """A batch. The context is a sentence, or some demonstrations other than those of the steps."""
+    initial, now, given, objects, places = [], [], [], [], []
+    for _ in range(GROUPS):
+        source = plans if plans and rng.random() > SIMULATED else data
+        lesson = source[int(rng.integers(len(source)))]
+        order = rng.permutation(len(lesson.shown))
+        number = min(int(rng.integers(1, MOST_SHOWN + 1)), len(order) - 1)
+        context, others = order[:number], order[number:]
+        for place in rng.choice(others, STEPS).tolist():
+            cloned = lesson.shown[place]
+            step = rng.choice(cloned.decisive) if rng.random() < DECISIVE else rng.integers(len(cloned.states))
+            initial.append(cloned.states[0])
+            now.append(cloned.states[step])
+            objects.append(cloned.labels.objects[step])
+            places.append(cloned.labels.places[step])
+        if reads:
+            given.append(lesson.words[rng.integers(len(lesson.words))])
+            continue
+        if rng.random() < ALIKE:
+            context = np.repeat(context[:1], number)
+        ends = np.zeros((MOST_SHOWN, 2, len(initial[0])), np.float32)
+        for row, place in enumerate(context.tolist()):
+            ends[row] = lesson.shown[place].states[0], lesson.shown[place].final
+        given.append(ends)
+    start, current, wanted = (
+        torch.from_numpy(np.stack(rows)).unflatten(0, (GROUPS, STEPS)) for rows in (initial, now, places)
+    )
+    context = np.stack(given)
+    if symmetries:
+        by = drawn(GROUPS, rng)
+        start, current, wanted = changed(start, by), changed(current, by), moved(wanted, by)
+        context = renamed(context, by) if reads else _changed_ends(context, by)
+    return Batch(
+        start.flatten(0, 1),
+        current.flatten(0, 1),
+        torch.as_tensor(context),
+        torch.from_numpy(np.array(objects)),
+        wanted.flatten(0, 1),
+    )
+
+
+def _changed_ends(ends: NDArray[np.float32], by: Symmetry) -> Tensor:
+    return changed(torch.from_numpy(ends).flatten(1, 2), by).unflatten(1, ends.shape[1:3])
+
+
+def planner_loss(network: Planner, data: Sequence[Lesson], plans: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
+    """Minus the log-likelihood of objects and places, with a mean over intents."""
+    seen = batch(data, rng, reads=network.reads, plans=plans)
+    objects, places = network(seen.initial, seen.now, network.context(seen.given)).likelihood(seen.objects, seen.places)
+    return -(objects + WEIGHT * places).mean()
+
+
+@torch.inference_mode()
+def quality(network: Planner, data: Sequence[Lesson], batches: int = 10) -> Quality:
+    """How well a planner predicts random steps."""
+    found = []
+    for number in range(batches):
+        seen = batch(data, np.random.default_rng(number), reads=network.reads, symmetries=False)
+        plan = network(seen.initial, seen.now, network.context(seen.given))
+        objects, places = plan.best()
+        loss = -(plan.likelihood(seen.objects, seen.places)[0]).mean()
+        right = objects == seen.objects
+        near = (places - seen.places).norm(dim=1)[right & (objects < DONE)] <= 0.15
+        found.append((loss, right.float().mean(), near.float().mean()))
+    return Quality(*(float(np.mean(values)) for values in zip(*found, strict=True)))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("given", choices=["sentence", "demonstrations"])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--intents", type=int, default=INTENTS, help="the number of training intents")
-    parser.add_argument("--updates", type=int, default=UPDATES, help="the number of updates")
+    parser.add_argument("--intents", type=int, default=INTENTS, help="the number of intents of the plans")
     parser.add_argument("--folder", type=Path, help="where the demonstrations are kept; by default the user's cache")
     chosen = parser.parse_args()
     with torch_settings(1):
-        train(
-            lessons(trained_intents(chosen.intents), chosen.folder),
-            chosen.out,
-            reads=chosen.given == "sentence",
-            updates=chosen.updates,
-            watch=print,
-        )
+        data = lessons(trained_intents(SIMULATED_INTENTS), chosen.folder)
+        plans = planned_lessons(trained_intents(chosen.intents))
+        for kind in KINDS:
+            train(
+                data,
+                chosen.out / kind,
+                kind,
+                plans=plans,
+                skill=None if kind == "skill" else chosen.out / "skill",
+                watch=lambda updates, loss, kind=kind: sys.stdout.write(f"{kind} {updates} {loss:.4f}\n"),
+            )
