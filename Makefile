@@ -2,7 +2,7 @@
 # missing, in the versions of constraints.txt. For another Python than the first one found:
 # `make PYTHON=python3.13 VENV=.venv-3.13 test`.
 # `make demo` needs no torch. `make test` and `make check` do: on Linux, point PIP_EXTRA_INDEX_URL to PyTorch's index of
-# CPU builds to be spared the CUDA packages.
+# CPU builds to be spared most of the CUDA packages; numba-cuda needs 0.2 GB of them.
 
 SUPPORTED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3 python; do \

@@ -127,13 +127,14 @@ class Canvas:
     """Draws the environments of a batch on one of PyTorch's accelerators."""
 
     def __init__(self, tables: Sequence[Tensor], room: int) -> None:
-        self._device, self._tables, self._room = tables[0].device, tuple(map(cuda.as_cuda_array, tables)), room
+        self._device, self._room = tables[0].device, room
+        with cuda.gpus[self._device.index or 0]:
+            self._tables = tuple(map(cuda.as_cuda_array, tables))
 
     def draw(self, poses: Tensor, fingers: Tensor, view: int, envs: Tensor, out: Tensor) -> None:
-        """Launches `draw` after all other work on PyTorch's current stream."""
-        arrays = (cuda.as_cuda_array(tensor) for tensor in (poses, fingers, envs, out))
-        poses, fingers, envs, out = arrays
+        """Launches `draw` after all other work on PyTorch's current stream. See `launch`."""
         handle = torch.cuda.current_stream(self._device).cuda_stream
-        stream = cuda.external_stream(handle) if handle else cuda.default_stream()
         with cuda.gpus[self._device.index or 0]:
-            launch(self._tables, self._room, poses, fingers, view, envs, out, stream)
+            stream = cuda.external_stream(handle) if handle else cuda.default_stream()
+            posed, turned_fingers, chosen, pictures = map(cuda.as_cuda_array, (poses, fingers, envs, out))
+            launch(self._tables, self._room, posed, turned_fingers, view, chosen, pictures, stream)
