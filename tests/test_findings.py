@@ -211,12 +211,13 @@ def test_the_demonstrations_page_has_the_scores_of_behavioural_cloning() -> None
 
 def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:
     page = (ROOT / "docs" / "demonstrations.md").read_text("utf-8")
-    table = page.partition("| | ours | people |")[2].split("\n\n")[0].splitlines()[2:]
-    shipped = [demos.load(task) for task in TASKS]
+    table = page.partition("| | set 1 | set 2 | people |")[2].split("\n\n")[0].splitlines()[2:]
+    shipped = {number: [demos.load(task, set=number) for task in TASKS] for number in (1, 2)}
     for line, statistic in zip(table, STATISTICS.values(), strict=True):
-        shown = line.split("|")[2].strip()
-        decimals = len(shown.partition(".")[2])
-        assert f"{np.mean([statistic(of_task) for of_task in shipped]):.{decimals}f}" == shown, line
+        for number, of_tasks in shipped.items():
+            shown = line.split("|")[1 + number].strip()
+            decimals = len(shown.partition(".")[2])
+            assert f"{np.mean([statistic(of_task) for of_task in of_tasks]):.{decimals}f}" == shown, line
 
 
 def test_scores_by_the_released_rules_follow_from_the_actions() -> None:

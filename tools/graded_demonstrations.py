@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.recording import replayed
-from magical_mj.demos.shipped import GRADED, graded_rows, load, pack_graded
+from magical_mj.demos.shipped import FILES, load, pack_rows, stored_rows
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import Expert
 from magical_mj.scene import GoalRegion, Scene
@@ -201,8 +201,8 @@ def main() -> None:
     for task in options.tasks.split(","):
         for body in task_spec(task).bodies if task_spec(task).speeds else ("gripper",):
             demos = chosen(task, body)
-            kept = [row for row in graded_rows() if (row.task, row.body) != (task, body)] if GRADED.exists() else []
-            pack_graded(kept, demos)
+            kept = [row for row in stored_rows(FILES["graded"]) if (row.task, row.body) != (task, body)]
+            pack_rows(FILES["graded"], kept, demos)
             quartiles = np.bincount([min(int(demo.score * BINS), BINS - 1) for demo in demos], minlength=BINS)
             kinds = {
                 kind: sum(demo.demonstrator == kind for demo in demos) for kind in ("stopped", "disturbed", "mistaken")

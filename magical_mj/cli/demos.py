@@ -37,6 +37,7 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Verdict
+    from magical_mj.demos.shipped import DemonstrationSet
     from magical_mj.evaluation.worker import Player
 
 Key = tuple[str, str, int]
@@ -47,8 +48,8 @@ Paths = Annotated[
     typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
 ]
 Set = Annotated[
-    Literal["expert", "graded"],
-    typer.Option("--set", help="Of those that come with the tasks: expert (score 1) or graded (all scores)."),
+    Literal["1", "2", "graded"],
+    typer.Option("--set", help="Of those that come with the tasks: 1, 2 (more varied) or graded (all scores)."),
 ]
 Recordings = Annotated[
     list[Path],
@@ -265,9 +266,7 @@ def imported(file: Path) -> tuple[Demonstration, str]:
 
 
 @app.command()
-def info(
-    paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", which: Set = "expert"
-) -> None:
+def info(paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", which: Set = "1") -> None:
     """Summarise demonstrations: scores, lengths, and their diversity."""
     describe(read_chosen(paths, tasks, variants, which))
 
@@ -302,7 +301,7 @@ def verify_all(
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
-    which: Set = "expert",
+    which: Set = "1",
     jobs: option.Jobs = None,
 ) -> None:
     """Check digests, replay all actions, and count those that reproduce their score, states and pictures.
@@ -367,7 +366,7 @@ def video(
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
-    which: Set = "expert",
+    which: Set = "1",
     count: Filmed = 1,
     size: option.Size = 384,
     speed: Speed = 1,
@@ -399,7 +398,7 @@ def export(
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
-    which: Set = "expert",
+    which: Set = "1",
     to: Target = "npz",
     out: Name = None,
     preset: ExportPreset = None,
@@ -411,6 +410,7 @@ def export(
     """Export demonstrations for other tools."""
     from magical_mj.demos.export import default_target, make_data_set
     from magical_mj.demos.export.minari import dataset_path
+    from magical_mj.demos.shipped import set_suffix
 
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
@@ -424,8 +424,8 @@ def export(
         groups[demo.name].append(demo)
     if to in ("npz", "xirl"):  # these can hold several environments
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
-    if which == "graded":
-        groups = {f"{name}-graded": group for name, group in groups.items()}
+    if suffix := set_suffix(_set_named(which)):
+        groups = {f"{name}{suffix}": group for name, group in groups.items()}
     elif out is not None and len(groups) > 1:
         raise typer.BadParameter(
             f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
@@ -463,18 +463,26 @@ def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None
         raise FileExistsError(f"the data set {path} exists already; give {other}")
 
 
+def _set_named(which: Set) -> DemonstrationSet:
+    """The set with this name on the command line."""
+    from magical_mj.demos.shipped import SETS
+
+    return next(number for number in SETS if str(number) == which)
+
+
 def sources_of(
-    paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "expert"
+    paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "1"
 ) -> Sequence[Path | Demonstration]:
     """The demonstration files without repetitions, even if a file has several paths. Default: the shipped ones."""
     pairs = environments(tasks, variants)
-    if paths and which == "graded":
+    if paths and which != "1":
         raise typer.BadParameter("--set chooses among those that come with the tasks: leave out the files.")
     if not paths:
         specs = {task: task_spec(task) for task, _ in pairs}
         bodies = {task: spec.bodies if spec.speeds else (GRIPPER,) for task, spec in specs.items()}
+        number = _set_named(which)
         shipped = [(task, body) for task in specs for body in bodies[task]]
-        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body, set=which)]
+        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body, set=number)]
     chosen: dict[Path, Path] = {}
     for path in paths:
         if path.is_dir():
@@ -491,7 +499,7 @@ def sources_of(
     return list(chosen.values())
 
 
-def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "expert") -> list[Demonstration]:
+def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "1") -> list[Demonstration]:
     """The demonstrations of these tasks and variants in files and folders, or by default the shipped ones."""
     wanted = asked_for(tasks, variants)
     demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants, which)]

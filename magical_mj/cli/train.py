@@ -39,7 +39,7 @@ PAUSE: Final = 10.0
 Method = Annotated[
     str,
     typer.Argument(
-        help="bc, gail, wgail-gp, al, airl, iq-learn, point, relational, redraw, or another package's.",
+        help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's.",
         show_default=False,
     ),
 ]

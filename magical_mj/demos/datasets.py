@@ -20,7 +20,7 @@ from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.export import default_target, make_data_set
 from magical_mj.demos.learning import observations
-from magical_mj.demos.shipped import DemonstrationSet
+from magical_mj.demos.shipped import DemonstrationSet, set_suffix
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
 
@@ -38,7 +38,7 @@ def load(
     folder: Path | str = "datasets",
     *,
     preset: str | None = None,
-    set: DemonstrationSet = "expert",  # noqa: A002 - as `magical_mj.demos.load`
+    set: DemonstrationSet = 1,  # noqa: A002 - as `magical_mj.demos.load`
 ) -> Any:
     """The data set of a task's demonstrations. It is written if it does not exist.
 
@@ -49,7 +49,7 @@ def load(
         to: the format: "npz" (without no-op actions), "minari", "lerobot" or "webdataset".
         folder: the folder of data sets. Minari uses its own folder instead.
         preset: the preset of the observations. None: "State" for Minari, otherwise "LoRes4E".
-        set: "expert" or "graded"; see `magical_mj.demos.load`.
+        set: 1, 2 or "graded"; see `magical_mj.demos.load`.
 
     Returns:
         For npz the arrays by name, for minari and lerobot the library's data set, for webdataset the archive's path.
@@ -62,7 +62,7 @@ def load(
     check_name("format of data sets", to, FORMATS)
     preset = preset if preset is not None else "State" if to == "minari" else "LoRes4E"
     demos = demonstrations.load(task, set=set)
-    target = default_target(to, only_environment(demos) + "-graded" * (set == "graded"), demos, preset)
+    target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset)
     if to != "minari":
         target = str(files.to_path(folder) / target)
     with contextlib.suppress(FileExistsError):

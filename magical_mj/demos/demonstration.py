@@ -39,7 +39,7 @@ from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedN
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.settings import annotated, fitting
 
-Demonstrator = Literal["expert", "human", "random", "policy", "stopped", "disturbed", "mistaken"]
+Demonstrator = Literal["expert", "human", "random", "policy", "stopped", "disturbed", "mistaken", "diverse"]
 Seed = Annotated[int, Meta(ge=0)]
 
 FORMAT: Final = 1

@@ -8,8 +8,8 @@ the previous one and from the velocities before and after the action. Its offset
 in units of the last place. Arrays are stored column by column, because successive numbers in a column are similar.
 tools/pack_demonstrations.py writes these files.
 
-The graded demonstrations of all tasks are in one file, as JSON with actions and without states: loading them plays the
-actions again. tools/graded_demonstrations.py writes it.
+Set 2 and the graded demonstrations of all tasks are in one file each, as JSON with actions and without states: loading
+them plays the actions again. tools/diverse_demonstrations.py and tools/graded_demonstrations.py write them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import lzma
 import shlex
 import warnings
 from base64 import b64decode, b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -41,12 +41,13 @@ from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, SettingsError, check_name
+from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_name
 
 FOLDER: Final = Path(__file__).parent / "data"
-GRADED: Final = FOLDER / "graded.json.xz"
-DemonstrationSet = Literal["expert", "graded"]
+DemonstrationSet = Literal[1, 2, "graded"]
 SETS: Final[tuple[DemonstrationSet, ...]] = get_args(DemonstrationSet)
+FILES: Final[Mapping[DemonstrationSet, Path]] = {2: FOLDER / "diverse.json.xz", "graded": FOLDER / "graded.json.xz"}
+"""The sets that are stored as actions."""
 SAME_SCORE: Final = 0.01
 SUFFIX: Final = ".npz.xz"
 FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3},)
@@ -61,7 +62,7 @@ def load(
     folder: Path | str | None = None,
     body: str = GRIPPER,
     *,
-    set: DemonstrationSet = "expert",  # noqa: A002 - what users say
+    set: DemonstrationSet = 1,  # noqa: A002 - what users say
 ) -> list[Demonstration]:
     """The demonstrations of a task by one body: the shipped ones, or those in a folder.
 
@@ -70,18 +71,21 @@ def load(
         folder: the folder with files ``<Task>-<anything>.npz``. Files in its subfolders, such as one for each player,
             follow them. None: the folder that the task defines, otherwise the shipped demonstrations.
         body: the robot's body in the demonstrations.
-        set: "expert" for the shipped demonstrations with score 1; "graded" for those with all scores, in ascending
-            order. The latter are played again, which takes up to some seconds.
+        set: 1 for the expert's demonstrations, which protocol 1 uses. 2 for those by demonstrators who differ from each
+            other. Both have score 1. "graded" for those with all scores, in ascending order. The last two are played
+            again, which takes up to some seconds.
 
     Raises:
         UnknownNameError: for an unknown task or set.
         DemonstrationError: if no demonstrations are found, or a file is damaged.
-        SettingsError: without a folder, if the expert cannot solve the task with the body; with one, for "graded".
+        SettingsError: without a folder, if the expert cannot solve the task with the body; with one, for another set
+            than 1.
     """
     task, spec = task_name(task), task_spec(task)
-    check_name("set of demonstrations", set, SETS)
-    if set == "graded":
-        return _graded(task, folder, body)
+    if set not in SETS:
+        raise unknown_name("set of demonstrations", set, map(str, SETS))
+    if set in FILES:
+        return _played(set, task, folder, body)
     if folder is None:
         spec.check_expert_body(body)
     folder = spec.demonstrations if folder is None else folder
@@ -103,8 +107,13 @@ def load(
     raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
 
 
-class GradedRow(msgspec.Struct, frozen=True):
-    """A graded demonstration in its file."""
+def set_suffix(which: DemonstrationSet) -> str:
+    """The suffix of the names of data sets with this set: "", "-set2" or "-graded"."""
+    return "" if which == 1 else f"-{which}" if isinstance(which, str) else f"-set{which}"
+
+
+class StoredRow(msgspec.Struct, frozen=True):
+    """A demonstration in a file of actions."""
 
     task: str
     variant: str
@@ -116,19 +125,22 @@ class GradedRow(msgspec.Struct, frozen=True):
     score: float
 
 
-def graded_rows() -> list[GradedRow]:
-    """The graded demonstrations of all tasks, as they are stored."""
-    return msgspec.json.decode(lzma.decompress(GRADED.read_bytes()), type=list[GradedRow])
+def stored_rows(path: Path) -> list[StoredRow]:
+    """The demonstrations in a file of actions. Empty if it does not exist."""
+    content = lzma.decompress(path.read_bytes()) if path.exists() else b"[]"
+    return msgspec.json.decode(content, type=list[StoredRow])
 
 
-def _graded(task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
+def _played(which: DemonstrationSet, task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
     if folder is not None:
-        raise SettingsError("the graded demonstrations come with the package: leave out the folder")
-    rows = [row for row in graded_rows() if (row.task, row.body) == (task, body)]
+        raise SettingsError(f"the demonstrations of set {which} come with the package: leave out the folder")
+    every = stored_rows(FILES[which])
+    rows = [row for row in every if (row.task, row.body) == (task, body)]
     if not rows:
+        others = ", ".join(sorted({row.task for row in every}))
         raise DemonstrationError(
-            f"there are no graded demonstrations of {task} with the body {body!r}: there are 25 of each task with the "
-            "gripper, and of SweepToTop with each of its bodies"
+            f"there are no demonstrations of set {which} of {task} with the body {body!r}: there are 25 of each of "
+            f"{others} with the gripper" + ", and of SweepToTop with each of its bodies" * (which == "graded")
         )
     demos, speeds = [], task_spec(task).speeds
     for row in rows:
@@ -137,24 +149,24 @@ def _graded(task: str, folder: Path | str | None, body: str) -> list[Demonstrati
         demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, body=body))
     if changed := sum(abs(demo.score - row.score) > SAME_SCORE for demo, row in zip(demos, rows, strict=True)):
         warnings.warn(
-            f"{changed} of {len(demos)} graded demonstrations of {task} have other scores here than where they were "
-            "made: MuJoCo's version or the machine differs",
+            f"{changed} of {len(demos)} demonstrations of {task} in set {which} have other scores here than where they "
+            "were made: MuJoCo's version or the machine differs",
             stacklevel=3,
         )
     return demos
 
 
-def pack_graded(kept: Sequence[GradedRow], demos: Sequence[Demonstration]) -> None:
-    """Writes the file of graded demonstrations: rows of the present one, and others that are added."""
+def pack_rows(path: Path, kept: Sequence[StoredRow], demos: Sequence[Demonstration]) -> None:
+    """Writes a file of actions: rows that are kept, and others that are added."""
     rows = list(kept)
     for demo in demos:
         speeds = demo.actions.ndim == 2
         actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions)
         where = demo.task, demo.variant, demo.scene.robot.body, demo.scene_seed
-        rows.append(GradedRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
+        rows.append(StoredRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
     rows.sort(key=lambda row: (row.task, row.body))  # those of a task stay in their order
     content = msgspec.json.format(msgspec.json.encode(rows), indent=0)
-    files.write(GRADED, lzma.compress(content, preset=9), overwrite=True)
+    files.write(path, lzma.compress(content, preset=9), overwrite=True)
 
 
 def load_shipped(task: str, name: str) -> list[Demonstration]:

@@ -27,6 +27,7 @@ from magical_mj.evaluation.scores import (
     folders_of,
     read,
     recorded_policies,
+    recorded_sets,
     recorded_settings,
 )
 from magical_mj.scene.bodies import GRIPPER
@@ -94,9 +95,15 @@ demonstrations of the task at the start of each episode, of which training saw n
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
-    """The training data: the number of the shipped set, the number of demonstrations per task, and any other data."""
+    """The training data.
+
+    `set` is `magical_mj.protocol.DEMONSTRATIONS` if it includes shipped demonstrations, and `loaded_set` is the
+    argument `set` of `magical_mj.demos.load`. `per_task` is the number of demonstrations per task, and `other` any
+    other data.
+    """
 
     set: Positive | None = None
+    loaded_set: Positive = 1
     per_task: Natural | None = None
     other: Line | None = None
 
@@ -253,6 +260,7 @@ def submit(
     except msgspec.ValidationError as error:
         raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
     check_trainings(folders, name)
+    check_declared(folders, new_card, name)
     entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
     content = packed(entry)
     unpacked(content, "the choice of folders")
@@ -281,6 +289,18 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
         for policy, name, run, digest in recorded_policies(settings)
         if policy == (method or policy)
     )
+
+
+def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
+    """Raises a `SettingsError` if the card does not name the set of demonstrations from which the policies learnt."""
+    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
+    if learnt - {card.demonstrations.loaded_set}:
+        numbers = ", ".join(map(str, sorted(learnt)))
+        raise SettingsError(
+            f"{method} learnt from demonstrations of set {numbers}, but the card has [demonstrations] loaded_set = "
+            f"{card.demonstrations.loaded_set}: declare the set, and submit policies of one set only"
+        )
 
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:

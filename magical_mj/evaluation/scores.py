@@ -475,6 +475,15 @@ def recorded_policies(settings: Mapping[str, Any]) -> list[tuple[str, str, int, 
     ]
 
 
+def recorded_sets(settings: Mapping[str, Any]) -> dict[str, set[int]]:
+    """Method -> the sets of the package's demonstrations from which its policies learnt, in an evaluation."""
+    sets: dict[str, set[int]] = defaultdict(set)
+    rows = settings.get("policies", ())
+    for row, (_, method, _, _) in zip(rows, recorded_policies(settings), strict=True):
+        sets[method].add(row.get("demonstration_set", 1))
+    return sets
+
+
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
     """Raises an `EvaluationError` if two runs of a method have equal policies, given as (name, run, SHA-256 or "")."""
     runs: dict[tuple[str, str], set[int]] = defaultdict(set)

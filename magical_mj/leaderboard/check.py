@@ -13,7 +13,15 @@ from typing import Any, Final
 
 from magical_mj.evaluation.entry import SEEDS, Entry, is_entry, read_entry
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
-from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, Key, read, recorded_policies, recorded_settings
+from magical_mj.evaluation.scores import (
+    SETTINGS,
+    EpisodeResult,
+    Key,
+    read,
+    recorded_policies,
+    recorded_sets,
+    recorded_settings,
+)
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
 from magical_mj.utils.errors import SettingsError, counted, short_repr
@@ -157,6 +165,8 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
         problems += [f"{name}: {recorded}, but it must be {value!r}" for value in others]
+    sets = ((method, number) for method, numbers in recorded_sets(settings).items() for number in sorted(numbers - {1}))
+    problems += [f"{method} learnt from demonstrations of set {n}, but the protocol uses set 1" for method, n in sets]
     problems += _contradictions(settings, part.environments, part.runs, episodes)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [

@@ -10,7 +10,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Final
 
-from magical_mj.evaluation.entry import SHIFT_SEEDS, track
+from magical_mj.evaluation.entry import SHIFT_SEEDS, Demonstrations, track
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
@@ -301,7 +301,7 @@ def _costs(methods: Sequence[Standing]) -> Table:
         card = method.entry.card
         training, data = card.training, card.demonstrations
         sees = "no observations" if method.entry.observations is None else method.entry.observations or "both views"
-        facts = (sees, data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
+        facts = (sees, data.per_task, _set(data), training.hours, training.device, training.steps, card.hardware)
         texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
         return shown(method, ABOVE), *texts
 
@@ -311,6 +311,13 @@ def _costs(methods: Sequence[Standing]) -> Table:
         ("Method", ABOVE, "looks at", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
         _grouped(_entered(methods), cells),
     )
+
+
+def _set(data: Demonstrations) -> str | None:
+    """The number of the shipped demonstrations, with the set if it is not the protocol's."""
+    if data.set is None or data.loaded_set == 1:
+        return None if data.set is None else str(data.set)
+    return f"{data.set}, load(set={data.loaded_set})"
 
 
 def _entered(methods: Sequence[Standing]) -> list[Standing]:

@@ -23,6 +23,7 @@ from magical_mj.evaluation.reports.statistics import (
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
+from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, sample_scene, score
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import counted
@@ -268,6 +269,8 @@ def gaps(entry: Entry) -> list[str]:
     elsewhere = " in the environments played" if len(pairs) < len(ENVIRONMENTS) else ""
     if absent := wanted - len(entry.counted):
         lacks.append(f"{absent} of {wanted} episodes missing{elsewhere}")
+    if (number := entry.card.demonstrations.loaded_set) != 1:
+        lacks.append(f"it learnt from demonstrations of set {number}, and protocol {PROTOCOL} uses set 1")
     if entry.card.privileges is None:
         lacks.append("its privileges are not declared")
     return lacks

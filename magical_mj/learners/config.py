@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, DemonstrationSettings, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
@@ -106,8 +106,8 @@ def load_settings(
         method: one of `magical_mj.learners.METHODS`, or the name of your own method.
         tasks: the tasks, as a tuple or separated by commas; "all" means all eight.
         quick: use a smaller network and a shorter training on pictures.
-        changes: values by field. Fields of parts contain a dot, as in ``**{"ppo.clip": 0.02}``. `recordings` becomes
-            an absolute path.
+        changes: values by field. Fields of parts contain a dot, as in ``**{"ppo.clip": 0.02}``. `recordings` and
+            `reward.run` become absolute paths.
 
     Raises:
         UnknownNameError: for an unknown task or setting.
@@ -122,8 +122,9 @@ def load_settings(
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
-    if isinstance(folder := changes.get("recordings"), str | Path) and str(folder):
-        changes["recordings"] = str(Path(folder).absolute())  # runs of an experiment are trained in other folders
+    for name in ("recordings", "reward.run"):  # runs of an experiment are trained in other folders
+        if isinstance(folder := changes.get(name), str | Path) and str(folder):
+            changes[name] = str(Path(folder).absolute())
     defaults = load_method(method).defaults if method in announced_methods() else {}
     return changed(settings, {**short, **defaults, **changes})
 
@@ -150,7 +151,8 @@ def settings_type(method: str) -> type[TrainingSettings]:
 
 def parts_of(method: str) -> tuple[str, ...]:
     """The parts of the settings that a method uses. A method that is not announced may use all of them."""
-    return PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
+    parts = PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
+    return tuple(dict.fromkeys((DemonstrationSettings.part, *parts)))
 
 
 def users(name: str) -> tuple[str, ...]:

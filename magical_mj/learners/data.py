@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from magical_mj import demos
 from magical_mj.demos import Demonstration, Transitions
+from magical_mj.demos.shipped import DemonstrationSet
 from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import histories
@@ -57,9 +58,9 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     return counts
 
 
-def shipped(task: str) -> list[Demonstration]:
-    """A task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if there are none."""
-    return _of_the_demo_scene(demos.load(task), f"that come with {task}")
+def shipped(task: str, which: int = 1) -> list[Demonstration]:
+    """A set of a task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if there are none."""
+    return _of_the_demo_scene(demos.load(task, set=cast("DemonstrationSet", which)), f"that come with {task}")
 
 
 def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
@@ -80,7 +81,7 @@ def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]
         DemonstrationError: if there are none.
     """
     if not settings.recordings:
-        return shipped(task)
+        return shipped(task, settings.demos.set)
     return _of_the_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
 
 

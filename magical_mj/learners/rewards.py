@@ -1,6 +1,6 @@
 """Evaluates learnt rewards: do they rank episodes as the task's score does, also in the test variants?
 
-Each reward is summed over whole episodes of several kinds in the same scenes, none of which is a test scene:
+Each reward is summed over whole episodes of several kinds in the same scenes of the dev split:
 
 expert     the scripted expert, with score 1
 half-way   the expert up to half of its actions, and then random actions
@@ -36,15 +36,15 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.config import from_toml
 from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.networks import as_input
-from magical_mj.learners.run_folder import CONFIG, RunFolder
+from magical_mj.learners.on_learnt_reward import REWARD_METHODS, learner_of_reward, learns_reward
+from magical_mj.learners.run_folder import CONFIG
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.training import METHODS
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import SPLITS, environments, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, TrainingError
+from magical_mj.utils.errors import SettingsError
 
 SCENES: Final = 5
 """The default number of scenes in each environment."""
@@ -82,16 +82,7 @@ class _Run(NamedTuple):
 
     @property
     def learns_reward(self) -> bool:
-        return METHODS[self.settings.method].learns_reward
-
-    def learner(self) -> Method:
-        """Its learner, at the end of the training."""
-        last = RunFolder(self.path, self.settings, resume=True).last_checkpoint()
-        if last is None or last.update < last.updates:
-            raise TrainingError(f"the training in {self.path} is not finished: --resume continues it")
-        learner = METHODS[self.settings.method](self.settings)
-        learner.set_state(last.learner)
-        return learner
+        return learns_reward(self.settings.method)
 
 
 def evaluate_rewards(
@@ -123,8 +114,9 @@ def evaluate_rewards(
     """
     found = [_Run(path := files.to_path(run), from_toml(path / CONFIG)) for run in runs]
     if not any(run.learns_reward for run in found):
-        known = ", ".join(name for name in METHODS if METHODS[name].learns_reward)
-        raise SettingsError(f"none of these trainings has learnt a reward: give a training of {known}")
+        raise SettingsError(
+            f"none of these trainings has learnt a reward: give a training of {', '.join(REWARD_METHODS)}"
+        )
     if len(presets := {run.settings.preset for run in found}) > 1:
         raise SettingsError(f"the trainings have different presets: {', '.join(sorted(presets))}")
     rows = []
@@ -190,7 +182,7 @@ def _episodes(task: str, variant: str, scenes: int, runs: Sequence[_Run], jobs: 
 
 def _judged(run: _Run, task: str, variant: str, played: Sequence[_Played]) -> Iterator[dict[str, object]]:
     """A row for each episode."""
-    with torch_settings(threads_for(run.settings)), closing(run.learner()) as learner:
+    with torch_settings(threads_for(run.settings)), closing(learner_of_reward(run.path, run.settings)) as learner:
         for kind, player, demonstration in played:
             yield {
                 "run": str(run.path),

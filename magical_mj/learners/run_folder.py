@@ -27,14 +27,13 @@ from magical_mj.learners.data import digest
 from magical_mj.learners.learner import threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
-from magical_mj.policies.loading import loader_in, sources
+from magical_mj.policies.loading import CONFIG, loader_in, sources
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.settings import check_unchanged
 
-CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"
 METRICS: Final = "metrics.csv"
 TENSORBOARD: Final = "tensorboard"

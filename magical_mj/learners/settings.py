@@ -35,6 +35,15 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
+class DemonstrationSettings(Settings):
+    """The package's demonstrations, which all methods use."""
+
+    part: ClassVar[str] = "demos"
+
+    set: Annotated[int, Meta(ge=1, le=2, description="1, which protocol 1 uses; 2: by more varied demonstrators")] = 1
+
+
+@dataclass(frozen=True)
 class NetworkSettings(Settings):
     """The layers of all networks (appendix, "Network architecture"), at most `networks.MOST_PARAMETERS` weights."""
 
@@ -171,6 +180,16 @@ class FeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
+class RewardSettings(Settings):
+    """The learnt reward and the scenes of the method "ppo"."""
+
+    part: ClassVar[str] = "reward"
+
+    run: Annotated[str, Meta(description="the folder of the training that learnt the reward")] = ""
+    variant: Annotated[str, Meta(description="the variant of the scenes, such as Layout")] = "Demo"
+
+
+@dataclass(frozen=True)
 class TrainingSettings(Settings):
     """All settings of one training run.
 
@@ -209,6 +228,7 @@ class TrainingSettings(Settings):
     precision: Annotated[
         Literal["float32", "bfloat16"], Meta(description="of most computations of BC's network in training")
     ] = "float32"
+    demos: DemonstrationSettings = field(default_factory=DemonstrationSettings)
     network: NetworkSettings = field(default_factory=NetworkSettings)
     bc: CloningSettings = field(default_factory=CloningSettings)
     iq: InverseSettings = field(default_factory=InverseSettings)
@@ -216,6 +236,7 @@ class TrainingSettings(Settings):
     ppo: PPOSettings = field(default_factory=PPOSettings)
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
+    reward: RewardSettings = field(default_factory=RewardSettings)
 
     def __post_init__(self) -> None:
         """Checks each setting and their combinations."""
@@ -227,6 +248,8 @@ class TrainingSettings(Settings):
                 )
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
+        if self.recordings and self.demos.set != DemonstrationSettings.set:
+            raise SettingsError("demos.set is for the package's demonstrations: leave it out with your own")
         preset_named(self.preset)
         if self.preset not in LEARNABLE:
             raise SettingsError(
@@ -275,5 +298,6 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "wgail-gp": ("network", "ppo", "discriminator"),
     "airl": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
+    "ppo": ("network", "ppo", "reward"),
 }
 """Method of this package -> the parts of the settings that it uses."""

@@ -23,6 +23,7 @@ from magical_mj.learners.config import announced_methods, load_method
 from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method
+from magical_mj.learners.on_learnt_reward import OnLearntReward
 from magical_mj.learners.point import Point
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
@@ -44,6 +45,7 @@ class _Methods(Mapping[str, type[Method]]):
             "al": Apprenticeship,
             "iq-learn": IQLearn,
             "point": Point,
+            "ppo": OnLearntReward,
         }
     )
 

@@ -115,7 +115,8 @@ class LocalEnvs(TrainingEnvs):
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        envs = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
+        variant = settings.reward.variant
+        envs = [MagicalEnv(task, variant, settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
         self._envs = VectorEnv(envs, autoreset_mode=AutoresetMode.DISABLED)
         super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
         self._episodes = np.full(self.num_envs, -1)
@@ -195,7 +196,7 @@ class BatchedEnvs(TrainingEnvs):
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
         self._batch = BatchedEnv(
-            [(task, "Demo") for task in tasks_of(settings)],
+            [(task, settings.reward.variant) for task in tasks_of(settings)],
             preset=settings.preset,
             device=str(device(settings.device)),
             seed=settings.seed,

@@ -32,7 +32,8 @@ from magical_mj.policies.interface import (
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
-from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
+from magical_mj.utils.errors import SettingsError, as_integer, short_repr, unknown_name
+from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import reference_in_folder, source_of
 from magical_mj.utils.plugins import announced, imported
 
@@ -41,6 +42,8 @@ ACCEPTED_POLICIES: Final = (
 )
 WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 """The suffixes of files with the weights of a network."""
+CONFIG: Final = "config.toml"
+"""The file with the settings of a training in its folder."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (
@@ -71,6 +74,7 @@ class Source:
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice.
         shown: whether it receives demonstrations.
+        demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -83,6 +87,7 @@ class Source:
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
     shown: bool = False
+    demonstration_set: int = 1
     needs_plan: bool = False
 
     def load(self) -> Act:
@@ -130,7 +135,8 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        return {"name": self.name, "run": self.run, "origin": origin, **self.digest}
+        learnt = {} if self.demonstration_set == 1 else {"demonstration_set": self.demonstration_set}
+        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt}
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -214,9 +220,22 @@ def playable(
             )
         facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
         facts["needs_plan"] = getattr(policy, "needs_plan", False)
+        facts["demonstration_set"] = demonstration_set(source.origin)
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
         checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked
+
+
+def demonstration_set(origin: object) -> int:
+    """The set of the package's demonstrations of the training in a folder, according to its settings; otherwise 1."""
+    path = Path(origin) / CONFIG if isinstance(origin, str) else Path()
+    if not path.is_file():
+        return 1
+    part = read_toml(path).get("demos")
+    number = as_integer(part.get("set", 1), 1) if isinstance(part, dict) else 1
+    if number is None:
+        raise SettingsError(f"demos.set in {path} must be a number of a set, not {short_repr(part)}")
+    return number
 
 
 def statistics_of(origin: object) -> Path | None:

@@ -11,7 +11,7 @@ import pytest
 
 import magical_mj
 from magical_mj.demos.export.folders import about
-from magical_mj.demos.shipped import GRADED, graded_rows
+from magical_mj.demos.shipped import FILES, stored_rows
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
@@ -24,7 +24,7 @@ FREE = {"MoveToRegion": 2, "FixColour": 2, "FindDupe": 3, "MakeLine": 3}
 
 
 def test_there_are_25_of_each_task_over_the_quartiles_of_the_score_by_three_kinds() -> None:
-    rows = graded_rows()
+    rows = stored_rows(FILES["graded"])
     assert sorted({(row.task, row.body) for row in rows}) == sorted(SETS)
     for task, body in SETS:
         own = [row for row in rows if (row.task, row.body) == (task, body)]
@@ -37,8 +37,8 @@ def test_there_are_25_of_each_task_over_the_quartiles_of_the_score_by_three_kind
         kinds = Counter(row.demonstrator for row in own)
         assert kinds.keys() == {"stopped", "disturbed", "mistaken"}
         assert min(kinds.values()) >= 4
-    assert GRADED.stat().st_size < 200_000
-    assert lzma.decompress(GRADED.read_bytes()).startswith(b"[")
+    assert FILES["graded"].stat().st_size < 200_000
+    assert lzma.decompress(FILES["graded"].read_bytes()).startswith(b"[")
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_there_are_25_of_each_task_over_the_quartiles_of_the_score_by_three_kind
 )
 def test_they_are_played_again_to_their_scores(task: str, body: str) -> None:
     demos = magical_mj.demos.load(task, body=body, set="graded")
-    rows = [row for row in graded_rows() if (row.task, row.body) == (task, body)]
+    rows = [row for row in stored_rows(FILES["graded"]) if (row.task, row.body) == (task, body)]
     for demo, row in zip(demos, rows, strict=True):
         assert demo.score == pytest.approx(row.score, abs=1e-4)
         assert demo.score == demo.rescored()
@@ -82,9 +82,11 @@ def test_they_are_shown_and_exported_like_others(shell: Shell) -> None:
 
 
 def test_what_is_not_there_says_what_is() -> None:
-    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 'grades'.* expert, graded"):
+    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 'grades'.* 1, 2, graded"):
         magical_mj.demos.load("FindDupe", set="grades")  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="leave out the folder"):
         magical_mj.demos.load("FindDupe", "folder", set="graded")
-    with pytest.raises(DemonstrationError, match="no graded demonstrations of FindDupe with the body 'shortstick'"):
+    with pytest.raises(
+        DemonstrationError, match="no demonstrations of set graded of FindDupe with the body 'shortstick'"
+    ):
         magical_mj.demos.load("FindDupe", body="shortstick", set="graded")

@@ -2,8 +2,8 @@
 
     python tools/research/demonstration_statistics.py [FOLDER ...] [--people human_replays.npz] [--learn] [--tasks A,B]
 
-The columns are the shipped set, the folders of demonstrations, and episodes of people in the original simulation. The
-latter are a file of arrays ``<Task>/<number>/{actions, poses, fingers, score}``. Poses have the shape
+The columns are the shipped sets 1 and 2, the folders of demonstrations, and episodes of people in the original
+simulation. The latter are a file of arrays ``<Task>/<number>/{actions, poses, fingers, score}``. Poses have the shape
 (steps + 1, 1 + blocks, 3), with the robot first.
 
 The table of statistics takes seconds. ``--learn`` adds a table of behavioural cloning from states with 10
@@ -13,7 +13,9 @@ demonstrations of each task, evaluated in our simulation. A training and its epi
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +26,7 @@ from magical_mj import TASKS, demos, sample_scene
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos import Demonstration
+from magical_mj.demos.recording import strategy
 from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
 from magical_mj.scene.constants import CONTROL_RATE
 
@@ -75,6 +78,12 @@ def _entropy(chosen: Demonstrations) -> float:
     return float(-(shares * np.log2(np.divide(shares, given, out=np.ones_like(shares), where=shares > 0))).sum())
 
 
+def _different(plans: Sequence[object]) -> float:
+    """The expected number of different plans among 10 demonstrations."""
+    size, drawn = len(plans), min(LEARNT_FROM, len(plans))
+    return sum(1 - math.comb(size - count, drawn) / math.comb(size, drawn) for count in Counter(plans).values())
+
+
 STATISTICS: Final[Mapping[str, Callable[[Demonstrations], float]]] = {
     "steps": lambda chosen: _mean(len(demo.actions) for demo in chosen),
     "of them until the last action": lambda chosen: _mean(
@@ -90,6 +99,8 @@ STATISTICS: Final[Mapping[str, Callable[[Demonstrations], float]]] = {
         np.hypot(*np.diff(_path(demo), axis=0).T).sum() for demo in chosen
     ),
     "cells visited": lambda chosen: _mean(len(np.unique(_path(demo) // CELL, axis=0)) for demo in chosen),
+    "orders of blocks among 10": lambda chosen: _different([tuple(n for n, _ in strategy(demo)) for demo in chosen]),
+    "orders and sides of approach among 10": lambda chosen: _different([strategy(demo) for demo in chosen]),
 }
 """Name -> statistic of the demonstrations of a task."""
 
@@ -137,7 +148,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100, help="episodes after each training, in Demo and in Jitter")
     arguments = parser.parse_args()
     tasks = arguments.tasks.split(",")
-    sets = {"shipped": {task: demos.load(task) for task in tasks}}
+    sets = {f"set {number}": {task: demos.load(task, set=number) for task in tasks} for number in (1, 2)}
     sets |= {str(folder): {task: demos.load(task, folder) for task in tasks} for folder in arguments.folders}
     if arguments.people:
         sets["people"] = {task: people(arguments.people, task) for task in tasks}

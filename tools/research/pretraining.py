@@ -19,9 +19,8 @@ import argparse
 import json
 import zlib
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -98,8 +97,9 @@ def main() -> None:
     budget = {name: getattr(options, name) for name in ("scenes", "pretraining", "batches", "episodes")}
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     numbers = [int(text) for text in options.tasks.split(",")]
-    for seed, held_out, count in product(range(options.seeds), options.held_out.split(","), numbers):
-        key = {"held_out": held_out, "tasks": count, "seed": seed, **budget}
+    tasks: list[str] = options.held_out.split(",")
+    for seed, held_out, count in [(s, task, k) for s in range(options.seeds) for task in tasks for k in numbers]:
+        key: dict[str, Any] = {"held_out": held_out, "tasks": count, "seed": seed, **budget}
         if not any(key.items() <= row.items() for row in done):
             done.append({**key, "scores": result(held_out, count, seed, options)})
             with path.open("a") as file:

@@ -1,0 +1,117 @@
+"""Set 2 of the demonstrations: its variety, its command, and how trainings, evaluations and entries record it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.demos.shipped import FILES, SETS, stored_rows
+from magical_mj.evaluation import evaluate
+from magical_mj.evaluation.entry import Demonstrations, read_entry
+from magical_mj.leaderboard import submit, verify
+from magical_mj.leaderboard.standings import gaps
+from magical_mj.learners import train
+from magical_mj.learners.data import chosen
+from magical_mj.policies.interface import actions_of
+from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
+from tests.helpers.commands import Shell
+from tests.helpers.learners import from_states
+from tools.diverse_demonstrations import MATCHED, PEOPLE, demonstration
+from tools.research.demonstration_statistics import STATISTICS
+
+
+def test_there_are_25_different_ones_of_each_task_with_score_1_in_a_small_file() -> None:
+    rows = stored_rows(FILES[2])
+    assert {row.task for row in rows} == set(magical_mj.TASKS)
+    for task in magical_mj.TASKS:
+        own = [row for row in rows if row.task == task]
+        assert len({row.actions for row in own}) == len(own) == 25
+        assert {(row.variant, row.body, row.demonstrator, row.score) for row in own} == {
+            ("Demo", "gripper", "diverse", 1.0)
+        }
+    content = hashlib.sha256(lzma.decompress(FILES[2].read_bytes())).hexdigest()
+    assert content.startswith("c7d6c9e1123d5322"), (
+        "policies that learnt from it no longer compare: give it a new number"
+    )
+
+
+def test_they_are_played_again_exactly_and_are_those_of_the_command() -> None:
+    demos = magical_mj.demos.load("MoveToRegion", set=2)
+    assert {demo.score for demo in demos} == {1.0}
+    assert magical_mj.demos.verify(demos[3]).exact
+    row = next(row for row in stored_rows(FILES[2]) if row.task == "MoveToRegion")
+    again = demonstration("MoveToRegion", row.seed)
+    assert again is not None
+    np.testing.assert_array_equal(again.actions, list(actions_of(row.actions)))
+
+
+def test_they_are_more_varied_than_set_1_and_nearer_to_people() -> None:
+    task = "MatchRegions"
+    by_set = {number: magical_mj.demos.load(task, set=number) for number in (1, 2)}
+    variety = {number: magical_mj.demos.diversity(demos) for number, demos in by_set.items()}
+    assert variety[2].orders > variety[1].orders
+    assert variety[2].strategies > variety[1].strategies
+    assert variety[2].ways > 1.5 * variety[1].ways
+    wanted = dict(zip(MATCHED, PEOPLE[task], strict=True))
+    for name in ("cells visited", "length of the robot's path"):
+        gaps_to_people = {number: abs(STATISTICS[name](demos) - wanted[name]) for number, demos in by_set.items()}
+        assert gaps_to_people[2] < gaps_to_people[1]
+
+
+def test_the_default_is_set_1_and_what_is_not_there_says_what_is() -> None:
+    one, default = magical_mj.demos.load("FixColour", set=1), magical_mj.demos.load("FixColour")
+    assert [demo.digest for demo in one] == [demo.digest for demo in default]
+    assert SETS == (1, 2, "graded")
+    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 3.* 1, 2, graded"):
+        magical_mj.demos.load("FindDupe", set=3)  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match="set 2 come with the package: leave out the folder"):
+        magical_mj.demos.load("FindDupe", "folder", set=2)
+    with pytest.raises(
+        DemonstrationError, match=r"no demonstrations of set 2 of SweepToTop .* there are 25 of each of"
+    ):
+        magical_mj.demos.load("SweepToTop", set=2)
+
+
+def test_they_are_shown_and_exported(shell: Shell) -> None:
+    names = ("--tasks", "MoveToRegion", "--set", "2")
+    assert "diverse" in shell("demos", "info", *names)[1]
+    assert shell("demos", "export", *names, "--preset", "State")[0] == 0
+    with np.load("MoveToRegion-Demo-set2-State.npz") as archive:
+        assert set(archive["demonstrators"]) == {"diverse"}
+    assert "leave out the files" in shell.fails(2, "demos", "info", "datasets", "--set", "2")
+
+
+def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> None:
+    settings = from_states(**{"demos.set": 2})
+    seeds = {row.seed for row in stored_rows(FILES[2]) if row.task == "MoveToRegion"}
+    assert {demo.scene_seed for demo in chosen(settings, "MoveToRegion")} <= seeds
+    train(settings, tmp_path / "run")
+    assert tomllib.loads((tmp_path / "run" / "config.toml").read_text())["demos"] == {"set": 2}
+    with pytest.raises(SettingsError, match=r"demos\.set was 2 and is 1"):
+        train(from_states(), tmp_path / "run", resume=True)
+    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 2, "jobs": 1}
+    evaluate({"BC": tmp_path / "run"}, out=tmp_path / "scores", **where)
+    assert json.loads((tmp_path / "scores" / "run.json").read_text())["policies"][0]["demonstration_set"] == 2
+    assert any("BC learnt from demonstrations of set 2" in text for text in verify(tmp_path / "scores", jobs=1).unfit)
+    (tmp_path / "card.toml").write_text("privileges = []\n[demonstrations]\nset = 2\n")
+    with pytest.raises(SettingsError, match=r"learnt from demonstrations of set 2, but the card has .*loaded_set = 1"):
+        submit([tmp_path / "scores"], tmp_path / "bc.json.xz", card=tmp_path / "card.toml")
+    (tmp_path / "card.toml").write_text("privileges = []\n[demonstrations]\nset = 2\nloaded_set = 2\n")
+    submit([tmp_path / "scores"], tmp_path / "bc.json.xz", card=tmp_path / "card.toml")
+    entry = read_entry(tmp_path / "bc.json.xz")
+    assert entry.card.demonstrations == Demonstrations(set=2, loaded_set=2)
+    assert "it learnt from demonstrations of set 2, and protocol 1 uses set 1" in gaps(entry)
+
+
+def test_the_setting_is_checked() -> None:
+    with pytest.raises(SettingsError, match=r"demos\.set must be an integer of at most 2"):
+        from_states(**{"demos.set": 3})
+    with pytest.raises(SettingsError, match=r"demos\.set is for the package's demonstrations"):
+        from_states(recordings="mine", **{"demos.set": 2})
