@@ -4,8 +4,7 @@ python -m tools.attribution                     # all of them, in an hour on one
 python -m tools.attribution identifiability     # or some
 
 Those of episodes replay the entries in results/. docs/intents.md, explain.md and benchmark-card.md have the tables.
-`endings` and `failures` are made of docs/endings.csv and docs/failures.csv, which get a row for each entry and task
-that they lack.
+`endings` is made of docs/endings.csv, which gets a row for each entry and task that it lacks.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ import argparse
 import csv
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -24,7 +22,6 @@ from magical_mj.evaluation.attribution import BITS, Attribution, attribute, task
 from magical_mj.evaluation.entry import Entry, read_entry
 from magical_mj.evaluation.reports.explained import shares
 from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.evaluation.turning import FAILURES, turning
 from magical_mj.intents import EIGHT
 from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, readings, refutes, same_places
 from magical_mj.intents.relations import RELATIONS
@@ -45,12 +42,10 @@ FEW: Final = 5
 FEW_LONG: Final = 2
 """The same in the tasks `LONG`, whose episodes take longest."""
 LONG: Final = ("ClusterColour", "ClusterShape")
-LOST: Final = 2
-"""The number of failed episodes of each task in `LOST_IN` whose last solvable step is found."""
-LOST_IN: Final = ("MoveToCorner", "MoveToRegion", *CHOICES)
 ENDED: Final = ROOT / "docs" / "endings.csv"
-FAILED: Final = ROOT / "docs" / "failures.csv"
-"""The files of what the entries' episodes did, and of what went wrong in some."""
+"""The file of what the entries' episodes did."""
+COLUMNS: Final = ("entry", "task", "episodes", *ENDINGS, "failed", "rival", "share")
+"""Of `ENDED`: numbers of episodes; and of the failed ones, the rival with the largest share, and that share."""
 COMPARED: Final = (
     "pixels-bc-quick",
     "pixels-redraw-quick",
@@ -154,7 +149,7 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
 def endings() -> str:
     """What all policies did, over all environments that they have played."""
     rows = []
-    for name, group in _by_entry(measured(ENDED, TASKS, _ended)).items():
+    for name, group in _by_entry(measured()).items():
         entry = read_entry(RESULTS / name)
         places = {(episode.task, episode.variant) for episode in entry.episodes if covered(entry, episode)}
         part = "" if len(places) == len(ENVIRONMENTS) else f" ({counted(len(places), 'environment')})"
@@ -164,48 +159,25 @@ def endings() -> str:
     return table(("Method", "Episodes", *ENDINGS), rows)
 
 
-def failures() -> str:
-    """What went wrong in some failed episodes, by the last step from which the expert solves them."""
-    rows = []
-    for name, group in _by_entry(measured(FAILED, LOST_IN, _lost, COMPARED)).items():
-        counts = [sum(int(row[kind]) for row in group) for kind in FAILURES]
-        if total := sum(counts):
-            parts = (_percent(count / total) for count in counts)
-            rows.append((read_entry(RESULTS / name).method, str(total), *parts))
-    return table(("Method", "Failed episodes", *FAILURES), rows)
-
-
-Row = dict[str, Any]
-
-
-def measured(
-    path: Path,
-    tasks: Sequence[str],
-    measure: Callable[[Entry, Sequence[EpisodeResult]], Row],
-    names: Sequence[str] = (),
-) -> list[dict[str, str]]:
-    """The rows of a file, one for each entry and task. Those that are missing are measured and stored first."""
-    head = ("entry", "task", *measure(read_entry(RESULTS / "noop"), []))
-    if not path.exists():
-        path.write_text(",".join(head) + "\n", encoding="utf-8")
-    done = {(row["entry"], row["task"]) for row in _stored(path)}
-    every = sorted(
-        folder.name for folder in RESULTS.iterdir() if folder.is_dir() and (not names or folder.name in names)
-    )
-    for name in every:
-        missing = [task for task in tasks if (name, task) not in done]
+def measured() -> list[dict[str, str]]:
+    """The rows of `ENDED`, one for each entry and task. Those that are missing are measured and stored first."""
+    if not ENDED.exists():
+        ENDED.write_text(",".join(COLUMNS) + "\n", encoding="utf-8")
+    done = {(row["entry"], row["task"]) for row in _stored()}
+    for name in sorted(folder.name for folder in RESULTS.iterdir() if folder.is_dir()):
+        missing = [task for task in TASKS if (name, task) not in done]
         entry = read_entry(RESULTS / name) if missing else None
         for task in missing:
             episodes = [one for one in entry.episodes if one.task == task and covered(entry, one)] if entry else []
             if entry and episodes:
-                row = measure(entry, episodes)
-                with path.open("a", encoding="utf-8", newline="") as file:
-                    csv.writer(file, lineterminator="\n").writerow([name, task, *row.values()])
-    return sorted(_stored(path), key=lambda row: (row["entry"], TASKS.index(row["task"])))
+                row = measured_row(entry, task, episodes)
+                with ENDED.open("a", encoding="utf-8", newline="") as file:
+                    csv.writer(file, lineterminator="\n").writerow([name, *row])
+    return sorted(_stored(), key=lambda row: (row["entry"], TASKS.index(row["task"])))
 
 
-def _stored(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
+def _stored() -> list[dict[str, str]]:
+    with ENDED.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
@@ -216,27 +188,17 @@ def _by_entry(rows: Sequence[dict[str, str]]) -> dict[str, list[dict[str, str]]]
     return groups
 
 
-def _ended(entry: Entry, episodes: Sequence[EpisodeResult]) -> Row:
-    """Numbers of episodes by endings; and of the failed ones, the rival with the largest share, and that share."""
+def measured_row(entry: Entry, task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
+    """A row without the entry's name: the columns after the first of `COLUMNS`."""
     failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
     counts = {kind: len(failed) * part for kind, part in shares(failed).items()} if failed else {}
     counts["intended"] = len(episodes) - len(failed)
     reached = Counter[int]()
     for result in failed:
         reached.update(result.rivals)
-    row: Row = {"episodes": len(episodes)} | {kind: f"{counts.get(kind, 0):.6g}" for kind in ENDINGS}
-    row |= {"failed": len(failed), "rival": "", "share": ""}
-    for rival, share in reached.most_common(1):
-        row |= {"rival": str(task_rivals(failed[0].episode.task)[rival]), "share": f"{share / len(failed):.3f}"}
-    return row
-
-
-def _lost(entry: Entry, episodes: Sequence[EpisodeResult]) -> Row:
-    """Numbers of some failed episodes by what went wrong."""
-    failed = [episode for episode in episodes if episode.score < 1.0]
-    chosen = failed[:: max(1, len(failed) // LOST)][:LOST]
-    kinds = Counter(turning(result).failure for result in replayed(entry, chosen))
-    return {kind: kinds[kind] for kind in FAILURES}
+    most = [(str(task_rivals(task)[rival]), f"{share / len(failed):.3f}") for rival, share in reached.most_common(1)]
+    numbers = [f"{counts.get(kind, 0):.6g}" for kind in ENDINGS]
+    return [task, str(len(episodes)), *numbers, str(len(failed)), *(most or [("", "")])[0]]
 
 
 def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
@@ -274,7 +236,6 @@ WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "left-open": ("docs/intents.md", left_open),
     "place-or-colour": ("docs/explain.md", place_or_colour),
     "endings": ("docs/explain.md", endings),
-    "failures": ("docs/explain.md", failures),
 }
 """Table -> its page, and the function that makes it."""
 

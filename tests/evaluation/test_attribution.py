@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
@@ -27,7 +28,7 @@ from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
-from tools.attribution import RESULTS, ROOT, TELLING, disagree, pursued, replayed
+from tools.attribution import COLUMNS, ENDED, RESULTS, ROOT, TELLING, covered, disagree, measured_row, pursued, replayed
 
 CLOSE_GRIPPER = 9
 
@@ -195,3 +196,14 @@ def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> No
     (tmp_path / "noop" / "scores.jsonl").write_text(sweeping.line())
     refusal = shell.fails(2, "report", tmp_path / "noop", "--explain")
     assert "no episode can be explained: SweepToTop has no intent in the language" in refusal
+
+
+def test_the_file_of_all_entries_is_what_a_replay_gives() -> None:
+    rows = pd.read_csv(ENDED, dtype=str, keep_default_na=False)
+    assert list(rows.columns) == list(COLUMNS)
+    numbers = rows[[*ENDINGS]].astype(float).sum(axis=1)
+    np.testing.assert_allclose(numbers, rows["episodes"].astype(float), atol=1e-3)
+    known = rows.set_index(["entry", "task"]).loc[("pixels-bc-quick", "MoveToRegion")]
+    entry = read_entry(RESULTS / "pixels-bc-quick")
+    episodes = [one for one in entry.episodes if one.task == "MoveToRegion" and covered(entry, one)]
+    assert measured_row(entry, "MoveToRegion", episodes) == ["MoveToRegion", *known.tolist()]
