@@ -17,10 +17,12 @@ from typing import Final
 
 import magical_mj
 from magical_mj.demos.export.folders import to_webdataset
+from magical_mj.demos.shipped import DemonstrationSet
 from magical_mj.tasks.registry import listed_tasks
 from tools.hub import rehearse
 
 ROOT: Final = Path(__file__).parent.parent
+SETS: Final[dict[str, DemonstrationSet]] = {"expert": 1, "diverse": 2, "graded": "graded"}
 CARD: Final = """---
 license: apache-2.0
 tags: [imitation-learning, mujoco, onnx, robotics]
@@ -50,9 +52,9 @@ def prepare(out: Path, tasks: str, preset: str) -> None:
     with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
         made = Path(temporary) / "made"
         for task in listed_tasks(tasks):
-            for name in ("expert", "graded"):
+            for name, chosen in SETS.items():
                 print(f"{task}, {name}", flush=True)
-                demos = magical_mj.demos.load(task, set=name)
+                demos = magical_mj.demos.load(task, set=chosen)
                 to_webdataset(demos, made / "datasets" / f"magical-mj-{task}-{name}", preset)
         policies = made / "models" / "magical-mj-bc-states"
         shutil.copytree(ROOT / "site" / "policies", policies)
