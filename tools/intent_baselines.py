@@ -42,7 +42,7 @@ PAGE: Final = ROOT / "docs" / "intents.md"
 INTENTS: Final = 6
 """The number of intents of each set that a baseline plays."""
 FEW: Final = 3
-"""The same for baselines that are trained for each intent."""
+"""The same for some baselines."""
 EPISODES: Final = 1
 """The number of episodes of each intent in each variant."""
 SECONDS: Final = 3600.0
@@ -79,12 +79,12 @@ def in_scenes(number: int, contrasting: bool) -> str:
     return f"demonstrations in {number} {kind}scene{'s' if number > 1 else ''}"
 
 
-def rows_of(name: str, method: str, policy: str) -> dict[str, Baseline]:
+def rows_of(name: str, method: str, policy: str, intents: int = INTENTS) -> dict[str, Baseline]:
     """Rows for numbers of demo scenes, random and contrasting."""
     every = [(number, contrasting) for contrasting in (False, True) for number in SCENES if number > contrasting]
     return {
         f"{name}-{number}{'-contrasting' if contrasting else ''}": Baseline(
-            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting)
+            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting), intents
         )
         for number, contrasting in every
     }
@@ -94,9 +94,9 @@ BASELINES: Final = {
     "noop": Baseline("Doing nothing", "", "noop"),
     "random": Baseline("Random actions", "", "random"),
     "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1), FEW),
-    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures"),
+    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures", intents=FEW),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
-    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
+    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations", FEW),
     **rows_of("goals", "Intent inference", GOALS),
     "expert": Baseline("Expert", "the intent", "expert"),
 }

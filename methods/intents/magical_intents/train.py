@@ -45,7 +45,7 @@ LARGEST: Final = 1.0
 """The largest norm of a gradient."""
 SAVED: Final = 100
 """The number of updates after which a network is written."""
-GROUPS: Final = 80
+GROUPS: Final = 48
 """The number of contexts in a planner's batch."""
 STEPS: Final = 4
 """The number of steps for each, from demonstrations that are not part of the context."""
