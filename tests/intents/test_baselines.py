@@ -104,6 +104,8 @@ def statements() -> list[str]:
             *(in_variant(SENTENCE, variant) for variant in VARIANTS)
         ),
         f"The expert scores {score('expert'):.2f}.",
+        f"scores {score('demonstrations-policy-1'):.2f}, and in four random scenes",
+        f"{score('demonstrations-policy-4'):.2f}. BC from pictures scores {score('pictures-policy'):.2f}.",
         f"it solves {sum(m.score == 1.0 for m in own)} of {len(own)} episodes.",
     ]
 
