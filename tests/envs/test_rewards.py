@@ -195,7 +195,7 @@ def test_batched_worlds_have_none() -> None:
 
 
 def test_the_table_in_the_docs_has_all_tasks_and_their_bounds() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "rewards.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "rewards.md").read_text("utf-8").partition("## Curves")[0]
     rows = dict(re.findall(r"^\| ([A-Z][\w, ]+?)(?:, by.*?)? \| .* \| ([\d.]+)", page, re.MULTILINE))
     tasks = {task: most for names, most in rows.items() for task in names.split(", ")}
     assert tasks.keys() - {"Task"} == set(KNOWN)
