@@ -22,7 +22,7 @@ from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.turning import turning
 from magical_mj.intents import EIGHT, parse
 from magical_mj.intents.diagnose import simplest_rivals
-from magical_mj.intents.readings import ENDINGS
+from magical_mj.intents.readings import ENDINGS, READINGS
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP
@@ -203,6 +203,16 @@ def test_the_file_of_all_entries_is_what_a_replay_gives() -> None:
     assert list(rows.columns) == list(COLUMNS)
     numbers = rows[[*ENDINGS]].astype(float).sum(axis=1)
     np.testing.assert_allclose(numbers, rows["episodes"].astype(float), atol=1e-3)
+    page = " ".join((ROOT / "docs" / "explain.md").read_text("utf-8").split())
+    total, parts = rows["failed"].astype(int).sum(), rows[[*ENDINGS]].astype(float).sum()
+    wrong, some, none = (
+        f"{100 * parts[names].sum() / total:.0f} %"
+        for names in ([*READINGS, "another block"], ["incompetent"], ["nothing"])
+    )
+    assert (
+        f"Of {total:,} failed episodes, {wrong} moved only wrong blocks, {some} an intended one, and {none} none."
+        in page
+    )
     known = rows.set_index(["entry", "task"]).loc[("pixels-bc-quick", "MoveToRegion")]
     entry = read_entry(RESULTS / "pixels-bc-quick")
     episodes = [one for one in entry.episodes if one.task == "MoveToRegion" and covered(entry, one)]
