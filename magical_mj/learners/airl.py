@@ -53,7 +53,7 @@ class AIRL(GAIL):
     def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """g(s, a), shape (n,): the reward function without the potentials that shape it."""
         del following
-        return cast(Shaped, self._discriminator).reward(observations, actions, tasks)
+        return cast("Shaped", self._discriminator).reward(observations, actions, tasks)
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """f(s, a, s') - log pi(a | s), shape (n,)."""
