@@ -82,8 +82,8 @@ def load(
             than 1.
     """
     task, spec = task_name(task), task_spec(task)
-    if set not in SETS:
-        raise unknown_name("set of demonstrations", set, map(str, SETS))
+    if isinstance(set, bool) or not isinstance(set, int | np.integer | str) or set not in SETS:
+        raise unknown_name("set of demonstrations", set, map(repr, SETS))
     if set in FILES:
         return _played(set, task, folder, body)
     if folder is None:

@@ -44,7 +44,7 @@ from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import SPLITS, environments, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.errors import SettingsError, as_integer, short_repr
 
 SCENES: Final = 5
 """The default number of scenes in each environment."""
@@ -108,11 +108,16 @@ def evaluate_rewards(
         (the method of the policy, if it played), score and sum.
 
     Raises:
-        SettingsError: if no training has a learnt reward, or their presets differ.
+        SettingsError: if no training has a learnt reward, their presets differ, or a training is given twice.
         TrainingError: if a training is not finished, or its checkpoint cannot be used.
         DemonstrationError: if the expert cannot solve a scene.
     """
+    if as_integer(scenes, 1) is None:
+        raise SettingsError(f"scenes must be an integer of at least 1, not {short_repr(scenes)}")
     found = [_Run(path := files.to_path(run), from_toml(path / CONFIG)) for run in runs]
+    folders = [run.path.resolve() for run in found]
+    if twice := [run.path for run, folder in zip(found, folders, strict=True) if folders.count(folder) > 1]:
+        raise SettingsError(f"give each training once: {twice[-1]} is given twice, and its episodes would count double")
     if not any(run.learns_reward for run in found):
         raise SettingsError(
             f"none of these trainings has learnt a reward: give a training of {', '.join(REWARD_METHODS)}"
@@ -162,7 +167,7 @@ def _episodes(task: str, variant: str, scenes: int, runs: Sequence[_Run], jobs: 
         actions = actions_of(made.actions)
         expert[: len(actions)] = actions
         random = rng.integers(len(ACTIONS), size=steps).astype(np.uint8)
-        half = (int(np.flatnonzero(expert != NOOP)[-1]) + 1) // 2
+        half = (max(np.flatnonzero(expert != NOOP), default=-1) + 1) // 2  # an expert may have nothing to do
         mixed = np.concatenate([expert[:half], random[half:]])
         kinds: list[tuple[str, NDArray[np.uint8], Demonstrator]] = [
             ("expert", expert, "expert"),

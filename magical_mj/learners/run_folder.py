@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import platform
@@ -175,6 +176,12 @@ class RunFolder:
                 f"the demonstrations in {self._settings.recordings} have changed since {self.path} was begun: restore "
                 "them, or train in another folder"
             )
+        reward = _reward_digest(self._settings)
+        if start.get("reward", reward) != reward:
+            raise TrainingError(
+                f"the reward in {self._settings.reward.run} has changed since {self.path} was begun: restore that "
+                "training, or train in another folder"
+            )
         return as_integer(start.get("threads"), 1, MOST_THREADS)
 
 
@@ -264,8 +271,14 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
+def _reward_digest(settings: TrainingSettings) -> str:
+    """The SHA-256 of the checkpoint with the learnt reward of a training by "ppo". Empty for other trainings."""
+    path = Path(settings.reward.run) / CHECKPOINT
+    return hashlib.sha256(path.read_bytes()).hexdigest() if settings.reward.run and path.exists() else ""
+
+
 def _provenance(settings: TrainingSettings) -> str:
-    """The time, command, versions and threads of a run's start, and a hash of recordings, as TOML."""
+    """The time, command, versions and threads of a run's start, and hashes of recordings and rewards, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -277,5 +290,6 @@ def _provenance(settings: TrainingSettings) -> str:
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
         **({"recordings": digest(settings)} if settings.recordings else {}),
+        **({"reward": learnt} if (learnt := _reward_digest(settings)) else {}),
     }
     return "".join(f"{name} = {toml_value(value)}\n" for name, value in start.items())

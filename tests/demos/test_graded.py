@@ -82,7 +82,7 @@ def test_they_are_shown_and_exported_like_others(shell: Shell) -> None:
 
 
 def test_what_is_not_there_says_what_is() -> None:
-    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 'grades'.* 1, 2, graded"):
+    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 'grades'.* 1, 2, 'graded'"):
         magical_mj.demos.load("FindDupe", set="grades")  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="leave out the folder"):
         magical_mj.demos.load("FindDupe", "folder", set="graded")

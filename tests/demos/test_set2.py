@@ -69,8 +69,11 @@ def test_the_default_is_set_1_and_what_is_not_there_says_what_is() -> None:
     one, default = magical_mj.demos.load("FixColour", set=1), magical_mj.demos.load("FixColour")
     assert [demo.digest for demo in one] == [demo.digest for demo in default]
     assert SETS == (1, 2, "graded")
-    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 3.* 1, 2, graded"):
+    with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 3.* 1, 2, 'graded'"):
         magical_mj.demos.load("FindDupe", set=3)  # type: ignore[arg-type]
+    for other in ("2", True, 2.0, np.array([1, 2]), np.array(2)):
+        with pytest.raises(UnknownNameError, match=r"There are: 1, 2, 'graded'"):
+            magical_mj.demos.load("FindDupe", set=other)  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="set 2 come with the package: leave out the folder"):
         magical_mj.demos.load("FindDupe", "folder", set=2)
     with pytest.raises(

@@ -97,6 +97,10 @@ def test_what_has_no_reward_is_refused(tmp_path: Path) -> None:
     train(from_states(), tmp_path / "bc")
     with pytest.raises(SettingsError, match=r"none of these trainings has learnt a reward: give a training of .*gail"):
         evaluate_rewards([tmp_path / "bc"])
+    with pytest.raises(SettingsError, match="is given twice, and its episodes would count double"):
+        evaluate_rewards([tmp_path / "bc", tmp_path / "bc" / ".." / "bc"])
+    with pytest.raises(SettingsError, match=r"scenes must be an integer of at least 1, not 1\.5"):
+        evaluate_rewards([tmp_path / "bc"], scenes=cast("int", 1.5))
     stopped(tmp_path / "gail", playing("gail", preset="State"))
     with pytest.raises(TrainingError, match="is not finished: --resume continues it"):
         evaluate_rewards([tmp_path / "gail"], "Demo", 1)
@@ -116,6 +120,16 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     learner.close()
     reward.close()
     check_resumes("ppo", {"preset": "State", "reward.run": tmp_path / "gail", "reward.variant": "Layout"}, tmp_path)
+
+
+def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:
+    train(from_states(method="iq-learn"), tmp_path / "iq")
+    settings = playing("ppo", preset="State", **{"reward.run": tmp_path / "iq"})
+    stopped(tmp_path / "ppo", settings)
+    (tmp_path / "iq").rename(tmp_path / "before")
+    train(from_states(method="iq-learn", seed=1), tmp_path / "iq")
+    with pytest.raises(TrainingError, match=r"the reward in .* has changed since"):
+        train(settings, tmp_path / "ppo", resume=True)
 
 
 def test_ppo_says_what_reward_it_needs(tmp_path: Path) -> None:
