@@ -292,10 +292,14 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
 
 
 def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
-    """Raises a `SettingsError` if the card does not name the set of demonstrations from which the policies learnt."""
+    """Raises a `SettingsError` if the card does not name the set of demonstrations from which the policies learnt.
+
+    Evaluations know it of the trainings of this package only, and record set 1 for other policies, such as ONNX files.
+    So a card may declare another set for these.
+    """
     known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
     learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
-    if learnt - {card.demonstrations.loaded_set}:
+    if len(learnt) > 1 or learnt - {1, card.demonstrations.loaded_set}:
         numbers = ", ".join(map(str, sorted(learnt)))
         raise SettingsError(
             f"{method} learnt from demonstrations of set {numbers}, but the card has [demonstrations] loaded_set = "

@@ -113,6 +113,15 @@ def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> Non
     assert "it learnt from demonstrations of set 2, and protocol 1 uses set 1" in gaps(entry)
 
 
+def test_a_card_can_declare_the_set_of_a_policy_of_which_it_is_unknown(tmp_path: Path) -> None:
+    evaluate({"Mine": "noop"}, out=tmp_path / "scores", tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1)
+    card = tmp_path / "card.toml"
+    card.write_text('method = "Mine"\n[demonstrations]\nset = 2\nloaded_set = 2\n')
+    submit([tmp_path / "scores"], tmp_path / "mine.json.xz", card=card)
+    entry = read_entry(tmp_path / "mine.json.xz")
+    assert "it learnt from demonstrations of set 2, and protocol 1 uses set 1" in gaps(entry)
+
+
 def test_the_setting_is_checked() -> None:
     with pytest.raises(SettingsError, match=r"demos\.set must be an integer of at most 2"):
         from_states(**{"demos.set": 3})
