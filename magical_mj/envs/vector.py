@@ -31,15 +31,15 @@ from magical_mj.variants import check_seed
 
 
 def make_vec(
-    environment: str, num_envs: int = 1, *, variant: str = "Demo", preset: str = "LoRes4E", **settings: Any
+    environment: str, num_envs: int = 1, *, variant: str | None = None, preset: str | None = None, **settings: Any
 ) -> VectorEnv:
     """A vector environment of copies of one environment, stepped on all cores.
 
     Args:
         environment: an id, such as "magical_mj/FindDupe-Demo-LoRes4E-v0", or a task.
         num_envs: the number of environments.
-        variant: the task's variant; ids contain theirs.
-        preset: the observation preset; ids contain theirs.
+        variant: the task's variant, by default Demo; ids contain theirs.
+        preset: the observation preset, by default LoRes4E; ids contain theirs.
         settings: the arguments of `make_vector` and of `MagicalEnv`.
 
     Example:
@@ -47,7 +47,9 @@ def make_vec(
         >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
     """
     known = isinstance(environment, str) and environment in gymnasium.registry
-    name = environment if known else env_id(environment, variant, preset)
+    if known:
+        settings |= {name: value for name, value in (("variant", variant), ("preset", preset)) if value is not None}
+    name = environment if known else env_id(environment, variant or "Demo", "LoRes4E" if preset is None else preset)
     check_named(name, settings)
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 

@@ -195,6 +195,8 @@ def test_arguments_that_contradict_the_id_are_refused(wrong: dict[str, str]) -> 
         gymnasium.make("magical_mj/MatchRegions-Demo-State-v0", preset="LoRes4E")
     with pytest.raises(SettingsError, match="has body='longstick', and not 'gripper'"):
         magical_mj.make_vec(id_, 1, body="gripper")
+    with pytest.raises(SettingsError, match="has variant='Demo', and not 'All'"):
+        magical_mj.make_vec("magical_mj/MatchRegions-Demo-State-v0", 1, variant="All")
     gymnasium.make("magical_mj/MatchRegions-Demo-v0", preset="State", body="longstick", action="speeds").close()
 
 

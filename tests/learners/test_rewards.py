@@ -124,7 +124,7 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
 
 def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:
     train(from_states(method="iq-learn"), tmp_path / "iq")
-    settings = playing("ppo", preset="State", **{"reward.run": tmp_path / "iq"})
+    settings = playing("ppo", **{"preset": "State", "reward.run": str(tmp_path / "iq")})
     stopped(tmp_path / "ppo", settings)
     (tmp_path / "iq").rename(tmp_path / "before")
     train(from_states(method="iq-learn", seed=1), tmp_path / "iq")
