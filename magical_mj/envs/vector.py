@@ -49,7 +49,8 @@ def make_vec(
     known = isinstance(environment, str) and environment in gymnasium.registry
     if known:
         settings |= {name: value for name, value in (("variant", variant), ("preset", preset)) if value is not None}
-    name = environment if known else env_id(environment, variant or "Demo", "LoRes4E" if preset is None else preset)
+    chosen = "Demo" if variant is None else variant, "LoRes4E" if preset is None else preset
+    name = environment if known else env_id(environment, *chosen)
     check_named(name, settings)
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 
