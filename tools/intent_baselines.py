@@ -79,12 +79,12 @@ def in_scenes(number: int, contrasting: bool) -> str:
     return f"demonstrations in {number} {kind}scene{'s' if number > 1 else ''}"
 
 
-def rows_of(name: str, method: str, policy: str) -> dict[str, Baseline]:
+def rows_of(name: str, method: str, policy: str, intents: int = INTENTS) -> dict[str, Baseline]:
     """Rows for numbers of demo scenes, random and contrasting."""
     every = [(number, contrasting) for contrasting in (False, True) for number in SCENES if number > contrasting]
     return {
         f"{name}-{number}{'-contrasting' if contrasting else ''}": Baseline(
-            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting)
+            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting), intents
         )
         for number, contrasting in every
     }
@@ -96,7 +96,7 @@ BASELINES: Final = {
     "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1), FEW),
     "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures", intents=FEW),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
-    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
+    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations", FEW),
     **rows_of("goals", "Intent inference", GOALS),
     "expert": Baseline("Expert", "the intent", "expert"),
 }

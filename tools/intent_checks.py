@@ -24,7 +24,7 @@ from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import task_spec
-from tools.intent_baselines import BASELINES, INTENTS, PAGE, SECONDS, Mean, episodes_of, over_intents, played
+from tools.intent_baselines import BASELINES, PAGE, SECONDS, Mean, episodes_of, over_intents, played
 from tools.intent_baselines import stored as stored_means
 from tools.intent_scenes import reached
 from tools.intents import TESTS
@@ -32,11 +32,11 @@ from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-checks.csv"
 COMMAND: Final = "python -m tools.intent_checks"
-NAMES: Final = ("sentence-policy", "demonstrations-policy-4-contrasting")
+NAMES: Final = ("sentence-policy", "demonstrations-policy-1", "demonstrations-policy-4")
 """The rows of tools.intent_baselines that are checked."""
 CHECKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "wrong": {"variants": ["Layout", "All"], "episodes": 1},
+        "wrong": {"variants": ["All"], "episodes": 1},
         "Diagnose": {"variants": ["Diagnose"], "episodes": 2},
     }
 )
@@ -48,8 +48,9 @@ class Check(NamedTuple):
 
     Attributes:
         score: the score of the intent; in Diagnose, whether it holds at the end.
-        other: in "wrong", the score of the other intent; in Diagnose, whether the intent does not hold, but the rival
-            for which the scene was drawn. None if the other intent has no meaning in the scene.
+        other: with the sentence of another intent, its score; in Diagnose, whether the intent does not hold, but the
+            rival for which the scene was drawn. None with demonstrations of another intent, which may have no meaning
+            in the scene.
     """
 
     baseline: str
@@ -72,7 +73,7 @@ def play(out: Path) -> None:
             magical_mj.evaluate(
                 str(out / baseline.policy),
                 name=baseline.method,
-                tasks=list(played(INTENTS).values()),
+                tasks=list(played(BASELINES[name].intents).values()),
                 jobs=1,
                 time_limit=SECONDS,
                 out=folder,
@@ -86,14 +87,19 @@ def play(out: Path) -> None:
 def gather(out: Path) -> list[Check]:
     """The checks that were played to the end."""
     found = []
-    places = {task: place for place, task in played(INTENTS).items()}
     for name in NAMES:
+        places = {task: place for place, task in played(BASELINES[name].intents).items()}
         for check, how in CHECKS.items():
             episodes = episodes_of(out / f"{name}-{check}")
             if len(episodes) == len(places) * len(how["variants"]) * how["episodes"]:
-                outcomes = [(e, (e.score, e.other_score) if check == "wrong" else _diagnosed(e)) for e in episodes]
-                found += [Check(name, check, *places[e.task], e.variant, e.seed, *outcome) for e, outcome in outcomes]
+                for e in episodes:
+                    outcome = _diagnosed(e) if check == "Diagnose" else (e.score, _other_score(e))
+                    found.append(Check(name, check, *places[e.task], e.variant, e.seed, *outcome))
     return found
+
+
+def _other_score(episode: EpisodeResult) -> float | None:
+    return episode.other_score if episode.given.endswith("instruction") else None
 
 
 def _diagnosed(episode: EpisodeResult) -> tuple[float, float]:
@@ -127,11 +133,11 @@ def store(checks: Sequence[Check]) -> None:
             writer.writerow((*check[:-2], *("" if value is None else f"{value:.4g}" for value in check[-2:])))
 
 
-def means(checks: Sequence[Check], name: str, check: str, field: str) -> tuple[float, float, float]:
-    """The mean of a field over the intents that have it, and its 95 % interval."""
+def means(checks: Sequence[Check], name: str, check: str, field: str) -> tuple[float, ...]:
+    """The mean of a field over intents, and its 95 % interval; empty if the episodes do not have the field."""
     rows = [row for row in checks if (row.baseline, row.check) == (name, check)]
     known = [(row, value) for row in rows if (value := getattr(row, field)) is not None]
-    return _interval([Mean(name, row.set, row.number, row.variant, value) for row, value in known])
+    return _interval([Mean(name, row.set, row.number, row.variant, value) for row, value in known]) if known else ()
 
 
 def right(baselines: Sequence[Mean], name: str) -> tuple[float, float, float]:
@@ -141,7 +147,7 @@ def right(baselines: Sequence[Mean], name: str) -> tuple[float, float, float]:
 
 def _interval(every: Sequence[Mean]) -> tuple[float, float, float]:
     groups = [over_intents(mean for mean in every if mean.set == group) for group in TESTS]
-    return float(over_intents(every).mean()), *mean_interval([group for group in groups if len(group)])
+    return float(over_intents(every).mean()), *mean_interval(groups)
 
 
 def checked(checks: Sequence[Check], baselines: Sequence[Mean]) -> str:
@@ -149,9 +155,10 @@ def checked(checks: Sequence[Check], baselines: Sequence[Mean]) -> str:
     rows = []
     for name in NAMES:
         if {row.check for row in checks if row.baseline == name} == CHECKS.keys():
-            values = [right(baselines, name)]
+            values: list[tuple[float, ...]] = [right(baselines, name)]
             values += [means(checks, name, check, field) for check in CHECKS for field in Check._fields[-2:]]
-            rows.append((BASELINES[name].given, *("{:.2f} ({:.2f} to {:.2f})".format(*value) for value in values)))
+            cells = ("{:.2f} ({:.2f} to {:.2f})".format(*value) if value else "" for value in values)
+            rows.append((BASELINES[name].given, *cells))
     given = ("right: score", "wrong: score", "wrong: score of the other intent")
     return table(("Given", *given, "Diagnose: as intended", "as the rival"), rows)
 
