@@ -86,13 +86,13 @@ def outcomes(name: str, number: int, task: Task) -> list[Outcome]:
             return scene if read is None else solved(read, scene) or scene
 
         score = float(np.mean([intent.score(scene, end(scene)) for scene in tests]))
-        ways = [_reached(intent, spec, scene, seed, end(scene)) for scene, seed in hard]
+        ways = [reached(intent, spec, scene, seed, end(scene)) for scene, seed in hard]
         intended, misled = np.mean(ways, axis=0).tolist()
         found.append(Outcome(name, number, scenes, kind, str(goals[0].intent), score, intended, misled))
     return found
 
 
-def _reached(intent: Intent, spec: TaskSpec, scene: Scene, seed: int, end: Scene) -> tuple[bool, bool]:
+def reached(intent: Intent, spec: TaskSpec, scene: Scene, seed: int, end: Scene) -> tuple[bool, bool]:
     """Whether a scene of Diagnose ends as intended, and if not, as the rival wants for which it was drawn."""
     every = simplest_rivals(intent, spec.demo)
     first = seed % max(1, len(every))

@@ -11,7 +11,7 @@ import pytest
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.intents import parse
 from magical_mj.intents.sets import tasks_in
-from tools import intent_baselines, intent_scenes
+from tools import intent_baselines, intent_checks, intent_scenes
 from tools.intent_baselines import (
     BASELINES,
     GOALS,
@@ -31,9 +31,10 @@ from tools.tables import filled
 
 TEXT = PAGE.read_text("utf-8")
 PROSE = " ".join(TEXT.replace("**", "").split())
-MEANS, READINGS, OUTCOMES = stored(), readings(), intent_scenes.stored()
+MEANS, READINGS, OUTCOMES, CHECKED = stored(), readings(), intent_scenes.stored(), intent_checks.stored()
 ONE, RANDOM, CONTRASTING, CLONED = "goals-1", "goals-4", "goals-4-contrasting", "cloned-1"
-SENTENCE = "sentence-policy"
+SENTENCE, SHOWN, SHOWN_RANDOM = "sentence-policy", "demonstrations-policy-1", "demonstrations-policy-4"
+SHOWN_CONTRASTING = f"{SHOWN_RANDOM}-contrasting"
 
 
 def score(name: str, *groups: str) -> float:
@@ -46,9 +47,10 @@ def in_variant(name: str, variant: str) -> float:
 
 
 def gain(name: str, other: str) -> tuple[float, float, float]:
-    """The mean difference of one row from another over the same intents, and its interval."""
+    """The mean difference of one row from another over the intents that both played, and its interval."""
+    number = min(BASELINES[one].intents for one in (name, other))
     rows = [
-        [over_intents(m for m in MEANS if (m.baseline, m.set) == (one, group)) for group in TESTS]
+        [over_intents(m for m in MEANS if (m.baseline, m.set) == (one, group) and m.number < number) for group in TESTS]
         for one in (name, other)
     ]
     differences = [first - second for first, second in zip(*rows, strict=True)]
@@ -77,6 +79,8 @@ def settled_in(number: int, kind: str = "random") -> int:
 def statements() -> list[str]:
     random, contrasting = gain(RANDOM, ONE), gain(CONTRASTING, RANDOM)
     learnt, own = gain(SENTENCE, "random"), [mean for mean in MEANS if mean.baseline == SENTENCE]
+    shown, varied = gain(SHOWN, "random"), gain(SHOWN, SHOWN_RANDOM)
+    told, searched = gain(SENTENCE, SHOWN), gain(ONE, SHOWN)
     planned, better = scenes_gain(8, "random", 1, "random"), scenes_gain(8, "contrasting", 8, "random")
     return [
         "from one demo scene lead to a mean score of {:.2f}, from eight random ones to {:.2f} and from eight "
@@ -104,9 +108,34 @@ def statements() -> list[str]:
             *(in_variant(SENTENCE, variant) for variant in VARIANTS)
         ),
         f"The expert scores {score('expert'):.2f}.",
-        f"scores {score('demonstrations-policy-1'):.2f}, and in four random scenes",
-        f"{score('demonstrations-policy-4'):.2f}. BC from pictures scores {score('pictures-policy'):.2f}.",
+        f"with demonstrations in one scene scores {score(SHOWN):.2f},",
+        f"in four random scenes {score(SHOWN_RANDOM):.2f} and in four contrasting ones {score(SHOWN_CONTRASTING):.2f}.",
+        f"One scene gains {varied[0]:.2f} ({varied[1]:.2f} to {varied[2]:.2f}) over four random ones,",
+        f"and {shown[0]:.2f} ({shown[1]:.2f} to {shown[2]:.2f}) over random actions.",
+        f"the difference of the sentence from one scene is {told[0]:.2f} ({told[1]:.2f} to {told[2]:.2f}),",
+        f"and that of intent inference is {searched[0]:.2f} ({searched[1]:.2f} to {searched[2]:.2f}).",
+        f"BC from pictures scores {score('pictures-policy'):.2f}.",
+        *checks(),
         f"it solves {sum(m.score == 1.0 for m in own)} of {len(own)} episodes.",
+    ]
+
+
+def checks() -> list[str]:
+    def figures(*where: str) -> str:
+        return "{:.2f} ({:.2f} to {:.2f})".format(*intent_checks.means(CHECKED, *where))
+
+    names = intent_checks.NAMES
+    true = ["{:.2f} ({:.2f} to {:.2f})".format(*intent_checks.right(MEANS, name)) for name in names]
+    other = [figures(name, "wrong", "score") for name in names]
+    intended, misled = ([figures(name, "Diagnose", field) for name in names] for field in ("score", "other"))
+    return [
+        f"With its own sentence, the policy scores {true[0]} in All. With another sentence, it scores {other[0]},",
+        f"and {figures(SENTENCE, 'wrong', 'other')} by the intent of that sentence.",
+        f"With one demo scene, the score is {true[1]}, and {other[1]} with demonstrations of another intent;",
+        f"with four scenes, {true[2]} and {other[2]}.",
+        f"The shares of episodes that end as intended are {intended[0]} with the sentence,",
+        f"{intended[1]} with one demo scene and {intended[2]} with four.",
+        f"As the rival, {misled[0]}, {misled[1]} and {misled[2]} end.",
     ]
 
 
@@ -125,7 +154,19 @@ def test_relations_are_left_out(name: str) -> None:
 def test_the_page_has_the_tables_of_the_files() -> None:
     tables = {"baselines": baselines(MEANS), "misread": misread(READINGS)}
     assert filled(TEXT, tables, "python -m tools.intent_baselines") == TEXT
+    assert filled(TEXT, {"checked": intent_checks.checked(CHECKED, MEANS)}, intent_checks.COMMAND) == TEXT
     assert filled(TEXT, {"settled": settled(OUTCOMES)}, intent_scenes.COMMAND) == TEXT
+
+
+def test_checks_have_the_scenes_of_their_intents() -> None:
+    for name in intent_checks.NAMES:
+        intents = BASELINES[name].intents * len(TESTS)
+        for check, how in intent_checks.CHECKS.items():
+            own = [row for row in CHECKED if (row.baseline, row.check) == (name, check)]
+            assert len({row[:6] for row in own}) == len(own) == intents * len(how["variants"]) * how["episodes"]
+    assert all(
+        row.score in (0.0, 1.0) and row.score + (row.other or 0.0) <= 1.0 for row in CHECKED if row.check == "Diagnose"
+    )
 
 
 def test_the_files_have_whole_rows() -> None:

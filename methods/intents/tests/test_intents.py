@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from magical_intents import pictures
 from magical_intents.cloning import Cloned
 from magical_intents.plans import planned
 from magical_intents.policy import KINDS, POLICY, load_policy
@@ -164,6 +165,25 @@ def test_training_intents_include_the_seen_ones() -> None:
     assert len(set(intents)) == 200
     assert set(intents) <= set(SETS["train"])
     assert set(SETS["seen"][:20]) <= set(intents)
+
+
+def test_pictures_are_cloned_with_the_sentence(tmp_path: Path) -> None:
+    intent = parse("robot in()")
+    films = pictures.films([intent], tmp_path / "demonstrations")
+    assert len(films) == 3
+    pictures.train(films, tmp_path / "run", updates=6)
+    policy = pictures.load_policy(tmp_path / "run")
+    with torch.inference_mode():
+        film = films[0]
+        words = torch.from_numpy(film.words[:1]).expand(len(film.actions), -1)
+        logits = policy._network(torch.from_numpy(film.pictures), words)
+    assert torch.nn.functional.cross_entropy(logits, torch.from_numpy(film.actions)) < math.log(18)
+    played = magical_mj.evaluate(policy, tasks=f"intent:{intent}", variants="Demo", episodes=1, jobs=1)
+    assert played["failure"].isna().all()
+    assert set(played["given"]) == {"instruction"}
+    checkpoint.write(tmp_path / pictures.POLICY, {"weights": {}})
+    with pytest.raises(TrainingError, match="does not contain a policy"):
+        pictures.load_policy(tmp_path)
 
 
 @pytest.mark.slow
