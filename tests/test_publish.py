@@ -20,7 +20,7 @@ def test_the_prepared_folder_is_whole_and_can_be_uploaded(tmp_path: Path) -> Non
     out = tmp_path / "publish"
     publish.prepare(out, "MoveToRegion", "State")
     assert [path.name for path in tmp_path.iterdir()] == ["publish"]
-    sets = {f"magical-mj-MoveToRegion-{name}" for name in ("expert", "graded")}
+    sets = {f"magical-mj-MoveToRegion-{name}" for name in ("expert", "diverse", "graded")}
     assert {path.name for path in (out / "datasets").iterdir()} == sets
     for folder in out.glob("*/*"):
         assert (folder / "README.md").read_text().startswith("---\nlicense: apache-2.0\n")
@@ -32,7 +32,7 @@ def test_the_prepared_folder_is_whole_and_can_be_uploaded(tmp_path: Path) -> Non
     if find_spec("huggingface_hub") is not None:
         command = [sys.executable, "-m", "tools.publish", "--rehearse", "--out", out]
         said = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
-        assert said.count("files have arrived") == 4
+        assert said.count("files have arrived") == 5
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from magical_mj.utils.errors import MissingExtraError
 MODULES: Final = {
     "dask": ("distributed",),
     "eval": ("matplotlib", "pandas", "scipy"),
-    "gpu": ("mujoco_warp", "torch", "warp"),
+    "gpu": ("mujoco_warp", "numba_cuda", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
     "minari": ("h5py", "minari"),
     "onnx": ("onnxruntime", "onnxscript"),

@@ -49,7 +49,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' stores no values"),
         (
             ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
-            "ppo.clip is for gail, wgail-gp, airl, al and",
+            "ppo.clip is for gail, wgail-gp, airl, al, ppo and",
         ),
         (["train", "bc", "--tasks", "FindDupe", "--preset", "State", "--set", "network.channels=8"], "is for pictures"),
         (

@@ -18,9 +18,13 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 RENAMED = {"pillow": "PIL", "pygame-ce": "pygame", "warp-lang": "warp"}
 """Requirement -> the module that it installs, where they differ in more than a hyphen."""
-INDIRECT = {"onnxscript": "torch.onnx.export(", "tensorboard": "from torch.utils.tensorboard"}
+INDIRECT = {
+    "numba_cuda": "from numba import cuda",
+    "onnxscript": "torch.onnx.export(",
+    "tensorboard": "from torch.utils.tensorboard",
+}
 """What another library imports -> the code that makes it do so."""
-HOSTS = {"lerobot", "vla_eval"}
+HOSTS = {"lerobot", "stable_worldmodel", "vla_eval"}
 """Programs that load this package as a plug-in: they choose their versions, and ours."""
 TRANSITIVE = {"OpenGL"}
 """What MuJoCo requires to draw at all."""

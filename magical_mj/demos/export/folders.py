@@ -40,6 +40,7 @@ EACH: Final = "`gymnasium.make(magical_mj.env_id(task, variant, preset))` with t
 MAKERS: Final[Mapping[str, str]] = {
     "expert": "by the scripted expert of magical_mj, which knows the state",
     "human": "by people who drove the robot in magical_mj",
+    "diverse": "by the scripted expert, which knows the state, in varied styles",
     "random": "by actions drawn independently and uniformly",
     "policy": "by a policy",
     "stopped": "by the expert, stopped at a random step",
