@@ -16,6 +16,7 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, create_empty_array
@@ -51,7 +52,6 @@ def make_vec(
         settings |= {name: value for name, value in (("variant", variant), ("preset", preset)) if value is not None}
     chosen = "Demo" if variant is None else variant, "LoRes4E" if preset is None else preset
     name = environment if known else env_id(environment, *chosen)
-    check_named(name, settings)
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 
 
@@ -116,6 +116,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             names = ", ".join(f"gymnasium.vector.{mode}" for mode in AutoresetMode)
             raise SettingsError(f"autoreset_mode must be one of {names}, not {short_repr(autoreset_mode)}") from None
         self.envs, self.num_envs = list(envs), len(envs)
+        self._spec: EnvSpec | None = None
         first = envs[0]
         self.metadata = {**first.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
@@ -125,6 +126,24 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(first.action_space, self.num_envs)
         self._threads = threads
         self._start_threads()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec with the arguments of `gymnasium.make_vec`.
+
+        Raises:
+            SettingsError: if an argument contradicts the id, for example another body.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        try:
+            check_named(spec.id, spec.kwargs)
+        except SettingsError:
+            self.close()
+            raise
+        self._spec = spec
 
     def _start_threads(self) -> None:
         count = min(self._threads or cores(), self.num_envs)

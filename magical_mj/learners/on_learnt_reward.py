@@ -6,7 +6,7 @@ training, and an entry must declare the privilege "other scenes".
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -39,6 +39,17 @@ REWARD_METHODS: Final[Mapping[str, type[Method]]] = {
 def learns_reward(method: str) -> bool:
     """Whether a method learns a reward."""
     return method in REWARD_METHODS or (method in announced_methods() and load_method(method).learns_reward)
+
+
+def settings_in(path: Path, trusted: Sequence[str] = ()) -> TrainingSettings:
+    """The settings of the training in a folder.
+
+    Raises:
+        SettingsError: if the folder contains no training, or its settings are invalid.
+    """
+    if not (path / CONFIG).is_file():
+        raise SettingsError(f"{path} is not the folder of a training: it has no {CONFIG}")
+    return from_toml(path / CONFIG, trusted=trusted)
 
 
 def learner_of_reward(path: Path, settings: TrainingSettings) -> Method:
@@ -109,4 +120,4 @@ def _reward_settings(settings: TrainingSettings) -> TrainingSettings:
     """The settings of the training that learnt the reward."""
     if not settings.reward.run:
         raise SettingsError("ppo needs a learnt reward: --set reward.run=RUN, with the folder of a training of gail")
-    return from_toml(Path(settings.reward.run) / CONFIG, trusted=settings.tasks)
+    return settings_in(Path(settings.reward.run), settings.tasks)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -33,11 +34,9 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import replayed
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.config import from_toml
 from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.networks import as_input
-from magical_mj.learners.on_learnt_reward import REWARD_METHODS, learner_of_reward, learns_reward
-from magical_mj.learners.run_folder import CONFIG
+from magical_mj.learners.on_learnt_reward import REWARD_METHODS, learner_of_reward, learns_reward, settings_in
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings
@@ -86,7 +85,7 @@ class _Run(NamedTuple):
 
 
 def evaluate_rewards(
-    runs: Iterable[Path | str],
+    runs: Path | str | Iterable[Path | str],
     variants: str | Iterable[str] = "all",
     scenes: int = SCENES,
     *,
@@ -96,8 +95,8 @@ def evaluate_rewards(
     """The sums of the learnt rewards of some trainings over the same episodes. Experts' episodes are cached.
 
     Args:
-        runs: the folders of finished trainings with the same preset. The policies of all of them play. Trainings of
-            methods that learn no reward, such as BC, only contribute their policies.
+        runs: the folder of a finished training, or several with the same preset. The policies of all of them play.
+            Trainings of methods that learn no reward, such as BC, only contribute their policies.
         variants: the variants, separated by commas.
         scenes: the number of scenes in each environment, from the dev split.
         jobs: the number of processes for the experts and the policies; None: one per core.
@@ -114,7 +113,8 @@ def evaluate_rewards(
     """
     if as_integer(scenes, 1) is None:
         raise SettingsError(f"scenes must be an integer of at least 1, not {short_repr(scenes)}")
-    found = [_Run(path := files.to_path(run), from_toml(path / CONFIG)) for run in runs]
+    listed = [runs] if isinstance(runs, str | PathLike) else runs
+    found = [_Run(path := files.to_path(run), settings_in(path)) for run in listed]
     folders = [run.path.resolve() for run in found]
     if twice := [run.path for run, folder in zip(found, folders, strict=True) if folders.count(folder) > 1]:
         raise SettingsError(f"give each training once: {twice[-1]} is given twice, and its episodes would count double")

@@ -220,7 +220,7 @@ def playable(
             )
         facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
         facts["needs_plan"] = getattr(policy, "needs_plan", False)
-        facts["demonstration_set"] = demonstration_set(source.origin)
+        facts["demonstration_set"] = getattr(policy, "demonstration_set", None) or demonstration_set(source.origin)
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
         checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked
@@ -228,7 +228,7 @@ def playable(
 
 def demonstration_set(origin: object) -> int:
     """The set of the package's demonstrations of the training in a folder, according to its settings; otherwise 1."""
-    path = Path(origin) / CONFIG if isinstance(origin, str) else Path()
+    path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     if not path.is_file():
         return 1
     part = read_toml(path).get("demos")

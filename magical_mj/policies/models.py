@@ -67,10 +67,12 @@ class Model:
     Attributes:
         tasks: the tasks of its training. Missing if the file does not contain them.
         preset: the preset of its training. Missing if the file does not contain it.
+        demonstration_set: the set of the package's demonstrations of its training. Missing if it is unknown.
     """
 
     tasks: tuple[str, ...]
     preset: str
+    demonstration_set: int
 
     def __init__(
         self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
@@ -327,6 +329,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     known = session.get_modelmeta().custom_metadata_map  # written by `export_policy`
     if {"task", "preset"} <= known.keys():
         model.tasks, model.preset = (known["task"],), known["preset"]
+        learnt = known.get("demonstration_set", "")
+        model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
     return model
 
 

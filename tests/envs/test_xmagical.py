@@ -189,6 +189,8 @@ def test_arguments_that_contradict_the_id_are_refused(wrong: dict[str, str]) -> 
         gymnasium.make(id_, **wrong)
     with pytest.raises(SettingsError, match=said):
         gymnasium.make_vec(id_, 1, "sync", **wrong)
+    with pytest.raises(SettingsError, match=f"{said}|more than the 100 steps of an episode of FindDupe"):
+        gymnasium.make_vec(id_, 1, "vector_entry_point", **wrong)
     with pytest.raises(
         SettingsError, match="has preset='State', and not 'LoRes4E': take the id of another environment"
     ):

@@ -96,7 +96,9 @@ def test_the_rewards_of_all_methods_are_judged_on_the_same_episodes(
 def test_what_has_no_reward_is_refused(tmp_path: Path) -> None:
     train(from_states(), tmp_path / "bc")
     with pytest.raises(SettingsError, match=r"none of these trainings has learnt a reward: give a training of .*gail"):
-        evaluate_rewards([tmp_path / "bc"])
+        evaluate_rewards(str(tmp_path / "bc"))
+    with pytest.raises(SettingsError, match=r"nowhere is not the folder of a training: it has no config\.toml"):
+        evaluate_rewards([tmp_path / "nowhere"])
     with pytest.raises(SettingsError, match="is given twice, and its episodes would count double"):
         evaluate_rewards([tmp_path / "bc", tmp_path / "bc" / ".." / "bc"])
     with pytest.raises(SettingsError, match=r"scenes must be an integer of at least 1, not 1\.5"):
