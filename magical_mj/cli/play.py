@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import random
 import re
+import secrets
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -134,7 +134,7 @@ def guess_in_window(
 
     if task is not None and not task_name(task).startswith("intent:"):
         raise typer.BadParameter(f"--guess is for intents, such as intent:dev/3, and {task} is a task.")
-    puzzle = random.choice(puzzles()) if task is None else puzzle_of(task)  # noqa: S311
+    puzzle = secrets.choice(puzzles()) if task is None else puzzle_of(task)
     with closing(Window("What do you want?", size, speed)) as window:
         for number, letters in enumerate(puzzle.demonstrations):
             line = f"Demonstration {number + 1} of {DEMONSTRATIONS}. Then you do the same."
