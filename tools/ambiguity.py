@@ -1,6 +1,6 @@
 """Measures how ambiguous demonstrations are, for the eight tasks and intents of the test sets.
 
-    python -m tools.ambiguity        writes the tables in docs/intents.md and the picture docs/intents-rivals.png
+    python -m tools.ambiguity        writes a table in docs/intents.md and the picture docs/intents-rivals.png
 
 Plans replace demonstrations after the first scene, since rivals depend on the initial and the final scene only. An
 intent of n bits has the weight 2 to the power of -n. The missing bits are the logarithm to base 2 of the weight of all
@@ -44,7 +44,6 @@ STARTS: Final = 10
 """The number of initial scenes that a picture of a solved scene is judged with."""
 START_RANGE: Final = 0.8
 """Blocks and the robot may have started within this square (half side, world units)."""
-SHOWN: Final = (2, 4, 8)
 KINDS: Final = {
     "random": "random colours and poses",
     "wide": "random counts, shapes, colours and poses",
@@ -167,36 +166,13 @@ def known() -> str:
         ("demonstrations in one scene", *(cell for one in curves for cell in median([c[0] for c in one["random"]]))),
     ]
     for kind, name in KINDS.items():
-        for number in SHOWN:
-            cells = (cell for one in curves for cell in median([c[number - 1] for c in one[kind]]))
-            rows.append((f"in {number} scenes: {name}", *cells))
+        cells = (cell for one in curves for cell in median([c[-1] for c in one[kind]]))
+        rows.append((f"in {SCENES} scenes: {name}", *cells))
     rows.append(
         ("one scene and the sentence", *(cell for group in groups for cell in median(list(map(by_sentence, group)))))
     )
     head = ("Known", "Rivals, eight tasks", "Missing bits", f"Rivals, {len(groups[1])} intents", "Missing bits")
     return table(head, rows)
-
-
-def by_set() -> str:
-    """What one demonstration leaves of each test intent: medians and quartiles by set."""
-    head = ("Set", "Bits of the intents", f"Rivals of up to {BITS:.0f} bits", "As simple", "Missing bits")
-    return table(head, [(name, *of_set(name)) for name in TESTS])
-
-
-def of_set(name: str) -> list[str]:
-    """The cells of a set."""
-    cases = [case_of(task) for task in tasks_in(name)]
-    possible = [[rival for rival in rivals(case.first, BITS) if rival != case.intent] for case in cases]
-    pairs = list(zip(cases, possible, strict=True))
-    simple = [sum(rival.bits <= case.intent.bits for rival in found) for case, found in pairs]
-    missing = [left(case, found).bits for case, found in pairs]
-    return [quartiles(values) for values in ([c.intent.bits for c in cases], list(map(len, possible)), simple, missing)]
-
-
-def quartiles(values: Sequence[float]) -> str:
-    """The median, with the quartiles in brackets."""
-    low, middle, high = np.percentile(values, [25, 50, 75])
-    return f"{middle:,.0f} ({low:,.0f} to {high:,.0f})"
 
 
 def draw(curves: Sequence[Curves], titles: Sequence[str]) -> None:
@@ -225,6 +201,5 @@ def draw(curves: Sequence[Curves], titles: Sequence[str]) -> None:
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     page = ROOT / "docs" / "intents.md"
-    for name, make in {"rivals-by-set": by_set, "known": known}.items():
-        tables = {name: make()}
-        page.write_text(filled(page.read_text("utf-8"), tables, COMMAND), "utf-8")
+    tables = {"known": known()}
+    page.write_text(filled(page.read_text("utf-8"), tables, COMMAND), "utf-8")

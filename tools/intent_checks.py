@@ -1,8 +1,7 @@
-"""Checks which information policies for many intents use, and writes a table into docs/intents.md.
+"""Checks which information policies for many intents use.
 
     python -m tools.intent_checks play OUT     plays policies that were trained in OUT; called again, it continues
-    python -m tools.intent_checks write OUT    writes docs/intent-checks.csv, and the table
-    python -m tools.intent_checks write        writes the table
+    python -m tools.intent_checks write OUT    writes docs/intent-checks.csv
 
 In the check "wrong", a policy receives the sentence or the demonstrations of another intent of the set. In "Diagnose",
 its scenes refute rivals of the intent.
@@ -24,14 +23,12 @@ from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import task_spec
-from tools.intent_baselines import BASELINES, PAGE, SECONDS, Mean, episodes_of, over_intents, played
-from tools.intent_baselines import stored as stored_means
+from tools.intent_baselines import BASELINES, SECONDS, Mean, episodes_of, over_intents, played
 from tools.intent_scenes import reached
 from tools.intents import TESTS
-from tools.tables import ROOT, filled, table
+from tools.tables import ROOT
 
 DATA: Final = ROOT / "docs" / "intent-checks.csv"
-COMMAND: Final = "python -m tools.intent_checks"
 NAMES: Final = ("sentence-policy", "demonstrations-policy-1", "demonstrations-policy-4")
 """The rows of tools.intent_baselines that are checked."""
 CHECKS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
@@ -150,32 +147,11 @@ def _interval(every: Sequence[Mean]) -> tuple[float, float, float]:
     return float(over_intents(every).mean()), *mean_interval(groups)
 
 
-def checked(checks: Sequence[Check], baselines: Sequence[Mean]) -> str:
-    """The table."""
-    rows = []
-    for name in NAMES:
-        if {row.check for row in checks if row.baseline == name} == CHECKS.keys():
-            values: list[tuple[float, ...]] = [right(baselines, name)]
-            values += [means(checks, name, check, field) for check in CHECKS for field in Check._fields[-2:]]
-            cells = ("{:.2f} ({:.2f} to {:.2f})".format(*value) if value else "" for value in values)
-            rows.append((BASELINES[name].given, *cells))
-    given = ("right: score", "wrong: score", "wrong: score of the other intent")
-    return table(("Given", *given, "Diagnose: as intended", "as the rival"), rows)
-
-
-def write() -> None:
-    """Writes the table."""
-    tables = {"checked": checked(stored(), stored_means())}
-    PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, COMMAND), "utf-8")
-
-
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["play", out]:
             play(Path(out))
-        case ["write", *out]:
-            if out:
-                store(gather(Path(out[0])))
-            write()
+        case ["write", out]:
+            store(gather(Path(out)))
         case _:
             sys.exit(__doc__)

@@ -140,10 +140,10 @@ def settled(rows: Sequence[Outcome]) -> str:
     cells = []
     for scenes, kind in [(1, "random"), *((k, kind) for kind in KINDS for k in SCENES[1:])]:
         own = chosen_rows(rows, scenes, kind)
-        values = ["{:.2f} ({:.2f} to {:.2f})".format(*means(own, field)) for field in Outcome._fields[5:]]
+        score = "{:.2f} ({:.2f} to {:.2f})".format(*means(own, "score"))
         solved_all = sum(row.score == row.intended == 1.0 for row in own)
-        cells.append((f"{scenes} {kind}" if scenes > 1 else "1", *values, f"{solved_all} of {len(own)}"))
-    return table(("Demo scenes", "Score in Layout and All", "Diagnose: as intended", "as the rival", "Settled"), cells)
+        cells.append((f"{scenes} {kind}" if scenes > 1 else "1", score, f"{solved_all} of {len(own)}"))
+    return table(("Demo scenes", "Score in Layout and All", "Settled"), cells)
 
 
 def write() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from magical_mj.intents import EIGHT, parse, rivals
 from magical_mj.intents.contrast import planned
-from magical_mj.intents.sets import tasks_in
 from magical_mj.intents.tasks import task_of
 from tools.ambiguity import (
     KINDS,
@@ -21,10 +20,7 @@ from tools.ambiguity import (
     left,
     median,
     nothing,
-    of_set,
-    quartiles,
 )
-from tools.intents import TESTS
 from tools.tables import ROOT
 
 PAGE = (ROOT / "docs" / "intents.md").read_text("utf-8")
@@ -66,24 +62,9 @@ def test_a_weaker_intent_is_left_by_every_scene() -> None:
     assert weaker in rivals([*case.first, planned(case.intent, case.first[0][0])])
 
 
-def test_the_page_has_the_figures_of_the_table() -> None:
-    rows = rows_of("rivals-by-set")
-    for name in TESTS:
-        assert rows[name][0] == quartiles([task.intent.bits for task in tasks_in(name)])
-    assert rows["relation"] == of_set("relation")
-    bits, missing = ({name: row[column].split()[0] for name, row in rows.items()} for column in (0, 3))
-    for of in (bits, missing):
-        assert min(of, key=lambda name: int(of[name])) == "relation"
-        assert max(of, key=lambda name: int(of[name])) == "long"
-    assert (
-        f"leaves from {missing['relation']} bits (`relation`) to {missing['long']} bits (`long`) missing. "
-        f"The median intents of these sets have {bits['relation']} and {bits['long']} bits."
-    ) in " ".join(PAGE.split())
-
-
-def test_the_page_says_what_scenes_pictures_and_sentences_leave() -> None:
+def test_the_page_says_what_scenes_and_sentences_leave() -> None:
     known = rows_of("known")
-    picture, one = known["a picture of the solved scene"], known["demonstrations in one scene"]
+    one = known["demonstrations in one scene"]
     contrasting, random = known["in 8 scenes: contrasting"], known["in 8 scenes: random colours and poses"]
     text = " ".join(PAGE.split())
     assert (
@@ -91,10 +72,6 @@ def test_the_page_says_what_scenes_pictures_and_sentences_leave() -> None:
         f"and eight scenes with random colours and poses {random[3]}."
     ) in text
     assert known["one scene and the sentence"] == ["0", "0.0", "0", "0.0"]
-    assert (
-        f"a picture of the solved scene leaves {picture[1]} bits missing, "
-        f"demonstrations in one scene {one[1]}, and eight contrasting scenes {contrasting[1]}."
-    ) in text
     group = list(eight().values())
     assert known["nothing"][:2] == median([nothing(case) for case in group])
     assert one[:2] == median([left(case, rivals(case.first)) for case in group])
