@@ -27,7 +27,6 @@ from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, read
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
-from magical_mj.utils.errors import counted
 from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, filled, table
 
@@ -38,7 +37,7 @@ CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
 TESTED: Final = [variant for variant in VARIANTS if variant != "Demo"]
 TELLING: Final = ("FixColour", "Colour")
 FEW: Final = 5
-"""The number of scenes of each environment that the table of all entries covers."""
+"""The number of scenes of each environment that the file of endings covers."""
 FEW_LONG: Final = 2
 """The same in the tasks `LONG`, whose episodes take longest."""
 LONG: Final = ("ClusterColour", "ClusterShape")
@@ -54,6 +53,7 @@ COMPARED: Final = (
     "state-relational",
     "state-goals",
 )
+"""The entries that the tables compare."""
 
 
 def left_open() -> str:
@@ -147,15 +147,14 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
 
 
 def endings() -> str:
-    """What all policies did, over all environments that they have played."""
+    """What some policies did, over all environments of the tasks in the file."""
     rows = []
-    for name, group in _by_entry(measured()).items():
-        entry = read_entry(RESULTS / name)
-        places = {(episode.task, episode.variant) for episode in entry.episodes if covered(entry, episode)}
-        part = "" if len(places) == len(ENVIRONMENTS) else f" ({counted(len(places), 'environment')})"
+    every = measured()
+    for name in COMPARED:
+        group = [row for row in every if row["entry"] == name]
         total = sum(int(row["episodes"]) for row in group)
-        parts = [sum(float(row[name]) for row in group) / total for name in ENDINGS]
-        rows.append((f"{entry.method}{part}", str(total), *map(_percent, parts)))
+        parts = [sum(float(row[ending]) for row in group) / total for ending in ENDINGS]
+        rows.append((read_entry(RESULTS / name).method, str(total), *map(_percent, parts)))
     return table(("Method", "Episodes", *ENDINGS), rows)
 
 
@@ -181,13 +180,6 @@ def _stored() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def _by_entry(rows: Sequence[dict[str, str]]) -> dict[str, list[dict[str, str]]]:
-    groups: dict[str, list[dict[str, str]]] = {}
-    for row in rows:
-        groups.setdefault(row["entry"], []).append(row)
-    return groups
-
-
 def measured_row(entry: Entry, task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
     """A row without the entry's name: the columns after the first of `COLUMNS`."""
     failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
@@ -208,7 +200,7 @@ def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
 
 
 def covered(entry: Entry, episode: EpisodeResult) -> bool:
-    """Whether the table of all entries covers an episode."""
+    """Whether the file of endings covers an episode."""
     return first(entry, episode, FEW_LONG if episode.task in LONG else FEW)
 
 
