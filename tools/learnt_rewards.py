@@ -1,4 +1,4 @@
-"""How well learnt rewards agree with the score: the table of docs/rewards.md.
+"""How well learnt rewards agree with the score: the table of docs/learners.md.
 
     magical-mj evaluate-reward runs/gail-FindDupe runs/airl-FindDupe ... --out FindDupe.csv    (for each task)
     python -m tools.learnt_rewards *.csv
