@@ -109,7 +109,7 @@ policies: $(VENV)/.installed-dev  ## the policies that act in the site: trained,
 	$(BIN)/python site/policies.py
 
 readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install
-	$(BIN)/python tools/readme_run.py $(ARGS)
+	$(BIN)/python tools/readme_run.py
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations, docs/experts.md and the site's episodes, anew
 	$(BIN)/magical-mj demos generate --count 25 --out out/demonstrations

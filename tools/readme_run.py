@@ -3,7 +3,7 @@
 It builds the wheel, makes an environment, and runs the first commands of a user who has only the wheel. Then it runs
 each block in the page's order: Python code, and `pip install` with the wheel instead of ".".
 
-    python tools/readme_run.py [--without SECTION]
+    python tools/readme_run.py
 """
 
 from __future__ import annotations
@@ -30,20 +30,12 @@ $ magical-mj rollout MoveToRegion --policy expert
 BLOCK: Final = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-def blocks(text: str, without: list[str]) -> list[tuple[str, str]]:
-    """The language and the code of each block. The sections in `without` are left out."""
-    sections = re.split(r"^## ", text, flags=re.MULTILINE)
-    return [
-        block for section in sections if section.partition("\n")[0] not in without for block in BLOCK.findall(section)
-    ]
-
-
 def log(message: str) -> None:
     """Prints a message with the time, without buffering."""
     print(f"{time.strftime('%H:%M:%S')} {message}", flush=True)
 
 
-def run(text: str, without: list[str], folder: Path) -> None:
+def run(text: str, folder: Path) -> None:
     """Runs the blocks in a new environment in `folder`. Raises an error if one fails."""
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)],
@@ -58,7 +50,7 @@ def run(text: str, without: list[str], folder: Path) -> None:
     reader.mkdir()
     variables = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     constraints = f"-q --no-compile --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
-    for language, code in [("console", FIRST), *blocks(text, without)]:
+    for language, code in [("console", FIRST), *BLOCK.findall(text)]:
         if language == "python":
             log(f"python: {code.splitlines()[0]}")
             subprocess.run([programs / "python", "-c", code], cwd=reader, env=variables, check=True)
@@ -75,9 +67,8 @@ def run(text: str, without: list[str], folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--without", action="append", default=[], metavar="SECTION", help="a section to leave out")
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        run((ROOT / "README.md").read_text(encoding="utf-8"), parser.parse_args().without, Path(folder))
+        run((ROOT / "README.md").read_text(encoding="utf-8"), Path(folder))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     log(f"all commands succeeded, in {used.ru_utime + used.ru_stime:.0f} s of processor time")

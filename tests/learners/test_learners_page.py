@@ -31,12 +31,6 @@ def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len(shown["scores"]) == 4
 
 
-def test_demonstrations_at_hand_are_cloned() -> None:
-    shown: dict[str, Any] = {"__name__": "page"}
-    exec(compile(block("learners.md", "python"), "learners.md", "exec"), shown)
-    assert shown["scores"].groupby("variant")["score"].count().to_dict() == {"Demo": 4, "Jitter": 4}
-
-
 def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(block("learners.md", "toml"))
