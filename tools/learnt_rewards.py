@@ -41,10 +41,9 @@ def tables() -> dict[str, str]:
     rows = []
     for method, name in NAMES.items():
         means = found[found["method"] == method].groupby("variant")[["correlation", "auc", "policy"]].mean()
-        for label, column in (("rank correlation", "correlation"), ("AUC", "auc"), ("score of its policy", "policy")):
-            first = name if column == "correlation" else ""
-            rows.append((first, label, *(number(means.loc[variant, column]) for variant in variants)))
-    return {"learnt": table(("Method", "", *variants), rows)}
+        figures = ("correlation", "auc", "policy")
+        rows.append((name, *(", ".join(number(means.loc[one, figure]) for figure in figures) for one in variants)))
+    return {"learnt": table(("Method", *variants), rows)}
 
 
 if __name__ == "__main__":
