@@ -1,7 +1,7 @@
 """SAC and PPO of Stable-Baselines3 from states, with dense rewards and with the score: the curves in docs/rewards.md.
 
     nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000]
-    python -m tools.research.dense_rewards --out FOLDER --plot    # docs/rewards.png and the table in docs/rewards.md
+    python -m tools.research.dense_rewards --out FOLDER --plot    # docs/rewards.png
 
 Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
 actions. Both have two layers of 64 units and otherwise the library's settings, except for those below. A stopped run
@@ -28,12 +28,10 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 import magical_mj
-from tools.pages import ROOT, filled, number, table
+from tools.pages import ROOT
 
 TASKS: Final = ("MoveToRegion", "MoveToCorner", "FixColour")
 REWARDS: Final = ("dense", "score")
-REACHED: Final = 0.5
-"""The mean score whose first step the table names."""
 POINTS: Final = 20
 """The number of lines of a curve."""
 WORLDS: Final = 8  # of PPO
@@ -122,19 +120,6 @@ def plot(picture: Path, runs: Path) -> None:
     figure.savefig(picture)
 
 
-def results(runs: Path) -> str:
-    """The table of docs/rewards.md."""
-    lines = []
-    for (learner, task), parts in curves(runs).items():
-        late = [number(float(rows[-max(1, len(rows) // 5) :, 1].mean())) for rows in parts.values()]
-        reached = [rows[rows[:, 1] >= REACHED, 0] for rows in parts.values()]
-        first = [f"{int(steps[0]):,}" if len(steps) else "not" for steps in reached]
-        lines.append([learner.upper(), task, f"{int(parts['score'][-1, 0]):,}", *late, *first])
-    names = [f"`{reward}`" for reward in REWARDS]
-    rule = [f"{REACHED} after steps, {name}" for name in names]
-    return table(["Learner", "Task", "Steps", *(f"Last fifth, {name}" for name in names), *rule], lines)
-
-
 def main() -> None:
     """Trains all policies one after the other, or draws their curves."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -146,9 +131,6 @@ def main() -> None:
     options = parser.parse_args()
     if options.plot:
         plot(ROOT / "docs" / "rewards.png", options.out)
-        page = ROOT / "docs" / "rewards.md"
-        text = filled(page.read_text("utf-8"), {"curves": results(options.out)}, "tools.research.dense_rewards")
-        page.write_text(text, "utf-8")
         return
     torch.set_num_threads(1)
     for task in options.tasks.split(","):
