@@ -2,6 +2,7 @@
 
     python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT goals-4   or some
+    python -m tools.intent_baselines infer              writes docs/inferred-intents.csv, or what it lacks
     python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the table
     python -m tools.intent_baselines write              writes the table
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -22,8 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import EpisodeResult, read
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.intents import parse
+from magical_mj.intents.ambiguity import ends_of
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.utils.errors import EvaluationError
@@ -31,6 +37,7 @@ from tools.intents import TESTS, VARIANTS
 from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
+INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
 PAGE: Final = ROOT / "docs" / "intents.md"
 INTENTS: Final = 6
 """The number of intents of each set that a baseline plays."""
@@ -94,6 +101,9 @@ BASELINES: Final = {
     "expert": Baseline("Expert", "the intent", "expert"),
 }
 """Name -> row."""
+
+
+MISREADINGS: Final = ("the intent", "its relations, other blocks or places", "fewer relations", "other relations")
 
 
 class Mean(NamedTuple):
@@ -184,8 +194,9 @@ def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
 
 
 def baselines(means: Sequence[Mean]) -> str:
-    """The table: means by variant and of all, with intervals over intents."""
-    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.variant == name for name in VARIANTS]
+    """The table: means by set, by variant and of all, with intervals over intents."""
+    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
+    kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
     rows = []
     for name, baseline in BASELINES.items():
         own = [mean for mean in means if mean.baseline == name]
@@ -194,7 +205,58 @@ def baselines(means: Sequence[Mean]) -> str:
             every = over_intents(own)
             low, high = mean_interval([over_intents(m for m in own if m.set == group) for group in TESTS])
             rows.append((baseline.method, baseline.given, *parts, f"{every.mean():.2f} ({low:.2f} to {high:.2f})"))
-    return table(("Method", "Given", *VARIANTS, "mean"), rows)
+    return table(("Method", "Given", *TESTS, *VARIANTS, "mean"), rows)
+
+
+class Reading(NamedTuple):
+    """What intent inference makes of an intent's demonstrations."""
+
+    baseline: str
+    set: str
+    number: int
+    intent: str
+    inferred: str
+
+
+def infer_all() -> None:
+    """Writes the file of readings, or those that it lacks."""
+    from magical_goals.inference import infer  # in a package that may not be installed
+
+    tasks, known = played(INTENTS), {reading[:3] for reading in readings()}
+    for name in (name for name, baseline in BASELINES.items() if baseline.policy == GOALS):
+        left = {place: task for place, task in tasks.items() if (name, *place) not in known}
+        how: dict[str, Any] = {"tasks": list(left.values()), "variants": "Demo", **BASELINES[name].settings}
+        given = demonstrations_given(EvaluationSettings(**how)) if left else {}
+        for place, task in left.items():
+            inferred = infer([ends_of(demonstration) for demonstration in with_states(given[task])])[0].intent
+            add(Reading(name, *place, str(intent_of(task)), str(inferred)))
+
+
+def add(reading: Reading) -> None:
+    """Adds a line to the file of readings, which is created if it is missing."""
+    new = not INFERRED.exists()
+    with INFERRED.open("a", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([*([Reading._fields] if new else []), reading])
+
+
+def readings() -> list[Reading]:
+    """The readings in the file; none if it is missing."""
+    if not INFERRED.exists():
+        return []
+    with INFERRED.open(encoding="utf-8", newline="") as file:
+        return [
+            Reading(r["baseline"], r["set"], int(r["number"]), r["intent"], r["inferred"]) for r in csv.DictReader(file)
+        ]
+
+
+def misreading(reading: Reading) -> str:
+    """One of `MISREADINGS`."""
+    if reading.intent == reading.inferred:
+        return "the intent"
+    true, read = (Counter(one.relation for one in parse(text).conjuncts) for text in reading[-2:])
+    if true == read:
+        return "its relations, other blocks or places"
+    return "fewer relations" if read < true else "other relations"
 
 
 def write() -> None:
@@ -207,6 +269,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["play", out, *names]:
             play(Path(out), names or BASELINES)
+        case ["infer"]:
+            infer_all()
         case ["write", *out]:
             if out:
                 store(gather(Path(out[0])))

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.intents import parse
 from magical_mj.intents.sets import tasks_in
-from tools import intent_checks, intent_scenes
-from tools.intent_baselines import BASELINES, PAGE, baselines, over_intents, stored
+from tools import intent_baselines, intent_checks, intent_scenes
+from tools.intent_baselines import (
+    BASELINES,
+    GOALS,
+    INTENTS,
+    PAGE,
+    Reading,
+    baselines,
+    misreading,
+    over_intents,
+    readings,
+    stored,
+)
 from tools.intent_scenes import KINDS, SCENES, Outcome, chosen_rows, settled
 from tools.intents import TESTS, VARIANTS
 from tools.tables import filled
 
 TEXT = PAGE.read_text("utf-8")
 PROSE = " ".join(TEXT.replace("**", "").split())
-MEANS, OUTCOMES, CHECKED = stored(), intent_scenes.stored(), intent_checks.stored()
+MEANS, READINGS, OUTCOMES, CHECKED = stored(), readings(), intent_scenes.stored(), intent_checks.stored()
 ONE, RANDOM, CONTRASTING, CLONED = "goals-1", "goals-4", "goals-4-contrasting", "cloned-1"
 SENTENCE, SHOWN, SHOWN_RANDOM = "sentence-policy", "demonstrations-policy-1", "demonstrations-policy-4"
 SHOWN_CONTRASTING = f"{SHOWN_RANDOM}-contrasting"
@@ -43,6 +56,10 @@ def gain(name: str, other: str) -> tuple[float, float, float]:
     return (float(np.mean(differences)), *mean_interval(differences))
 
 
+def right(name: str) -> int:
+    return Counter(misreading(reading) for reading in READINGS if reading.baseline == name)["the intent"]
+
+
 def in_scenes(number: int, kind: str = "random") -> list[Outcome]:
     return chosen_rows(OUTCOMES, number, kind)
 
@@ -63,6 +80,8 @@ def statements() -> list[str]:
         f"and contrasting ones {better[0]:.2f} ({better[1]:.2f} to {better[2]:.2f}) over random ones.",
         f"four random scenes gain {random[0]:.2f} ({random[1]:.2f} to {random[2]:.2f}) over one,",
         f"and contrasting ones {contrasting[0]:.2f} ({contrasting[1]:.2f} to {contrasting[2]:.2f}) over random ones.",
+        f"Of 30 intents, intent inference finds {right(ONE)} from one scene, {right(RANDOM)} from four random ones",
+        f"and {right(CONTRASTING)} from four contrasting ones.",
         "BC anew for each intent scores {:.2f} in Demo, {:.2f} in Layout and {:.2f} in All".format(
             *(in_variant(CLONED, variant) for variant in VARIANTS)
         ),
@@ -106,6 +125,13 @@ def test_the_sentences_have_the_figures_of_the_files(statement: str) -> None:
     assert statement in PROSE
 
 
+@pytest.mark.parametrize("name", [RANDOM, CONTRASTING])
+def test_relations_are_left_out(name: str) -> None:
+    wrong = Counter(misreading(reading) for reading in READINGS if reading.baseline == name)
+    del wrong["the intent"]
+    assert wrong.most_common(1)[0][0] == "fewer relations"
+
+
 def test_the_page_has_the_tables_of_the_files() -> None:
     assert filled(TEXT, {"baselines": baselines(MEANS)}, "python -m tools.intent_baselines") == TEXT
     assert filled(TEXT, {"settled": settled(OUTCOMES)}, intent_scenes.COMMAND) == TEXT
@@ -127,10 +153,23 @@ def test_the_files_have_whole_rows() -> None:
         own = [mean for mean in MEANS if mean.baseline == name]
         assert len({mean[:-1] for mean in own}) == len(own) == BASELINES[name].intents * len(TESTS) * len(VARIANTS)
         assert all(0.0 <= mean.score <= 1.0 for mean in own)
+    inferring = [name for name, baseline in BASELINES.items() if baseline.policy == GOALS]
+    assert Counter(reading.baseline for reading in READINGS) == dict.fromkeys(inferring, INTENTS * len(TESTS))
+    assert all(reading.intent == str(tasks_in(reading.set)[reading.number].intent) for reading in READINGS)
+    assert all(str(parse(reading.inferred)) == reading.inferred for reading in READINGS)
     kinds = [(1, "random"), *((number, kind) for kind in KINDS for number in SCENES[1:])]
     assert Counter((row.scenes, row.kind) for row in OUTCOMES) == dict.fromkeys(kinds, len(OUTCOMES) // len(kinds))
     assert Counter(row.set for row in OUTCOMES) == dict.fromkeys(TESTS, len(OUTCOMES) // len(TESTS))
     assert all(row.intended + row.misled <= 1.0 for row in OUTCOMES)
+
+
+def test_a_missing_file_of_readings_is_created(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(intent_baselines, "INFERRED", tmp_path / "inferred.csv")
+    assert readings() == []
+    added = [Reading("goals-1", "seen", number, "robot in()", "in(all, region)") for number in range(2)]
+    for reading in added:
+        intent_baselines.add(reading)
+    assert readings() == added
 
 
 @pytest.mark.slow
