@@ -1,6 +1,6 @@
 """Packs a folder of demonstrations for the package, with one file per task. `make demonstrations`.
 
-With ``--sweeps`` instead of a folder, it makes those of SweepToTop in the variant Layout, with one file per body.
+With ``--sweeps`` instead of a folder, it makes those of SweepToTop in the variant Layout, with all bodies in one file.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from pathlib import Path
 
 from magical_mj.demos.demonstration import Demonstration, files_in, read
 from magical_mj.demos.recording import demonstrate
-from magical_mj.demos.shipped import FOLDER, SUFFIX, pack
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.demos.shipped import FILES, FOLDER, SUFFIX, pack, pack_rows
 from magical_mj.tasks.registry import task_spec
 
 FIRST, COUNT = 5_000_000, 50
@@ -29,11 +28,13 @@ def main(folder: Path) -> None:
 
 def sweeps() -> None:
     """Makes 50 demonstrations with each body, in scenes that are neither in the test nor in the dev split."""
-    for body in task_spec("SweepToTop").bodies:
-        demos = [demonstrate("SweepToTop", "Layout", FIRST + number, body=body) for number in range(COUNT)]
-        path = FOLDER / f"SweepToTop{'' if body == GRIPPER else f'-{body}'}{SUFFIX}"
-        pack(demos, path)
-        print(f"{path.name}: {len(demos)} demonstrations, {path.stat().st_size:,} bytes")
+    demos = [
+        demonstrate("SweepToTop", "Layout", FIRST + number, body=body)
+        for body in task_spec("SweepToTop").bodies
+        for number in range(COUNT)
+    ]
+    pack_rows(FILES[1], [], demos)
+    print(f"SweepToTop: {len(demos)} demonstrations, {FILES[1].stat().st_size:,} bytes")
 
 
 if __name__ == "__main__":

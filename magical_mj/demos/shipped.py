@@ -1,6 +1,6 @@
 """Loads the demonstrations of a task from a folder, or the shipped ones from the package.
 
-All shipped demonstrations of a task are in one file, which is two fifths smaller than separate files.
+All shipped demonstrations of a benchmark's task are in one file, which is two fifths smaller than separate files.
 
 The file is a numpy archive (`*.npz`) compressed by xz. `headers` has a line for each demonstration, with the header of
 a separate file. `actions`, `offsets` and `qvel` contain the arrays of all demonstrations. A position is predicted from
@@ -8,8 +8,9 @@ the previous one and from the velocities before and after the action. Its offset
 in units of the last place. Arrays are stored column by column, because successive numbers in a column are similar.
 tools/pack_demonstrations.py writes these files.
 
-Set 2 and the graded demonstrations of all tasks are in one file each, as JSON with actions and without states: loading
-them plays the actions again. tools/diverse_demonstrations.py and tools/graded_demonstrations.py write them.
+Those of SweepToTop, set 2 and the graded demonstrations of all tasks are in one file each, as JSON with actions and
+without states: loading them plays the actions again. tools/pack_demonstrations.py, tools/diverse_demonstrations.py and
+tools/graded_demonstrations.py write them.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from magical_mj.demos.demonstration import (
 )
 from magical_mj.demos.recording import replayed
 from magical_mj.policies.interface import actions_of, letters_of
-from magical_mj.scene.bodies import GRIPPER
+from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_name
@@ -46,8 +47,12 @@ from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_n
 FOLDER: Final = Path(__file__).parent / "data"
 DemonstrationSet = Literal[1, 2, "graded"]
 SETS: Final[tuple[DemonstrationSet, ...]] = get_args(DemonstrationSet)
-FILES: Final[Mapping[DemonstrationSet, Path]] = {2: FOLDER / "diverse.json.xz", "graded": FOLDER / "graded.json.xz"}
-"""The sets that are stored as actions."""
+FILES: Final[Mapping[DemonstrationSet, Path]] = {
+    1: FOLDER / "sweeps.json.xz",
+    2: FOLDER / "diverse.json.xz",
+    "graded": FOLDER / "graded.json.xz",
+}
+"""The files of actions: of set 1, only the demonstrations of SweepToTop."""
 SAME_SCORE: Final = 0.01
 SUFFIX: Final = ".npz.xz"
 FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3},)
@@ -72,8 +77,8 @@ def load(
             follow them. None: the folder that the task defines, otherwise the shipped demonstrations.
         body: the robot's body in the demonstrations.
         set: 1 for the expert's demonstrations, which protocol 1 uses. 2 for those by demonstrators who differ from each
-            other. Both have score 1. "graded" for those with all scores, in ascending order. The last two are played
-            again, which takes up to some seconds.
+            other. Both have score 1. "graded" for those with all scores, in ascending order. The last two, and those of
+            SweepToTop, are played again, which takes up to some seconds.
 
     Raises:
         UnknownNameError: for an unknown task or set.
@@ -84,12 +89,12 @@ def load(
     task, spec = task_name(task), task_spec(task)
     if isinstance(set, bool) or not isinstance(set, int | np.integer | str) or set not in SETS:
         raise unknown_name("set of demonstrations", set, map(repr, SETS))
-    if set in FILES:
-        return _played(set, task, folder, body)
+    if set != 1:
+        return _of_set(set, task, folder, body)
     if folder is None:
         spec.check_expert_body(body)
     folder = spec.demonstrations if folder is None else folder
-    if folder is None and (demos := load_shipped(task, spec.name if body == GRIPPER else f"{spec.name}-{body}")):
+    if folder is None and (demos := (body == GRIPPER and load_shipped(task, spec.name)) or _played(1, task, body)):
         return demos
     paths = [] if folder is None else files_in(folder, f"{spec.name}-")
     demos = [demo for demo in (read(path, task, trusted=[body]) for path in paths) if demo.scene.robot.body == body]
@@ -113,7 +118,7 @@ def set_suffix(which: DemonstrationSet) -> str:
 
 
 class StoredRow(msgspec.Struct, frozen=True):
-    """A demonstration in a file of actions."""
+    """A demonstration in a file of actions. That of an expert has the expert's seed, which is the scene's."""
 
     task: str
     variant: str
@@ -131,27 +136,33 @@ def stored_rows(path: Path) -> list[StoredRow]:
     return msgspec.json.decode(content, type=list[StoredRow])
 
 
-def _played(which: DemonstrationSet, task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
+def _of_set(which: DemonstrationSet, task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
+    """The shipped demonstrations of another set than 1."""
     if folder is not None:
         raise SettingsError(f"the demonstrations of set {which} come with the package: leave out the folder")
-    every = stored_rows(FILES[which])
-    rows = [row for row in every if (row.task, row.body) == (task, body)]
-    if not rows:
-        others = ", ".join(sorted({row.task for row in every}))
-        raise DemonstrationError(
-            f"there are no demonstrations of set {which} of {task} with the body {body!r}: there are 25 of each of "
-            f"{others} with the gripper" + ", and of SweepToTop with each of its bodies" * (which == "graded")
-        )
+    if demos := _played(which, task, body):
+        return demos
+    others = ", ".join(sorted({row.task for row in stored_rows(FILES[which])}))
+    raise DemonstrationError(
+        f"there are no demonstrations of set {which} of {task} with the body {body!r}: there are 25 of each of "
+        f"{others} with the gripper" + ", and of SweepToTop with each of its bodies" * (which == "graded")
+    )
+
+
+def _played(which: DemonstrationSet, task: str, body: str) -> list[Demonstration]:
+    """The demonstrations in a file of actions, which are played again. Empty if it has none."""
+    rows = [row for row in stored_rows(FILES[which]) if (row.task, row.body) == (task, body)]
     demos, speeds = [], task_spec(task).speeds
     for row in rows:
         actions: Any = actions_of(row.actions) if not speeds else np.frombuffer(b64decode(row.actions), np.float32)
-        actions = actions if not speeds else actions.reshape(task_spec(task).horizon(body=body), -1)
-        demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, body=body))
+        actions = actions if not speeds else actions.reshape(-1, 3 if body_named(body).fingers else 2)
+        expert = row.seed if row.demonstrator == "expert" else None
+        demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, expert, body))
     if changed := sum(abs(demo.score - row.score) > SAME_SCORE for demo, row in zip(demos, rows, strict=True)):
         warnings.warn(
             f"{changed} of {len(demos)} demonstrations of {task} in set {which} have other scores here than where they "
             "were made: MuJoCo's version or the machine differs",
-            stacklevel=3,
+            stacklevel=4,
         )
     return demos
 

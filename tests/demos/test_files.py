@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import io
 import json
 import lzma
@@ -269,6 +270,19 @@ def test_what_was_packed_is_read_to_the_bit_under_any_settings(tmp_path: Path, m
     finally:
         torch.set_flush_denormal(False)
     assert [other.qpos.tobytes() for other in again] == [qpos.tobytes(), demo.qpos.tobytes()]
+
+
+def test_50_demonstrations_of_sweep_to_top_by_each_body_are_played_again() -> None:
+    content = hashlib.sha256(lzma.decompress(shipped.FILES[1].read_bytes())).hexdigest()
+    assert content.startswith("722db557a49ef4d5"), "policies that learnt from it no longer compare"
+    rows = shipped.stored_rows(shipped.FILES[1])
+    for body in task_spec("SweepToTop").bodies:
+        ours = demos.load("SweepToTop", body=body)
+        own = [row for row in rows if row.body == body]
+        assert len(ours) == len(own) == 50
+        assert [(d.scene_seed, d.seed) for d in ours] == [(row.seed, row.seed) for row in own]
+        assert [d.score for d in ours] == pytest.approx([row.score for row in own], abs=0.01)
+        assert {d.actions.shape[1] for d in ours} == {3 if body == "gripper" else 2}
 
 
 @pytest.mark.slow
