@@ -79,7 +79,7 @@ def test_demonstrations_of_test_sets_come_with_the_package(tmp_path: Path) -> No
     }
     assert {task for task, _, _ in shipped} <= tests
     assert {variant for _, variant, _ in shipped} == {"Demo"}
-    keys = list(shipped)[::60]
+    keys = list(shipped)[::300]
     path = tmp_path / FILE
     for made in stored.complete(keys, path, known=shipped, jobs=1):
         demo = stored.replay(made, path)
