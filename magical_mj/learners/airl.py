@@ -8,7 +8,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from magical_mj.learners.data import Batch, Dataset, Rollout
+from magical_mj.learners.data import Batch, Dataset
 from magical_mj.learners.gail import GAIL, Discriminator
 from magical_mj.learners.networks import Heads, StateTorso
 from magical_mj.learners.settings import NetworkSettings, TrainingSettings
@@ -28,6 +28,7 @@ class AIRL(GAIL):
     """
 
     observes = "states"
+    pairs = True
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
@@ -36,12 +37,6 @@ class AIRL(GAIL):
     def discriminator(self) -> nn.Module:
         """A new network for f."""
         return Shaped(self.settings.network, len(self.settings.tasks), self.settings.ppo.discount)
-
-    def collect(self) -> Rollout:
-        """The rollout. Each step includes the following state."""
-        rollout = super().collect()
-        following = torch.as_tensor(self._ppo.successors()[..., -1:, :])
-        return rollout._replace(observations=torch.cat([rollout.observations, following], -2))
 
     def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The logits of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
