@@ -141,10 +141,10 @@ class _Methods(Mapping[str, "type[Method]"]):
             "bc": "bc:BehaviouralCloning",
             "gail": "gail:GAIL",
             "wgail-gp": "gail:WGAILGP",
-            "airl": "airl:AIRL",
+            "airl": "gail:AIRL",
             "al": "apprenticeship:Apprenticeship",
-            "iq-learn": "iq_learn:IQLearn",
-            "point": "point:Point",
+            "iq-learn": "bc:IQLearn",
+            "point": "bc:Point",
             "ppo": "rewards:OnLearntReward",
         }
     )
