@@ -1,5 +1,24 @@
-"""The protocol numbers of environments, demonstrations and intents."""
+"""Protocol numbers. Two results are comparable only if their protocol numbers are equal.
 
-from magical_mj.tasks.protocol import DEMONSTRATIONS, INTENTS, MUJOCO, PROTOCOL
+Under one `PROTOCOL` number, these stay the same: the environments, the scenes of every seed, the horizons, the scores
+under both sets of rules, the 18 actions, the physics settings of the model, and the observations. A change to any of
+them requires the next number. Evaluations record both numbers together with the versions of this package and of MuJoCo.
+"""
+
+from __future__ import annotations
+
+from typing import Final
 
 __all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL"]
+
+PROTOCOL: Final = 1
+"""The protocol of the current environments. A test fails if they change without a new number."""
+
+MUJOCO: Final = ("3", "4")
+"""The equivalent series of MuJoCo: ten actions differ by rounding, and 200 demonstrations have the same scores."""
+
+DEMONSTRATIONS: Final = 2
+"""The number of the shipped set of demonstrations for training policies."""
+
+INTENTS: Final = 1
+"""The number of the sets of intents, and of the scenes and horizons of intents."""

@@ -39,7 +39,7 @@ PUBLIC = {
     "protocol": "tasks",
     "wrappers": "envs",
 }
-"""The public modules, which re-export names of one folder each."""
+"""The public modules, with the highest folder whose content each uses. Most re-export names of that folder."""
 OUTSIDE = {"__init__": "integrations", "__main__": "cli", "_version": "utils", **PUBLIC}
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import magical_mj
-from magical_mj.evaluation.attribution import engine_for, replay_problem
 from magical_mj.evaluation.given import intent_of
+from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import task_spec

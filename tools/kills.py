@@ -35,7 +35,7 @@ from typing import Final
 from PIL import Image
 
 from magical_mj import Engine, demos, sample_scene
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 
 SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
 """A command that was stopped is continued after a pause."""

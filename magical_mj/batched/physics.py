@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
-from magical_mj.assets.coordinates import own_coordinates
 from magical_mj.assets.robot import controls, torque_caps, wheel_caps
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_model import own_coordinates, scene_mjcf
 from magical_mj.batched.scenes import ABSENT, BatchScenes
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES, Shape

@@ -35,7 +35,7 @@ COMMANDS: Final = {
     "doctor": ("doctor:doctor", "Show installed versions, and which renderers work."),
     "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
     "train": ("train:train", "Train a policy."),
-    "evaluate-reward": ("rewards:evaluate_reward", "Compare learnt rewards with the score."),
+    "evaluate-reward": ("train:evaluate_reward", "Compare learnt rewards with the score."),
     "export-policy": ("train:export", "Write a trained policy as an ONNX file."),
     "experiment": ("train:experiment", "Train and evaluate methods x tasks x seeds."),
 }

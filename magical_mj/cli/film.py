@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-import magical_mj
-from magical_mj.evaluation.replay import names_in, obstacle, other_scene
+from magical_mj.evaluation.replay import engine_for, names_in, obstacle, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import actions_of, play_actions
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.scene.state_vector import CAMERAS
-from magical_mj.tasks.registry import check_rules, listed
+from magical_mj.tasks.registry import listed
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, check_name
 from magical_mj.utils.extras import check_extra
@@ -153,9 +152,7 @@ def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> No
     title = f"{environment}, seed {score.seed}: {score.policy}"
     if problem := obstacle(score, trusted=names_in(score)):
         raise EvaluationError(f"{title} cannot be filmed: {problem}")
-    rules = check_rules(score.rules)
-    how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift, "body": score.body}
-    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
+    with closing(engine_for(score, renderer)) as env:
         if problem := other_scene(score, env):
             raise EvaluationError(f"{title} cannot be filmed: {problem}")
         movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())

@@ -9,11 +9,10 @@ from typing import Annotated, Final
 
 import msgspec
 import typer
-from rich.progress import MofNCompleteColumn
 from rich.table import Table
 
 from magical_mj.cli import option
-from magical_mj.cli.console import Bars, check_fits, complain, console, make_writable_folder
+from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.replay import obstacle
@@ -138,15 +137,8 @@ def _explained(
     episodes, problems = explainable(folders, rules, trusted)
     if not episodes:
         raise SettingsError(f"--explain: no episode can be explained: {next(iter(problems), 'there are none')}")
-    with Bars(console(), MofNCompleteColumn(), transient=True) as progress:
-        bar = progress.add_task("replaying episodes", total=None)
-        return explain_episodes(
-            episodes,
-            problems,
-            lost=last_solvable,
-            jobs=jobs,
-            watch=lambda done, total: progress.update(bar, completed=done, total=total),
-        )
+    with counting(console(), "replaying episodes") as watch:
+        return explain_episodes(episodes, problems, lost=last_solvable, jobs=jobs, watch=watch)
 
 
 def _to_film(
@@ -193,14 +185,8 @@ def make_comparison(a: Side, b: Side) -> None:
 def verify_folders(folders: Folders, jobs: option.Jobs = None, trusted: option.Trusted = "") -> None:
     """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen, names = console(), ", ".join(map(str, folders))
-    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
-        bar = progress.add_task(f"replaying {names}", total=None)
-        findings = verify(
-            *folders,
-            jobs=jobs,
-            watch=lambda done, total: progress.update(bar, completed=done, total=total),
-            trusted=trusted.split(","),
-        )
+    with counting(screen, f"replaying {names}") as watch:
+        findings = verify(*folders, jobs=jobs, watch=watch, trusted=trusted.split(","))
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
     if _printed_problems(names, findings):
         raise typer.Exit(1)
@@ -253,15 +239,8 @@ def make_leaderboard(
             entries[path.name] = read_entry(path)
         except EvaluationError as error:
             complain(str(error))
-    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
-        bar = progress.add_task("replaying episodes", total=None)
-        findings = check_entries(
-            entries,
-            most=None if everything else replay,
-            seed=seed,
-            jobs=jobs,
-            watch=lambda done, total: progress.update(bar, completed=done, total=total),
-        )
+    with counting(screen, "replaying episodes") as watch:
+        findings = check_entries(entries, most=None if everything else replay, seed=seed, jobs=jobs, watch=watch)
     good: dict[str, Entry] = {}
     for name, entry in entries.items():
         replayed = counted(findings[name].episodes, "episode")

@@ -1,4 +1,4 @@
-"""`magical-mj train`, `experiment` and `export-policy`, with progress bars and a line per evaluation."""
+"""`magical-mj train`, `experiment`, `export-policy` and `evaluate-reward`: trainings, and what they have learnt."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from rich.console import Console
 from rich.progress import ProgressColumn, Task, TimeElapsedColumn
-from rich.table import Column
+from rich.table import Column, Table
 from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli import option
-from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue, output_path
+from magical_mj.cli.console import Bars, check_fits, check_suffix, check_writable, console, how_to_continue, output_path
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.learners.config import check_changes, users, uses
+from magical_mj.learners.config import METHODS, check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.interface import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name, counted
@@ -127,7 +127,6 @@ def train(
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
     check_extra("learners", "eval", "il")
     from magical_mj.learners.learner import keep_freed_memory
-    from magical_mj.learners.training import METHODS
 
     check_name("method", method, METHODS)
     options["ppo.simulator"] = simulator
@@ -236,3 +235,44 @@ class TrainingView:
             scores = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
             line = f"{self._name}: after {trained.update} updates: mean score on Demo: {scores}"
             self._progress.console.print(line, soft_wrap=True)
+
+
+Runs = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.", show_default=False
+    ),
+]
+Scenes = Annotated[int, typer.Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")]
+Sums = Annotated[Path | None, typer.Option("--out", help="A CSV file for all sums and scores.", show_default=False)]
+
+
+def evaluate_reward(
+    runs: Runs,
+    variants: option.Variants = "all",
+    scenes: Scenes = 5,
+    out: Sums = None,
+    jobs: option.Jobs = None,
+    force: option.Force = False,
+) -> None:
+    """Compare learnt rewards with the score over episodes of experts, of policies, and of random actions.
+
+    For each method and variant, it prints the means over tasks of the rank correlation of summed rewards with scores,
+    and of the probability that a solved episode has a larger sum than another one (AUC).
+    """
+    check_extra("learners", "eval", "il")
+    from magical_mj.learners.rewards import agreements, evaluate_rewards
+
+    if out is not None:
+        check_suffix(out, ".csv")
+        check_writable(out, force)
+    screen = console()
+    frame = evaluate_rewards(runs, variants, scenes, jobs=jobs, watch=screen.print)
+    if out is not None:
+        frame.to_csv(out, index=False, float_format="%.6g")
+    found = agreements(frame)
+    table = Table("method", *(f"{variant} {name}" for variant in found["variant"].unique() for name in ("r", "AUC")))
+    for method, group in found.groupby("method", sort=False):
+        means = group.groupby("variant", sort=False)[["correlation", "auc"]].mean()
+        table.add_row(str(method), *(f"{value:.2f}" for row in means.to_numpy() for value in row))
+    screen.print(table)

@@ -1,10 +1,11 @@
-"""Demonstrations as training data: observations and actions."""
+"""Demonstrations as training data: observations and actions, and the environment that has the same observations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +14,9 @@ from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import Stacks, copying, preset_named
+from magical_mj.envs.registration import env_id, suite_id
 from magical_mj.policies.interface import Observations, Transitions
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import state_vector
@@ -98,3 +101,38 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         if kind.fingers:
             rows["fingers"] = np.array([model.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
+
+
+class Source(NamedTuple):
+    """An environment ``gymnasium.make(id, **kwargs)``. Its ``reset(seed=...)`` accepts the seeds of the scenes."""
+
+    id: str
+    kwargs: dict[str, Any]
+
+    def make(self) -> gymnasium.Env[Any, Any]:
+        """Creates the environment."""
+        return gymnasium.make(self.id, **self.kwargs)
+
+    def __str__(self) -> str:
+        return ", ".join([f'"{self.id}"', *(f"{name}={value!r}" for name, value in self.kwargs.items())])
+
+
+def source_of(demo: Demonstration, preset: str, **settings: Any) -> Source:
+    """The environment of a demonstration, with its body and its shifts.
+
+    Args:
+        demo: the demonstration.
+        preset: the preset of the data set's observations.
+        settings: further arguments of `gymnasium.make`.
+
+    Raises:
+        DemonstrationError: if the task is SweepToTop and the preset is not State.
+    """
+    body = demo.scene.robot.body
+    if not task_spec(demo.task).speeds:
+        facts = {"body": body if body != GRIPPER else "", "shifts": demo.shifts}
+        kwargs = {name: value for name, value in facts.items() if value}
+        return Source(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
+    if preset != "State":
+        raise DemonstrationError(f"data sets of {demo.task} must have the preset State, not {preset or 'views'}")
+    return Source(suite_id(body, demo.variant), {})

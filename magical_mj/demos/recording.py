@@ -5,7 +5,7 @@ A recording is a small JSON object in UTF-8, such as the browser page saves:
 | key | value |
 |---|---|
 | `format` | 1 |
-| `protocol` | the value of `magical_mj.tasks.protocol.PROTOCOL` in the program that played it |
+| `protocol` | the value of `magical_mj.protocol.PROTOCOL` in the program that played it |
 | `task`, `variant` | names from `magical_mj.ENVIRONMENTS` |
 | `seed` | an integer: the episode started in `sample_scene(task, variant, seed)` |
 | `actions` | a list of integers in 0..17, one for each step of a complete episode |
@@ -35,11 +35,11 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_ph
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
 from magical_mj.policies.interface import play_actions
+from magical_mj.protocol import PROTOCOL
 from magical_mj.rendering.picture import Picture
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, task_spec, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed

@@ -23,7 +23,7 @@ from msgspec import Meta
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import demonstrate, replayed
 from magical_mj.policies.interface import actions_of, letters_of
-from magical_mj.tasks.protocol import INTENTS, PROTOCOL
+from magical_mj.protocol import INTENTS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError
 from magical_mj.utils.parallel import map_here, map_unordered

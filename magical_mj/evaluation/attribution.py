@@ -1,15 +1,15 @@
-"""Attribution: what stored episodes were after, from their initial and final scenes.
+"""Attribution: what stored episodes were after, from their initial and final scenes, and where failed ones were lost.
 
 Episodes are replayed in worker processes. Of each the ending is classified, and of each that failed, the rivals of the
-task's intent that it reached are found: intents of which the demonstrations cannot say that they were not meant.
+task's intent that it reached are found: intents of which the demonstrations cannot say that they were not meant. A
+turning is the last step of a failed episode from which the expert still solves it.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -17,15 +17,16 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj import demos
-from magical_mj.evaluation.replay import inconsistency, obstacle, other_scene
-from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
 from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import solved
-from magical_mj.intents.readings import Shown, ending, moved_blocks
+from magical_mj.intents.readings import READINGS, Shown, ending, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
+from magical_mj.scene.actions import ACTIONS, Gripper
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.planning import Noise
 from magical_mj.tasks.registry import check_rules, task_spec
@@ -33,12 +34,10 @@ from magical_mj.utils.errors import PhysicsError
 from magical_mj.utils.parallel import map_unordered
 
 if TYPE_CHECKING:
-    from magical_mj.engine import Engine
+    from magical_mj.engine import Engine, State
 
 BITS: Final = 24.0
 """The longest description of a rival."""
-CHUNK: Final = 50
-"""The number of episodes that a worker replays before it reports."""
 RECENT: Final = 64
 """The number of tasks whose rivals are kept in memory."""
 
@@ -108,14 +107,7 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
         episodes: those about which `unfit` says nothing; solved ones too, if shares of all are wanted.
         jobs: the number of processes; None: one per core.
     """
-    alike: dict[tuple[str, str, str, str], list[EpisodeResult]] = defaultdict(list)
-    for episode in episodes:
-        alike[episode.task, episode.variant, episode.rules, episode.body].append(episode)
-    chunks: list[list[EpisodeResult]] = []
-    for group in alike.values():
-        group.sort(key=lambda episode: (episode.seed, episode.policy, episode.run))
-        chunks += [group[start : start + CHUNK] for start in range(0, len(group), CHUNK)]
-    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for episode in chunk))
+    chunks = [[episode for _, episode in chunk] for chunk in in_chunks(("", episode) for episode in episodes)]
     work = [(chunk, task_shown(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
     results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
     for result in results:
@@ -156,28 +148,6 @@ def _attribute(
     return results
 
 
-def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
-    """An engine at the start of an episode."""
-    from magical_mj.engine import Engine  # which loads the simulator
-
-    rules = check_rules(episode.rules)
-    return Engine(episode.task, episode.variant, seed=episode.seed, rules=rules, body=episode.body, renderer=renderer)
-
-
-def replay_problem(episode: EpisodeResult, engine: Engine) -> str | None:
-    """Replays an episode in an engine at its start, and says how it differs from its record; None if it does not."""
-    if problem := other_scene(episode, engine) or inconsistency(episode, engine.horizon):
-        return problem
-    try:
-        for action in actions_of(episode.actions):
-            engine.step(action)
-    except PhysicsError as error:
-        return f"it cannot be replayed: {error}"
-    if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
-        return f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
-    return None
-
-
 def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, shown: Shown) -> Attribution:
     initial, final, success = engine.initial_scene, engine.scene, episode.score == 1.0
     return Attribution(
@@ -204,3 +174,90 @@ def remaining(episode: EpisodeResult, scenes: tuple[Scene, Scene]) -> float:
     noise = Noise(np.random.default_rng(0), 0.0)
     subgoals = task_spec(episode.task).subgoals(scenes, noise, check_rules(episode.rules))
     return sum(subgoal.left(scenes[1]) for subgoal in subgoals)
+
+
+ANOTHER_GOAL: Final = "pursued another goal"
+MISSED: Final = "missed the grip"
+NOTHING: Final = "did nothing"
+OUT_OF_TIME: Final = "ran out of time"
+UNSOLVABLE: Final = "made it unsolvable"
+FAILURES: Final = (ANOTHER_GOAL, MISSED, NOTHING, OUT_OF_TIME, UNSOLVABLE)
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Where a failed episode was lost.
+
+    Attributes:
+        attribution: the episode.
+        last: the number of actions after which the expert still solved it in the remaining steps; None if it does not
+            solve the scene at all.
+        failure: one of `FAILURES`.
+    """
+
+    attribution: Attribution
+    last: int | None
+    failure: str
+
+    @property
+    def episode(self) -> EpisodeResult:
+        """The stored episode."""
+        return self.attribution.episode
+
+
+def turnings(attributions: Iterable[Attribution], *, jobs: int | None = None) -> Iterator[Turning]:
+    """Where failed episodes were lost, as they come. Each takes seconds, or half a minute."""
+    pieces = list(attributions)
+    return map(turning, pieces) if jobs == 1 or len(pieces) < 2 else map_unordered(turning, pieces, jobs)
+
+
+def turning(attribution: Attribution) -> Turning:
+    """Where a failed episode was lost.
+
+    The last step is found by bisection, which assumes that a lost episode stays lost: if the expert solves it again
+    from a later step, this may be missed. One expert is asked, the one with seed 0, so that the last step is a lower
+    bound. The failure is the first of these that holds:
+
+    - pursued another goal: wrong blocks were moved and none of those that had to be, or the robot went to where the
+      demonstrations' region was (see `magical_mj.intents.readings.ending`);
+    - missed the grip: no block was moved, though the gripper was closed; did nothing: nor was that;
+    - ran out of time: from the last state, the expert solves it with the steps of a whole episode;
+    - made it unsolvable: it does not.
+    """
+    episode = attribution.episode
+    with closing(engine_for(episode)) as engine:
+        states = [engine.get_state()]
+        for action in actions_of(episode.actions):
+            engine.step(action)
+            states.append(engine.get_state())
+        if not _solves(engine, states[0]):
+            return Turning(attribution, None, _failure(attribution, engine, states[-1]))
+        low, high = 0, len(states) - 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if _solves(engine, states[middle]) else (low, middle)
+        return Turning(attribution, low, _failure(attribution, engine, states[-1]))
+
+
+def _failure(attribution: Attribution, engine: Engine, last: State) -> str:
+    kinds = attribution.ending
+    if kinds.keys() & {*READINGS, "another block"}:
+        return ANOTHER_GOAL
+    if "nothing" in kinds:
+        closes = any(ACTIONS[action][0] is Gripper.CLOSE for action in actions_of(attribution.episode.actions))
+        return MISSED if closes else NOTHING
+    return OUT_OF_TIME if _solves(engine, replace(last, steps=0)) else UNSOLVABLE
+
+
+def _solves(engine: Engine, state: State) -> bool:
+    """Whether the expert solves the task from this state in the steps that are left."""
+    from magical_mj.policies.expert import Expert
+
+    engine.set_state(state)
+    expert = Expert(engine, engine.task or "")
+    try:
+        while not engine.over:
+            engine.step(expert())
+    except PhysicsError:
+        return False
+    return engine.score() == 1.0

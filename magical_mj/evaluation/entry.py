@@ -30,9 +30,9 @@ from magical_mj.evaluation.scores import (
     recorded_sets,
     recorded_settings,
 )
+from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files

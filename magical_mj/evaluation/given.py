@@ -14,6 +14,7 @@ from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
@@ -175,12 +176,8 @@ def with_other_score(episode: EpisodeResult) -> EpisodeResult:
     """The episode. In a control, with the score of the other task's intent, computed by a replay."""
     if not episode.other or episode.failure is not None:
         return episode
-    from magical_mj.evaluation.attribution import engine_for, replay_problem  # imported late: it loads the simulator
-
     intent = intent_of(episode.other)
     with closing(engine_for(episode)) as engine:
-        if not _can_be_pursued(intent, initial := engine.initial_scene):
-            return episode
-        if replay_problem(episode, engine):
+        if not _can_be_pursued(intent, initial := engine.initial_scene) or replay_problem(episode, engine):
             return episode
         return replace(episode, other_score=intent.score(initial, engine.scene))

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace as changed
 from functools import partial
@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Final
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
+from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import check_body_name
 from magical_mj.shifts.registry import SHIFT_PROTOCOL, named_in, split_body
 from magical_mj.tasks import KNOWN
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import check_rules, code_digest, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import MagicalError, PhysicsError
@@ -104,67 +104,97 @@ def replay(
     Raises:
         UntrustedNameError: as `obstacle`.
     """
-    alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     refused: list[Replayed] = []
+    playable: list[Recorded] = []
     for source, episode in recorded:
         if problem := obstacle(episode, trusted=trusted):
             refused.append((source, episode, f"{episode.title}: it cannot be replayed: {problem}"))
         else:
-            alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
-    chunks: list[list[Recorded]] = []
-    for episodes in alike.values():  # sorted by seed: a scene of several entries is sampled and compiled once
-        episodes.sort(key=lambda recorded: (recorded[1].seed, str(recorded[0])))
-        chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
-    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
-    work = partial(_replay, rules=rules)
+            playable.append((source, episode))
+    chunks, work = in_chunks(playable), partial(_replay, rules=rules)
     results = map(work, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(work, chunks, jobs)
     return chain(refused, chain.from_iterable(results))
 
 
+def in_chunks(recorded: Iterable[Recorded]) -> list[list[Recorded]]:
+    """Episodes of the same environment by their seeds, as many as a worker replays at a time; the longest chunks first.
+
+    So a scene of several entries is sampled and compiled once.
+    """
+    alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
+    for source, episode in recorded:
+        alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
+    chunks: list[list[Recorded]] = []
+    for episodes in alike.values():
+        episodes.sort(key=lambda recorded: (recorded[1].seed, str(recorded[0])))
+        chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
+    return sorted(chunks, key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
+
+
 def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
     """Replays episodes of one environment in this process."""
-    from magical_mj.engine import Engine  # imported late: it loads the simulator
-
-    first, results = chunk[0][1], []
-    own = check_rules(first.rules)
-    settings: dict[str, Any] = {"rules": own, "shifts": first.shift, "body": first.body}
-    with closing(Engine(first.task, first.variant, seed=first.seed, **settings)) as engine:
+    results = []
+    with closing(engine_for(chunk[0][1])) as engine:
         for source, episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None keeps the scene
-            rescored, difference = _played(episode, engine, rules)
+            rescored, difference = _rescored(episode, engine, rules)
             results.append((source, rescored, f"{episode.title}: {difference}" if difference else None))
     return results
 
 
-def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
+def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
+    """An engine at the start of an episode, which has no `obstacle`."""
+    from magical_mj.engine import Engine  # imported late: it loads the simulator
+
+    how: dict[str, Any] = {"rules": check_rules(episode.rules), "shifts": episode.shift, "body": episode.body}
+    return Engine(episode.task, episode.variant, seed=episode.seed, renderer=renderer, **how)
+
+
+def _rescored(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
     """Replays an episode in the engine, which is in its scene.
 
     Returns:
         The episode scored by `rules`, and what is wrong with it, or None if the replay confirms it.
     """
-    if problem := other_scene(episode, engine):
-        return episode, problem
-    problem = inconsistency(episode, engine.horizon)
-    spec = task_spec(episode.task)
-    steps = spec.horizon(rules or engine.rules, episode.body)
+    if rules is None:
+        return episode, replay_problem(episode, engine)
+    spec, scores = task_spec(episode.task), list[float]()
+    steps = spec.horizon(rules, episode.body)
+
+    def note(step: int) -> None:
+        if step == steps:
+            scores.append(spec.checked_score(engine.scored_scenes, rules))
+
+    problem = replay_problem(episode, engine, note)
     if problem is None and engine.horizon is not None and steps > engine.horizon:
         problem = f"it has {engine.horizon} actions, but needs {steps} by the rules {rules!r}: play it again by these"
     if problem is not None:
         return episode, problem
-    rescored = changed(episode, rules=rules or episode.rules)
+    if not scores:  # the policy failed
+        return changed(episode, rules=rules), None
+    return changed(episode, rules=rules, score=scores[0], steps=steps, actions=episode.actions[:steps]), None
+
+
+def replay_problem(
+    episode: EpisodeResult, engine: Engine, watch: Callable[[int], object] = lambda _: None
+) -> str | None:
+    """Replays an episode in an engine at its start, and says how it differs from its record. None if it does not.
+
+    `watch` is called after each step with its number. If the policy failed, nothing is replayed.
+    """
+    if problem := other_scene(episode, engine) or inconsistency(episode, engine.horizon):
+        return problem
     if episode.failure is not None:
-        return rescored, None
+        return None
     try:
-        for number, action in enumerate(actions_of(episode.actions), start=1):
+        for step, action in enumerate(actions_of(episode.actions), start=1):
             engine.step(action)
-            if number == steps and rules is not None:
-                score = spec.checked_score(engine.scored_scenes, rules)
-                rescored = changed(rescored, score=score, steps=steps, actions=episode.actions[:steps])
+            watch(step)
     except PhysicsError as error:
-        return episode, f"it cannot be replayed: {error}"
+        return f"it cannot be replayed: {error}"
     if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
-        return episode, f"the score is {episode.score:g}, but its actions lead to {engine.score():g}"
-    return rescored, None
+        return f"the score is {episode.score:g}, but its actions lead to {engine.score():g}"
+    return None
 
 
 def other_scene(episode: EpisodeResult, engine: Engine) -> str | None:

@@ -14,12 +14,12 @@ from msgspec import Meta
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed
 from magical_mj.tasks import KNOWN
-from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, check_name, counted, short_repr

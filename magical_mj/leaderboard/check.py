@@ -22,7 +22,7 @@ from magical_mj.evaluation.scores import (
     recorded_sets,
     recorded_settings,
 )
-from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
 from magical_mj.utils.errors import SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path

@@ -21,9 +21,9 @@ from magical_mj.evaluation.reports.statistics import (
     resample,
 )
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, sample_scene, score
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import counted

@@ -64,9 +64,9 @@ class Augmentation:
 
         All frames of a stack are moved and recoloured equally, different stacks differently. The noise is independent.
 
-        stacks: RGB frames in [0, 1], float32 or float64, of shape (n, 3 * frames, height, width). Their memory
-            format does not affect the values of the result.
-                    format does not affect the values of the result.
+        Args:
+            stacks: RGB frames in [0, 1], float32 or float64, of shape (n, 3 * frames, height, width). Their memory
+                format does not affect the values of the result.
             generator: source of all random numbers, which are drawn on its device.
 
         Returns:

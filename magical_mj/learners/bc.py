@@ -1,27 +1,31 @@
-"""Behavioural cloning (section 4.1)."""
+"""Behavioural cloning (section 4.1), and two methods that change its loss: inverse soft Q-learning and POINT."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, cast
 
 import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Dataset, Demonstrations
+from magical_mj.learners.data import Dataset, Demonstrations, shares
 from magical_mj.learners.learner import Learner, seeded, threads_for
-from magical_mj.learners.networks import Actor, as_input
+from magical_mj.learners.networks import Actor, Torso, as_input
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.run_folder import RunFolder
-from magical_mj.learners.settings import CloningSettings, TrainingSettings
+from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
+from magical_mj.scene.actions import NOOP
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
 """The number of batches for batch norm's averages."""
+
+LEAST_SAMPLES: Final = 4
+"""The least number of samples for a distance correlation."""
 
 
 class BehaviouralCloning(Learner):
@@ -142,3 +146,151 @@ def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
     return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
+
+
+class IQLearn(BehaviouralCloning):
+    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142) in its offline form: cloning with another loss.
+
+    One network represents a soft Q function. It determines a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature),
+    where V is the temperature times the log of the sum of exp(Q / temperature) over actions. It also determines a
+    reward, r(s, a) = Q(s, a) - discount V(s'). With its regulariser chi^2, the paper maximises over the demonstrations
+
+        E[r - r^2 / (4 alpha)] - E[V(s) - discount V(s')].
+
+    Without the square this is behavioural cloning. The square keeps the rewards that explain the demonstrator small, so
+    that the values of successive states have to agree. No episodes are played. The actor's logits are Q / temperature,
+    so that it draws actions from pi.
+
+    As in behavioural cloning, steps with the no-op are left out, but they may be successors. The last step of each
+    demonstration is also left out, since it has no successor.
+    """
+
+    observes = "states"
+    drop_noop = False
+    learns_reward = True
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
+
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """Also the mean reward in the batch."""
+        counts = shares(self.settings.bc.batch_size, len(self._usable), self._draw)
+        rows = [
+            numbers[torch.randint(len(numbers), (count,), generator=self._draw)]
+            for numbers, count in zip(self._usable, counts, strict=True)
+        ]
+        observations, actions, tasks = self._data.rows(rows)
+        following, _, _ = self._data.rows([numbers + 1 for numbers in rows])
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        logits, next_logits = (
+            self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
+        )
+        loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
+        return loss, logits, actions, {"reward": rewards.mean().item()}
+
+    @torch.no_grad()
+    def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Q(s, a) - discount V(s'), shape (n,)."""
+        self._actor.eval()
+        logits, next_logits = self._actor(observations, tasks), self._actor(following, tasks)
+        return soft_rewards(logits, next_logits, actions, self.settings.iq)
+
+
+def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> Tensor:
+    """The rewards Q(s, a) - discount V(s'), shape (n,). Arguments: see `iq_loss`."""
+    chosen = logits.gather(1, actions[:, None])[:, 0]
+    return settings.temperature * (chosen - settings.discount * next_logits.logsumexp(1))
+
+
+def usable(data: Dataset, task: int) -> Tensor:
+    """The numbers of a task's rows that have a successor and an action other than the no-op."""
+    actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
+    last = torch.zeros(len(actions), dtype=torch.bool)
+    last[lengths.cumsum(0) - 1] = True
+    return (~last & (actions != NOOP)).nonzero()[:, 0]
+
+
+def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
+    """The loss divided by the temperature, comparable with behavioural cloning's, and the rewards (n,).
+
+    Args:
+        logits: Q / temperature, shape (n, 18).
+        next_logits: Q / temperature of the successors, shape (n, 18).
+        actions: the demonstrator's, shape (n,).
+        settings: the method's settings.
+    """
+    rewards = soft_rewards(logits, next_logits, actions, settings)
+    # E[r] - E[V(s) - discount V(s')] = E[Q(s, a) - V(s)] = temperature E[log pi(a | s)]
+    cloning = nn.functional.cross_entropy(logits, actions)
+    return cloning + rewards.square().mean() / (4 * settings.alpha * settings.temperature), rewards.detach()
+
+
+class Point(BehaviouralCloning):
+    """POINT: also penalises features that reveal where, in the picture, the objects are that the policy attends to.
+
+    "Spatial generalization of visual imitation learning with position-invariant regularization" (Yin, Gao and Chen,
+    workshop of RSS 2023) penalises features that contain absolute positions of objects, so that relations between
+    objects remain. We know only its abstract, and this form is ours. The position is where Grad-CAM (Selvaraju et al.
+    2017, arXiv:1610.02391) locates the reason for the demonstrator's action. No gradient flows through it. The penalty
+    is the squared distance correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
+    """
+
+    observes = "pictures"
+
+    @classmethod
+    def check_settings(cls, settings: TrainingSettings) -> None:
+        """Also checks that batches are large enough."""
+        super().check_settings(settings)
+        if settings.bc.batch_size < LEAST_SAMPLES:
+            raise SettingsError(
+                f"point compares samples: bc.batch_size={settings.bc.batch_size} must be at least {LEAST_SAMPLES}"
+            )
+
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """Also returns the penalty, without its weight."""
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
+        inputs, actions, tasks = (
+            self._augmented(observations, self._noise),
+            actions.to(self.device),
+            tasks.to(self.device),
+        )
+        torso = cast("Torso", self._actor.torso)
+        maps = torso.convolutions(inputs[:, -torso.channels :])
+        features = torso.linear(maps.flatten(1))
+        logits = self._actor.head(features, tasks)
+        penalty = distance_correlation(features, looked_at(maps, logits.gather(1, actions[:, None]).sum()))
+        loss = nn.functional.cross_entropy(logits, actions) + self.settings.point.weight * penalty
+        return loss, logits, actions, {"penalty": penalty.item()}
+
+
+def looked_at(maps: Tensor, chosen: Tensor) -> Tensor:
+    """The centres of Grad-CAM's maps, (n, 2), from -1 to 1 to the right and down.
+
+    Args:
+        maps: the last convolution's output, shape (n, channels, height, width).
+        chosen: the explained value, summed over the samples, as a function of the maps.
+    """
+    (slopes,) = torch.autograd.grad(chosen, maps, retain_graph=True)
+    with torch.no_grad():
+        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # if all are 0: the middle
+        cam = cam / cam.sum((1, 2), keepdim=True)
+        down, right = (torch.linspace(-1, 1, size, device=maps.device) for size in cam.shape[1:])
+        return torch.stack([(cam.sum(1) * right).sum(1), (cam.sum(2) * down).sum(1)], 1)
+
+
+def distance_correlation(first: Tensor, second: Tensor) -> Tensor:
+    """The bias-corrected squared distance correlation of samples (n, size): about 0 if independent, at most 1."""
+    one, other = centred_distances(first), centred_distances(second)
+    return (one * other).sum() / (one.square().sum() * other.square().sum()).clamp(min=1e-12).sqrt()
+
+
+def centred_distances(samples: Tensor) -> Tensor:
+    """U-centred distances (n, n) of samples (n, size): the sum of each row is 0, and so is the diagonal."""
+    count = len(samples)
+    apart = torch.eye(count, device=samples.device) == 0
+    # Not torch.cdist, whose gradient is not a number where two samples are equal.
+    squares = (samples[:, None] - samples[None]).square().sum(2)
+    distances = squares.clamp(min=1e-12).sqrt() * apart
+    rows, total = distances.sum(1) / (count - 2), distances.sum() / ((count - 1) * (count - 2))
+    return (distances - rows[:, None] - rows[None] + total) * apart

@@ -1,23 +1,27 @@
-"""The settings that each method uses, the changes for short trainings, and settings as TOML files."""
+"""The methods by name, the settings that each uses, the changes for short trainings, and settings as TOML files."""
 
 from __future__ import annotations
 
 import json
 import re
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, DemonstrationSettings, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.plugins import announced, imported
+from magical_mj.utils.imports import announced, imported, resolve_installed
 from magical_mj.utils.settings import changed
+
+if TYPE_CHECKING:
+    from magical_mj.learners.learner import Method
 
 START: Final = "made"
 """The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
@@ -125,8 +129,40 @@ def load_settings(
     for name in ("recordings", "reward.run"):  # runs of an experiment are trained in other folders
         if isinstance(folder := changes.get(name), str | Path) and str(folder):
             changes[name] = str(Path(folder).absolute())
-    defaults = load_method(method).defaults if method in announced_methods() else {}
+    defaults = METHODS[method].defaults if method in announced_methods() else {}
     return changed(settings, {**short, **defaults, **changes})
+
+
+class _Methods(Mapping[str, "type[Method]"]):
+    """The methods of this package, and those that other packages announce. They are imported at their first use."""
+
+    _OWN: Final = MappingProxyType(
+        {
+            "bc": "bc:BehaviouralCloning",
+            "gail": "gail:GAIL",
+            "wgail-gp": "gail:WGAILGP",
+            "airl": "gail:AIRL",
+            "al": "apprenticeship:Apprenticeship",
+            "iq-learn": "bc:IQLearn",
+            "point": "bc:Point",
+            "ppo": "rewards:OnLearntReward",
+        }
+    )
+
+    def __getitem__(self, name: str) -> type[Method]:
+        if name in self._OWN:
+            return resolve_installed(f"magical_mj.learners.{self._OWN[name]}")
+        return imported("method", name, announced_methods()[name], SettingsError)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._OWN, *announced_methods()))
+
+    def __len__(self) -> int:
+        return len(self._OWN) + len(announced_methods())
+
+
+METHODS: Final = _Methods()
+"""Name -> class of all methods that `train` supports by name."""
 
 
 @cache
@@ -135,23 +171,14 @@ def announced_methods() -> Mapping[str, EntryPoint]:
     return announced("method", METHOD_GROUP, PARTS, re.compile(r"[\w-]+").fullmatch, 'mine = "package.module:Mine"')
 
 
-def load_method(name: str) -> Any:
-    """The class of an announced method.
-
-    Raises:
-        UnknownNameError, MissingExtraError, SettingsError: if it cannot be imported, as `plugins.imported`.
-    """
-    return imported("method", name, announced_methods()[name], SettingsError)
-
-
 def settings_type(method: str) -> type[TrainingSettings]:
     """The class of a method's settings, which announced methods may extend with their own settings."""
-    return load_method(method).settings_type if method in announced_methods() else TrainingSettings
+    return METHODS[method].settings_type if method in announced_methods() else TrainingSettings
 
 
 def parts_of(method: str) -> tuple[str, ...]:
     """The parts of the settings that a method uses. A method that is not announced may use all of them."""
-    parts = PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
+    parts = PARTS.get(method) or (METHODS[method].parts if method in announced_methods() else ALL_PARTS)
     return tuple(dict.fromkeys((DemonstrationSettings.part, *parts)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -172,12 +172,14 @@ class ExternalRewardPPO(PPO):
         """Returns `env` itself: stable-baselines3 would move the channels of pictures first, which is slow."""
         return env
 
-    def collect(self) -> Rollout:
-        """Plays `ppo.steps` steps in each environment, and returns them."""
+    def collect(self, *, pairs: bool = False) -> Rollout:
+        """Plays `ppo.steps` steps in each environment, and returns them; with `pairs`, with the following states."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
-        arrays = buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks
-        return Rollout(*map(torch.as_tensor, arrays))
+        seen = buffer.observations[OBSERVATION]
+        if pairs:
+            seen = np.concatenate([seen, self.successors()[..., -1:, :]], -2)
+        return Rollout(*map(torch.as_tensor, (seen, buffer.actions[..., 0], self._environments.tasks)))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
@@ -232,6 +234,8 @@ class RewardLearner(Learner):
     """
 
     learns_reward = True
+    pairs: ClassVar[bool] = False
+    """Whether observations in rollouts are histories with the following state, shape (..., HISTORY + 1, names)."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
@@ -279,7 +283,7 @@ class RewardLearner(Learner):
 
     def collect(self) -> Rollout:
         """Plays a rollout. Rewards are learnt from it and computed for it."""
-        return self._ppo.collect()
+        return self._ppo.collect(pairs=self.pairs)
 
     @abstractmethod
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Evaluates learnt rewards: do they rank episodes as the task's score does, also in the test variants?
+"""Learnt rewards: do they rank episodes as the task's score does, also in the test variants? And PPO on them.
 
 Each reward is summed over whole episodes of several kinds in the same scenes of the dev split:
 
@@ -17,7 +17,7 @@ AUC          the probability that a solved episode (score 1) has a larger sum th
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from os import PathLike
 from pathlib import Path
@@ -28,28 +28,66 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 from scipy.stats import rankdata
+from torch import Tensor
 
 from magical_mj.demos import stored
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import replayed
 from magical_mj.evaluation.run import evaluate
+from magical_mj.learners.config import METHODS, from_toml
+from magical_mj.learners.data import Rollout
 from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.networks import as_input
-from magical_mj.learners.on_learnt_reward import REWARD_METHODS, learner_of_reward, learns_reward, settings_in
+from magical_mj.learners.ppo import RewardLearner
+from magical_mj.learners.run_folder import CONFIG, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import SPLITS, environments, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, as_integer, short_repr
+from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 
 SCENES: Final = 5
 """The default number of scenes in each environment."""
 KINDS: Final = ("expert", "half-way", "random", "policy")
 Watch = Callable[[str], object]
 """Called with the environment that is evaluated next."""
+
+
+def learns_reward(method: str) -> bool:
+    """Whether a method learns a reward."""
+    return method in METHODS and METHODS[method].learns_reward
+
+
+def settings_in(path: Path, trusted: Sequence[str] = ()) -> TrainingSettings:
+    """The settings of the training in a folder.
+
+    Raises:
+        SettingsError: if the folder contains no training, or its settings are invalid.
+    """
+    if not (path / CONFIG).is_file():
+        raise SettingsError(f"{path} is not the folder of a training: it has no {CONFIG}")
+    return from_toml(path / CONFIG, trusted=trusted)
+
+
+def learner_of_reward(path: Path, settings: TrainingSettings) -> Method:
+    """The learner at the end of the training in a folder, for its `learnt_reward`.
+
+    Raises:
+        TrainingError: if the training is not finished, or its checkpoint cannot be used.
+    """
+    folder = RunFolder(path, settings, resume=True)
+    last = folder.last_checkpoint()
+    if last is None or last.update < last.updates:
+        raise TrainingError(f"the training in {path} is not finished: --resume continues it")
+    learner = METHODS[settings.method](settings)
+    try:
+        learner.set_state(last.learner)
+    except Exception as error:
+        raise folder.unusable_checkpoint(error) from error
+    return learner
 
 
 class Agreement(NamedTuple):
@@ -119,9 +157,8 @@ def evaluate_rewards(
     if twice := [run.path for run, folder in zip(found, folders, strict=True) if folders.count(folder) > 1]:
         raise SettingsError(f"give each training once: {twice[-1]} is given twice, and its episodes would count double")
     if not any(run.learns_reward for run in found):
-        raise SettingsError(
-            f"none of these trainings has learnt a reward: give a training of {', '.join(REWARD_METHODS)}"
-        )
+        able = ", ".join(filter(learns_reward, METHODS))
+        raise SettingsError(f"none of these trainings has learnt a reward: give a training of {able}")
     if len(presets := {run.settings.preset for run in found}) > 1:
         raise SettingsError(f"the trainings have different presets: {', '.join(sorted(presets))}")
     rows = []
@@ -211,3 +248,53 @@ def sum_of_rewards(learner: Method, demonstration: Demonstration) -> float:
     tasks = torch.full_like(actions, settings.tasks.index(demonstration.task))
     with torch.no_grad():
         return float(learner.learnt_reward(inputs[:-1], inputs[1:], actions, tasks).double().sum())
+
+
+class OnLearntReward(RewardLearner):
+    """PPO on a learnt reward in the scenes of a variant: does it teach a task where its own policy fails?
+
+    It trains a new policy, and does not change the reward. Both learn from states. The policy plays in scenes like
+    those of the test, which no method of the paper does. Its results are test-time training, and an entry must declare
+    the privilege "other scenes".
+    """
+
+    observes = "states"
+    learns_reward = False
+    pairs = True
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        self._rewarded = learner_of_reward(Path(settings.reward.run), _reward_settings(settings))
+        self._rewarded.close()  # its environments are not used
+
+    @classmethod
+    def check_settings(cls, settings: TrainingSettings) -> None:
+        """Checks that the reward fits the tasks, and that they have the variant."""
+        super().check_settings(settings)
+        environments(settings.tasks, settings.reward.variant)
+        learnt = _reward_settings(settings)
+        if not learns_reward(learnt.method):
+            raise SettingsError(f"{settings.reward.run} is a training of {learnt.method}, which learns no reward")
+        if learnt.preset != settings.preset or not set(settings.tasks) <= set(learnt.tasks):
+            raise SettingsError(
+                f"the reward in {settings.reward.run} is for {', '.join(learnt.tasks)} with the preset "
+                f"{learnt.preset}, not for {', '.join(settings.tasks)} with {settings.preset}"
+            )
+
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
+        """Does nothing."""
+        del rollout
+        return {}
+
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """The learnt reward, shape (n,)."""
+        known = self._rewarded.settings.tasks
+        numbers = torch.tensor([known.index(task) for task in self.settings.tasks], device=tasks.device)[tasks]
+        return self._rewarded.learnt_reward(observations[:, :-1], observations[:, 1:], actions, numbers)
+
+
+def _reward_settings(settings: TrainingSettings) -> TrainingSettings:
+    """The settings of the training that learnt the reward."""
+    if not settings.reward.run:
+        raise SettingsError("ppo needs a learnt reward: --set reward.run=RUN, with the folder of a training of gail")
+    return settings_in(Path(settings.reward.run), settings.tasks)

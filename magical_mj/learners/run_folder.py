@@ -29,7 +29,7 @@ from magical_mj.learners.learner import threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import CONFIG, loader_in, sources
-from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 from magical_mj.utils.files import read_toml

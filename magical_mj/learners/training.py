@@ -11,20 +11,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, MappingProxyType
+from types import FrameType
 from typing import Final
 
 import torch
 
-from magical_mj.learners.airl import AIRL
-from magical_mj.learners.apprenticeship import Apprenticeship
-from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.config import announced_methods, load_method
-from magical_mj.learners.gail import GAIL, WGAILGP
-from magical_mj.learners.iq_learn import IQLearn
+from magical_mj.learners.config import METHODS
 from magical_mj.learners.learner import Method
-from magical_mj.learners.on_learnt_reward import OnLearntReward
-from magical_mj.learners.point import Point
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
@@ -32,35 +25,6 @@ from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError, unknown_name
 
-
-class _Methods(Mapping[str, type[Method]]):
-    """The methods of this package, and those that other packages announce, which are imported at their first use."""
-
-    _OWN: Final = MappingProxyType(
-        {
-            "bc": BehaviouralCloning,
-            "gail": GAIL,
-            "wgail-gp": WGAILGP,
-            "airl": AIRL,
-            "al": Apprenticeship,
-            "iq-learn": IQLearn,
-            "point": Point,
-            "ppo": OnLearntReward,
-        }
-    )
-
-    def __getitem__(self, name: str) -> type[Method]:
-        return self._OWN.get(name) or load_method(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*self._OWN, *announced_methods()))
-
-    def __len__(self) -> int:
-        return len(self._OWN) + len(announced_methods())
-
-
-METHODS: Final = _Methods()
-"""Name -> class of all methods that `train` supports by name."""
 ROWS: Final = 200
 """The number of rows of metrics.csv for a whole training."""
 

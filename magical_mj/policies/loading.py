@@ -34,8 +34,7 @@ from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import reference_in_folder, source_of
-from magical_mj.utils.plugins import announced, imported
+from magical_mj.utils.imports import announced, imported, reference_in_folder, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"

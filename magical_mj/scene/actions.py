@@ -17,19 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.utils.errors import InvalidActionError, as_integer, short_repr
 
-__all__ = [
-    "ACTIONS",
-    "NOOP",
-    "THRESHOLD",
-    "Action",
-    "Drive",
-    "Gripper",
-    "Turn",
-    "action_number",
-    "to_discrete",
-    "to_vector",
-]
-
 
 class Gripper(IntEnum):
     """The target position of both fingers."""

@@ -15,19 +15,6 @@ from magical_mj.scene import Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.utils.errors import InvalidSceneError
 
-__all__ = [
-    "CAMERAS",
-    "MAX_BLOCKS",
-    "MAX_REGIONS",
-    "OBSERVATIONS",
-    "SEGMENTATIONS",
-    "SOLID_VIEW",
-    "START_NAMES",
-    "STATE_NAMES",
-    "VIEWS",
-    "StateEncoder",
-]
-
 Rows = NDArray[np.float64]
 
 VIEWS: Final = ("ego", "allo")

@@ -22,8 +22,7 @@ from magical_mj.utils.errors import (
     short_repr,
     unknown_name,
 )
-from magical_mj.utils.imports import is_reference, reference_in_folder
-from magical_mj.utils.plugins import announced, imported, reference_of
+from magical_mj.utils.imports import announced, imported, is_reference, reference_in_folder, reference_of
 
 SHIFT_PROTOCOL: Final = 1
 """The version of the built-in shifts. A change of their names, ranges or random draws requires the next number."""

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import TaskError
-from magical_mj.utils.plugins import announced, imported
+from magical_mj.utils.imports import announced, imported
 
 LANGUAGE_GROUP: Final = "magical_mj.task_languages"
 """The entry-point group of languages."""

@@ -33,15 +33,17 @@ from magical_mj.utils.errors import (
     unknown_name,
 )
 from magical_mj.utils.imports import (
+    announced,
     check_named,
     errors_of_task,
+    imported,
     is_reference,
     location,
     reference_in_folder,
+    reference_of,
     source_of,
     with_location,
 )
-from magical_mj.utils.plugins import announced, imported, reference_of
 from magical_mj.variants import OTHER_VARIANTS, Axis, variants_of, varied_axes, vary
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants.placement import contact

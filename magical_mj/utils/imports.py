@@ -1,4 +1,4 @@
-"""References to objects in users' modules, ``"package.module:NAME"``, and errors in users' code.
+"""References to objects in users' modules, ``"package.module:NAME"``, plug-ins, and errors in users' code.
 
 Importing a module runs its code, so a file from elsewhere must not choose the module. A file may contain only names
 that installed packages announce by an entry point, and references that the user has typed in the same call:
@@ -17,14 +17,25 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Collection, Iterator
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
+from types import MappingProxyType
 from typing import Any, Final
 
-from magical_mj.utils.errors import MagicalError, TaskError, UntrustedNameError, closest
+from magical_mj.utils.errors import (
+    MagicalError,
+    MissingExtraError,
+    TaskError,
+    UnknownNameError,
+    UntrustedNameError,
+    closest,
+    short_repr,
+)
 
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 _LONGEST: Final = 100
@@ -75,6 +86,50 @@ def resolve_installed(reference: str) -> Any:
             raise ImportError(f"{reference!r} does not exist: {module} has no {part!r}{hint}")
         value = getattr(value, part)
     return value
+
+
+def announced(
+    noun: str, group: str, taken: Collection[str], is_name: Callable[[str], object], example: str
+) -> Mapping[str, EntryPoint]:
+    """The entry points of a group by name, except names that are `taken`. Their modules are imported at the first use.
+
+    An invalid entry point is ignored with a warning, so that this package can still be imported.
+    """
+    plugins: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=group)):
+        if point.name in taken or plugins.get(point.name, point) != point:
+            problem = f"another {noun} has this name"
+        elif not is_name(point.name):
+            problem = f"the name of a {noun} must consist of letters and digits"
+        elif not is_reference(reference_of(point)):
+            problem = f"it must refer to an object in a module, as in {example}"
+        else:
+            plugins[point.name] = point
+            continue
+        warnings.warn(f"the {noun} {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=3)
+    return MappingProxyType(plugins)
+
+
+def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
+    """The object of an entry point, or without one, of the user's reference `name`.
+
+    Raises:
+        UnknownNameError: if its module or the object in it does not exist.
+        MissingExtraError: if its module needs an extra that is not installed.
+        MagicalError: of the type `failed`, if its module raises another error.
+    """
+    try:
+        return resolve(name) if point is None else resolve_installed(reference_of(point))
+    except MissingExtraError:
+        raise
+    except (Exception, SystemExit) as error:
+        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_location(error), failed)
+        raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
+
+
+def reference_of(point: EntryPoint) -> str:
+    """An entry point's reference, without the spaces that Python allows in it."""
+    return "".join(point.value.split())
 
 
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:

@@ -21,12 +21,12 @@ from magical_mj.assets.robot import SIGN
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.interface import letters_of
+from magical_mj.protocol import PROTOCOL
 from magical_mj.rendering.picture import drawn
 from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene, geometry
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import BODIES, GRIPPER, Body, body_named
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
 from magical_mj.tasks.sweep_to_top import DEMO, HALF_WIDTH
 

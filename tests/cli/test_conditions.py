@@ -21,7 +21,7 @@ import pytest
 
 from magical_mj.cli.doctor import OWN, optional
 from magical_mj.evaluation.scores import read
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from tests.helpers.commands import COMMANDS as ALL
 from tests.helpers.commands import Shell, process
 

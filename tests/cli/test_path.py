@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 from magical_mj import demos
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from tests.helpers.commands import Shell
 
 

@@ -19,8 +19,8 @@ from magical_mj import demos
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.demos.export.archives import to_robomimic
+from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.actions import to_vector
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 
 

@@ -19,14 +19,14 @@ import magical_mj
 from magical_mj._version import __version__
 from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
-from magical_mj.assets.readable import DECIMALS, LINE
 from magical_mj.assets.robot import control_signal, controls
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine import Engine
+from magical_mj.engine.export import DECIMALS, LINE
+from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES
 from magical_mj.scene.constants import SHAPES
-from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import InvalidSceneError
 
 PAGE = Path(__file__).parents[2] / "docs" / "exported-model.md"

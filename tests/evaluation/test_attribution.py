@@ -15,11 +15,18 @@ from PIL import Image
 
 import magical_mj
 from magical_mj import Engine, demos
-from magical_mj.evaluation.attribution import Attribution, Unexplained, attribute, remaining, task_rivals, unfit
+from magical_mj.evaluation.attribution import (
+    Attribution,
+    Unexplained,
+    attribute,
+    remaining,
+    task_rivals,
+    turning,
+    unfit,
+)
 from magical_mj.evaluation.entry import read_entry
 from magical_mj.evaluation.reports.explained import Explanation, write_explanation
 from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.evaluation.turning import turning
 from magical_mj.intents import EIGHT, parse
 from magical_mj.intents.diagnose import simplest_rivals
 from magical_mj.intents.readings import ENDINGS, READINGS

@@ -1,7 +1,7 @@
 """Fingerprints of everything that a protocol number guarantees; see docs/protocol.md.
 
-To regenerate them, raise `PROTOCOL` (or, for the demonstrations, `DEMONSTRATIONS`) in tasks/protocol.py. Then run from
-the repository's root:
+To regenerate them, raise `PROTOCOL` (or, for the demonstrations, `DEMONSTRATIONS`) in magical_mj/protocol.py.
+Then run from the repository's root:
 
     python -m tests.helpers.regenerate_protocol --because "blocks are placed before the robot now"
 
@@ -23,10 +23,10 @@ import numpy as np
 
 import magical_mj
 from magical_mj.assets.robot import control_signal
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks import RULES
-from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, task_spec
 
 DATA: Final = Path(__file__).parents[1] / "data" / "protocol.json"
@@ -130,7 +130,7 @@ def main() -> None:
     sys.stdout.writelines(f"{part} changed\n" for part in changed)
     for number in sorted(needed):
         if numbers[number] == old["numbers"][number]:
-            parser.exit(1, f"{number.upper()} in tasks/protocol.py is still {numbers[number]}: raise it first\n")
+            parser.exit(1, f"{number.upper()} in magical_mj/protocol.py is still {numbers[number]}: raise it first\n")
     if not reason or numbers == old["numbers"]:
         parser.exit(message="nothing was written\n")
     DATA.write_text(json.dumps({"numbers": numbers, "changes": [*old["changes"], reason], **new}, indent=1) + "\n")

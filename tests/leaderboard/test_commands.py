@@ -15,7 +15,7 @@ from magical_mj.evaluation.entry import packed, unpacked
 from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import SCORES, SETTINGS
 from magical_mj.leaderboard import read_entry, submit, verify
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.commands import Shell

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from magical_mj.learners import load_settings
-from magical_mj.learners.airl import AIRL, Shaped
+from magical_mj.learners.gail import AIRL, Shaped
 from magical_mj.utils.errors import SettingsError
 from tests.helpers.learners import playing
 

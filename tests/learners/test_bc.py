@@ -13,9 +13,8 @@ import torch
 
 from magical_mj import demos
 from magical_mj.learners import load_settings
-from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.bc import BehaviouralCloning, IQLearn, iq_loss, usable
 from magical_mj.learners.data import Dataset, drawn
-from magical_mj.learners.iq_learn import IQLearn, iq_loss, usable
 from magical_mj.learners.learner import keep_freed_memory, seeded
 from magical_mj.learners.networks import Heads, Torso, as_input
 from magical_mj.learners.settings import InverseSettings, NetworkSettings

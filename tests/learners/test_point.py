@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from magical_mj.learners import load_settings
-from magical_mj.learners.point import Point, distance_correlation, looked_at
+from magical_mj.learners.bc import Point, distance_correlation, looked_at
 from magical_mj.utils.errors import SettingsError
 from tests.helpers.learners import TINY
 

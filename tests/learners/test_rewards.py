@@ -14,8 +14,15 @@ from torch import Tensor
 from magical_mj import demos
 from magical_mj.learners import train
 from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.on_learnt_reward import OnLearntReward, learner_of_reward
-from magical_mj.learners.rewards import KINDS, agreement, agreements, evaluate_rewards, sum_of_rewards
+from magical_mj.learners.rewards import (
+    KINDS,
+    OnLearntReward,
+    agreement,
+    agreements,
+    evaluate_rewards,
+    learner_of_reward,
+    sum_of_rewards,
+)
 from magical_mj.learners.vector_envs import OBSERVATION
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError

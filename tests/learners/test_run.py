@@ -26,7 +26,7 @@ from magical_mj.learners.config import from_toml, recorded
 from magical_mj.learners.policy import POLICY, TrainedPolicy
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
 from magical_mj.learners.training import Progress
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.utils.files import read_toml
 from tests.helpers.learners import from_states, is_done, playing, stopped, tiny

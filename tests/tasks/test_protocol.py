@@ -14,7 +14,7 @@ import mujoco
 import pytest
 
 import magical_mj
-from magical_mj.tasks.protocol import DEMONSTRATIONS, MUJOCO, PROTOCOL
+from magical_mj.protocol import DEMONSTRATIONS, MUJOCO, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from tests.helpers import regenerate_protocol as fingerprints
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
-from magical_mj.utils.plugins import announced, imported
+from magical_mj.utils.imports import announced, imported
 
 POINTS = """
 [toys]

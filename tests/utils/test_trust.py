@@ -14,7 +14,7 @@ from magical_mj import demos
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.scores import SETTINGS, episodes_in
 from magical_mj.learners import plan_experiment
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import imports
 from magical_mj.utils.errors import DemonstrationError, UntrustedNameError

@@ -24,7 +24,7 @@ import magical_mj
 from magical_mj import demos
 from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.web.collection import Collection, Study, read_study
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
 from tests.helpers.commands import Shell

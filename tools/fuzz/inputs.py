@@ -18,7 +18,7 @@ from values import TEXTS, FindError, json_value, spoilt_bytes, spoilt_tree
 import magical_mj
 from magical_mj.cli import main
 from magical_mj.demos.demonstration import ARRAYS, _digest
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.utils.errors import MagicalError
 
 CARD: Final = 'method = "x"\nauthors = ["somebody"]\n[training]\nhours = 1\n'

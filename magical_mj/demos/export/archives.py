@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, checked, only_environment
 from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
-from magical_mj.demos.export.source import source_of
-from magical_mj.demos.learning import observations, stream
+from magical_mj.demos.learning import observations, source_of, stream
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.registry import task_spec

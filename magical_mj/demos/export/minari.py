@@ -14,9 +14,8 @@ import gymnasium
 import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
-from magical_mj.demos.export.source import source_of
-from magical_mj.demos.learning import observations
-from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.demos.learning import observations, source_of
+from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError

@@ -17,7 +17,6 @@ from dm_control import composer, mjcf
 
 from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.contacts import SETTINGS, TIMESTEP, default_classes
-from magical_mj.assets.coordinates import FINGERS
 from magical_mj.assets.mjcf import elements
 from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import (
@@ -29,7 +28,7 @@ from magical_mj.assets.robot import (
     robot_pairs,
     tendons_mjcf,
 )
-from magical_mj.assets.scene_model import APART, scene_mjcf
+from magical_mj.assets.scene_model import APART, FINGERS, scene_mjcf
 from magical_mj.envs.composer.observables import (
     ArenaObservables,
     BlockObservables,

@@ -9,19 +9,28 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from magical_mj.evaluation.attribution import Attribution, Unexplained, attribute, engine_for, task_rivals, unfit
+from magical_mj.evaluation.attribution import (
+    FAILURES,
+    Attribution,
+    Turning,
+    Unexplained,
+    attribute,
+    task_rivals,
+    turnings,
+    unfit,
+)
 from magical_mj.evaluation.entry import is_entry
+from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key, recorded_settings
-from magical_mj.evaluation.turning import FAILURES, Turning, turnings
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
@@ -42,6 +51,10 @@ MOST_REASONS: Final = 8
 SIDE: Final = 128  # pixels; of a scene
 GAP: Final = 8  # pixels
 NONE: Final = "none of the rivals"
+ENVIRONMENT: Final = ("policy", "task", "variant")
+"""The fields of episodes by which most tables group them."""
+
+Result = TypeVar("Result", Attribution, Turning)
 
 
 @dataclass
@@ -104,9 +117,9 @@ def explain_episodes(
             found.attributions.append(result)
     found.attributions.sort(key=lambda result: _order(result.episode))
     if lost:
-        wanted = [group[:lost] for group in _grouped(_failed(found.attributions), _environment).values()]
+        wanted = [group[:lost] for group in _grouped(_failed(found.attributions), *ENVIRONMENT).values()]
         found.turnings = list(turnings([result for group in wanted for result in group], jobs=jobs))
-        found.turnings.sort(key=lambda result: _order(result.attribution.episode))
+        found.turnings.sort(key=lambda result: _order(result.episode))
     return found
 
 
@@ -131,7 +144,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
         *([markdown(_lost(found.turnings))] if found.turnings else []),
         "## Rivals that failed episodes reached",
     ]
-    for (policy, task), group in _grouped(_failed(found.attributions), _method).items():
+    for (policy, task), group in _grouped(_failed(found.attributions), "policy", "task").items():
         parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
     files.write(out / "endings.csv", csv(_frame(_ending_rows(found.attributions))), overwrite=True)
     files.write(out / "rivals.csv", csv(_frame(_rival_rows(found.attributions))), overwrite=True)
@@ -156,10 +169,10 @@ def shares(group: Sequence[Attribution]) -> dict[str, float]:
 
 def _endings(results: Sequence[Attribution]) -> Table:
     groups = []
-    for (policy,), of_policy in _grouped(results, lambda episode: (episode.policy,)).items():
+    for (policy,), of_policy in _grouped(results, "policy").items():
         rows = [
             (f"{task} {variant}", str(len(group)), *map(_percent, shares(group).values()))
-            for (_, task, variant), group in _grouped(of_policy, _environment).items()
+            for (_, task, variant), group in _grouped(of_policy, *ENVIRONMENT).items()
         ]
         rows.append(("all", str(len(of_policy)), *map(_percent, shares(of_policy).values())))
         groups.append((policy, tuple(rows)))
@@ -169,19 +182,11 @@ def _endings(results: Sequence[Attribution]) -> Table:
 
 def _lost(results: Sequence[Turning]) -> Table:
     groups = []
-    by_policy = defaultdict[str, list[Turning]](list)
-    for result in results:
-        by_policy[result.attribution.episode.policy].append(result)
-    for policy, of_policy in by_policy.items():
-        by_task = defaultdict[str, list[Turning]](list)
-        for result in of_policy:
-            by_task[result.attribution.episode.task].append(result)
+    for (policy,), of_policy in _grouped(results, "policy").items():
         rows = []
-        for task, group in by_task.items():
+        for (task,), group in _grouped(of_policy, "task").items():
             kinds = Counter(result.failure for result in group)
-            last = [
-                result.last / len(result.attribution.episode.actions) for result in group if result.last is not None
-            ]
+            last = [result.last / len(result.episode.actions) for result in group if result.last is not None]
             middle = f"{np.median(last):.2f}" if last else ""
             rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in FAILURES), middle))
         groups.append((policy, tuple(rows)))
@@ -196,7 +201,7 @@ def _lost(results: Sequence[Turning]) -> Table:
 def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
     """The table and the pictures of one policy and task."""
     task, policy = group[0].episode.task, group[0].episode.policy
-    variants = _grouped(group, lambda episode: (episode.variant,))
+    variants = _grouped(group, "variant")
     rows, pictures = list[tuple[str, ...]](), list[str]()
     for number, alike in enumerate(_listed(group), start=1):
         sentence = _sentence(task, alike)
@@ -253,14 +258,14 @@ def _about(sentence: str, examples: Sequence[Attribution], films: Mapping[Key, s
 def _ending_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     return [
         {"policy": policy, "task": task, "variant": variant, "episodes": len(group), **shares(group)}
-        for (policy, task, variant), group in _grouped(results, _environment).items()
+        for (policy, task, variant), group in _grouped(results, *ENVIRONMENT).items()
     ]
 
 
 def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     """A row for each method, environment and reached rival, and one for what reached none."""
     rows: list[dict[str, object]] = []
-    for (policy, task, variant), group in _grouped(_failed(results), _environment).items():
+    for (policy, task, variant), group in _grouped(_failed(results), *ENVIRONMENT).items():
         total, reached = Counter[int | None](), Counter[int | None]()
         for result in group:
             total.update(result.rivals or {None: 1.0})
@@ -309,25 +314,16 @@ def _png(pairs: Sequence[NDArray[np.uint8]]) -> bytes:
     return content.getvalue()
 
 
-def _grouped(
-    results: Iterable[Attribution], key: Callable[[EpisodeResult], tuple[str, ...]]
-) -> dict[tuple[str, ...], list[Attribution]]:
-    groups = defaultdict[tuple[str, ...], list[Attribution]](list)
+def _grouped(results: Iterable[Result], *fields: str) -> dict[tuple[str, ...], list[Result]]:
+    """The results by these fields of their episodes."""
+    groups = defaultdict[tuple[str, ...], list[Result]](list)
     for result in results:
-        groups[key(result.episode)].append(result)
+        groups[tuple(getattr(result.episode, name) for name in fields)].append(result)
     return groups
 
 
 def _failed(results: Iterable[Attribution]) -> list[Attribution]:
     return [result for result in results if result.episode.score < 1.0]
-
-
-def _environment(episode: EpisodeResult) -> tuple[str, ...]:
-    return episode.policy, episode.task, episode.variant
-
-
-def _method(episode: EpisodeResult) -> tuple[str, ...]:
-    return episode.policy, episode.task
 
 
 def _order(episode: EpisodeResult) -> tuple[object, ...]:

@@ -310,10 +310,7 @@ def published_results() -> pd.DataFrame:
     Returns:
         A frame with policy, task, variant, and the mean and standard deviation over the mean scores of five runs.
     """
-    import pandas as pd
-
-    with (files("magical_mj.evaluation") / "paper_results.csv").open(encoding="utf-8") as file:
-        return pd.read_csv(file).rename(columns={"method": "policy"})
+    return _from_paper("paper_results.csv")
 
 
 def published_table_1() -> pd.DataFrame:
@@ -321,9 +318,13 @@ def published_table_1() -> pd.DataFrame:
 
     Means over `published_results`, which have two decimals, differ from them by up to 0.01.
     """
+    return _from_paper("paper_table_1.csv")
+
+
+def _from_paper(name: str) -> pd.DataFrame:
     import pandas as pd
 
-    with (files("magical_mj.evaluation") / "paper_table_1.csv").open(encoding="utf-8") as file:
+    with (files("magical_mj.evaluation") / name).open(encoding="utf-8") as file:
         return pd.read_csv(file).rename(columns={"method": "policy"})
 
 
