@@ -29,6 +29,7 @@ from magical_mj.evaluation.scores import (
     recorded_policies,
     recorded_sets,
     recorded_settings,
+    recorded_variants,
 )
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import GRIPPER
@@ -48,6 +49,8 @@ MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 GIVEN: Final = "demonstrations at test"
 """The privilege of methods whose policies receive demonstrations."""
+OTHER_SCENES: Final = "other scenes"
+"""The privilege of methods that learn in other scenes than the demo scene."""
 PLAIN: Final = {
     "split": ("test", "on the split {}, but entries must be played on test"),
     "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
@@ -177,12 +180,18 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
     runs: Annotated[list[Natural], Meta(min_length=1)]
     episodes: Columns
     sha256: str
+    played_in: Annotated[list[Annotated[str, Meta(pattern=r"^\w{1,80}$(?!\n)")]], Meta(max_length=20)] = []
 
 
 class Entry(EntryFields, frozen=True):
-    """The results of one method. Episodes read from a file have no duration, and no individual versions."""
+    """The results of one method. Episodes read from a file have no duration, and no individual versions.
+
+    `played_in` names the variants, apart from Demo, whose scenes its policies played in their training, as far as the
+    evaluations recorded them.
+    """
 
     episodes: list[EpisodeResult]
+    played_in: list[str] = []
 
     @property
     def method(self) -> str:
@@ -193,6 +202,11 @@ class Entry(EntryFields, frozen=True):
     def runs(self) -> list[int]:
         """The numbers of its runs."""
         return sorted({episode.run for episode in self.episodes})
+
+    @property
+    def undeclared(self) -> str:
+        """The problem that its card lacks a privilege. Empty if it lacks none, as far as is known."""
+        return _undeclared(self.card, self.played_in)
 
     @property
     def counted(self) -> list[EpisodeResult]:
@@ -292,10 +306,10 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
 
 
 def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
-    """Raises a `SettingsError` if the card does not name the set of demonstrations from which the policies learnt.
+    """Raises a `SettingsError` if the card does not declare what the policies learnt from.
 
-    Evaluations know it of the trainings of this package only, and record set 1 for other policies, such as ONNX files.
-    So a card may declare another set for these.
+    This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
+    package only, and record set 1 and no play for other policies. So a card may declare another set for these.
     """
     known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
     learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
@@ -305,6 +319,21 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
             f"{method} learnt from demonstrations of set {numbers}, but the card has [demonstrations] loaded_set = "
             f"{card.demonstrations.loaded_set}: declare the set, and submit policies of one set only"
         )
+    if problem := _undeclared(card, _played_in(folders, method)):
+        raise SettingsError(f"{method} {problem}")
+
+
+def _played_in(folders: Sequence[Path], method: str) -> list[str]:
+    """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
+    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
+
+
+def _undeclared(card: Card, played_in: Sequence[str]) -> str:
+    """The problem that a card does not declare play in these variants; empty if it does, or there are none."""
+    if not played_in or OTHER_SCENES in (card.privileges or ()):
+        return ""
+    return f'played in scenes of {", ".join(played_in)} while it learnt: add "{OTHER_SCENES}" to the card\'s privileges'
 
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
@@ -331,6 +360,7 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         _common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
         Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
         episodes,
+        _played_in(folders, episodes[0].policy),
     )
 
 
@@ -363,6 +393,8 @@ def packed(entry: Entry) -> bytes:
             environment = f"{episode.task}-{episode.variant} {episode.shift}".rstrip()
             column[environment].append(getattr(episode, field))
     fields = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
+    if not entry.played_in:  # older versions did not write it
+        del fields["played_in"]
     content = {**fields, "format": FORMAT, "runs": entry.runs, "episodes": columns}
     text = _text({**content, "sha256": hashlib.sha256(_text(content)).hexdigest()})
     return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
@@ -402,7 +434,8 @@ def read_entry(path: Path | str) -> Entry:
     known = [[getattr(entry.versions, name) for entry in parts.values()] for name in Versions.__struct_fields__]
     versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
     episodes = [row for entry in parts.values() for row in entry.episodes]
-    return Entry(card, observations, rules, protocol, versions, episodes)
+    played_in = sorted({name for entry in parts.values() for name in entry.played_in})
+    return Entry(card, observations, rules, protocol, versions, episodes, played_in)
 
 
 def _content(path: Path, most: int) -> bytes:
@@ -438,7 +471,8 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
-    return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
+    shared = (getattr(content, name) for name in EntryFields.__struct_fields__)
+    return Entry(*shared, episodes, content.played_in)
 
 
 def _check_name(method: str, name: object) -> None:

@@ -66,6 +66,8 @@ class PlayedPolicy(TypedDict):
     sha256: NotRequired[str]
     code: NotRequired[str]
     given: NotRequired[str]
+    demonstration_set: NotRequired[Natural]
+    played_in: NotRequired[str]
 
 
 class Played(TypedDict):
@@ -476,12 +478,21 @@ def recorded_policies(settings: Mapping[str, Any]) -> list[tuple[str, str, int, 
 
 
 def recorded_sets(settings: Mapping[str, Any]) -> dict[str, set[int]]:
-    """Method -> the sets of the package's demonstrations from which its policies learnt, in an evaluation."""
-    sets: dict[str, set[int]] = defaultdict(set)
-    rows = settings.get("policies", ())
-    for row, (_, method, _, _) in zip(rows, recorded_policies(settings), strict=True):
-        sets[method].add(row.get("demonstration_set", 1))
-    return sets
+    """Name -> the sets of the package's demonstrations from which the policies of an evaluation learnt."""
+    return _recorded(settings, "demonstration_set", 1)
+
+
+def recorded_variants(settings: Mapping[str, Any]) -> dict[str, set[str]]:
+    """Name -> the variants whose scenes the policies of an evaluation played in their training."""
+    return _recorded(settings, "played_in", "Demo")
+
+
+def _recorded(settings: Mapping[str, Any], fact: str, usual: Any) -> dict[str, set[Any]]:
+    """Name -> the values of a recorded fact about the policies with this name. The usual value is not recorded."""
+    values: dict[str, set[Any]] = defaultdict(set)
+    for row in settings.get("policies", ()):
+        values[row["name"]].add(row.get(fact, usual))
+    return values
 
 
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:

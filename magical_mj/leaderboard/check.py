@@ -112,12 +112,16 @@ def verify(
 
 @dataclass(frozen=True)
 class _Stored:
-    """The settings and episodes of an evaluation's folder, or of an entry, whose settings are partly unknown."""
+    """The settings and episodes of an evaluation's folder, or of an entry, whose settings are partly unknown.
+
+    `undeclared` is the problem that an entry's card lacks a privilege.
+    """
 
     path: Path
     settings: Mapping[str, Any]
     episodes: Sequence[EpisodeResult]
     is_entry: bool
+    undeclared: str = ""
 
     @property
     def environments(self) -> set[Pair]:
@@ -136,7 +140,7 @@ class _Stored:
 def _stored(path: Path) -> _Stored:
     if is_entry(path):
         entry = read_entry(path)
-        return _Stored(path, {"protocol": entry.protocol}, entry.episodes, is_entry=True)
+        return _Stored(path, {"protocol": entry.protocol}, entry.episodes, is_entry=True, undeclared=entry.undeclared)
     return _Stored(path, recorded_settings(path), read(path), is_entry=False)
 
 
@@ -157,6 +161,7 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     if others := {episode.split for episode in episodes} - {"test"}:
         problems.append(f"split: results must be from test, but it was played on {', '.join(sorted(others))}")
     if part.is_entry:
+        problems += [f"it {part.undeclared}"] if part.undeclared else []
         return problems + ([] if settings["protocol"] == PROTOCOL else ["the protocol's number is not recorded"])
     required = {"demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
     if settings.get("protocol") is None:  # another number is an obstacle
@@ -165,8 +170,8 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
         problems += [f"{name}: {recorded}, but it must be {value!r}" for value in others]
-    sets = ((method, number) for method, numbers in recorded_sets(settings).items() for number in sorted(numbers - {1}))
-    problems += [f"{method} learnt from demonstrations of set {n}, but the protocol uses set 1" for method, n in sets]
+    sets = ((name, number) for name, numbers in recorded_sets(settings).items() for number in sorted(numbers - {1}))
+    problems += [f"{name} learnt from demonstrations of set {n}, but the protocol uses set 1" for name, n in sets]
     problems += _contradictions(settings, part.environments, part.runs, episodes)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [
@@ -272,6 +277,8 @@ def check_entries(
     chosen: list[Recorded] = []
     for name, entry in entries.items():
         findings[name] = Findings(unfit=[] if entry.protocol == PROTOCOL else ["the protocol's number is not recorded"])
+        if entry.undeclared:
+            findings[name].unfit.append(f"it {entry.undeclared}")
         if not entry.counted:
             findings[name].unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
         episodes = entry.episodes

@@ -18,7 +18,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.policies.interface import HISTORY, Episode
-from magical_mj.policies.loading import demonstration_set, loader_in, policy_in
+from magical_mj.policies.loading import demonstration_set, loader_in, played_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
@@ -121,7 +121,7 @@ class _Logits(nn.Module):
 def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
     """Writes the policy of a training as an ONNX file.
 
-    Its metadata contain the task, the preset, and the set of the package's demonstrations.
+    Its metadata contain the task, the preset, the set of the package's demonstrations, and the variant that it played.
 
     The input `observations` contains stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
     float32, oldest first. At the start of an episode, its first state is repeated for the missing earlier ones. The
@@ -159,8 +159,8 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
             part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
-        learnt = str(demonstration_set(folder))
-        program.model.metadata_props.update(task=task, preset=policy.preset, demonstration_set=learnt)
+        learnt = {"demonstration_set": str(demonstration_set(folder)), "played_in": played_in(folder)}
+        program.model.metadata_props.update(task=task, preset=policy.preset, **learnt)
         program.save(unfinished, external_data=False)
     return out
 

@@ -31,7 +31,7 @@ from magical_mj.policies.interface import (
 )
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
-from magical_mj.tasks.registry import Pair, task_spec
+from magical_mj.tasks.registry import EVERY_VARIANT, Pair, task_spec
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import announced, imported, reference_in_folder, source_of
@@ -74,6 +74,7 @@ class Source:
         unnoticed: the effects of shifts that it cannot notice.
         shown: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
+        played_in: the variant whose scenes it played in its training, if it is known.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -87,6 +88,7 @@ class Source:
     unnoticed: frozenset[Effect] = frozenset()
     shown: bool = False
     demonstration_set: int = 1
+    played_in: str = "Demo"
     needs_plan: bool = False
 
     def load(self) -> Act:
@@ -134,7 +136,8 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        learnt = {} if self.demonstration_set == 1 else {"demonstration_set": self.demonstration_set}
+        learnt: dict[str, Any] = {} if self.demonstration_set == 1 else {"demonstration_set": self.demonstration_set}
+        learnt |= {} if self.played_in == "Demo" else {"played_in": self.played_in}
         return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt}
 
     def _hash(self) -> dict[str, str]:
@@ -220,6 +223,7 @@ def playable(
         facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
         facts["needs_plan"] = getattr(policy, "needs_plan", False)
         facts["demonstration_set"] = getattr(policy, "demonstration_set", None) or demonstration_set(source.origin)
+        facts["played_in"] = getattr(policy, "played_in", "") or played_in(source.origin)
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
         checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked
@@ -227,14 +231,26 @@ def playable(
 
 def demonstration_set(origin: object) -> int:
     """The set of the package's demonstrations of the training in a folder, according to its settings; otherwise 1."""
-    path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
-    if not path.is_file():
-        return 1
-    part = read_toml(path).get("demos")
-    number = as_integer(part.get("set", 1), 1) if isinstance(part, dict) else 1
+    value = _setting(origin, "demos", "set", 1)
+    number = as_integer(value, 1)
     if number is None:
-        raise SettingsError(f"demos.set in {path} must be a number of a set, not {short_repr(part)}")
+        raise SettingsError(f"demos.set in {origin}/{CONFIG} must be a number of a set, not {short_repr(value)}")
     return number
+
+
+def played_in(origin: object) -> str:
+    """The variant whose scenes the training in a folder played, according to its settings; otherwise "Demo"."""
+    value = _setting(origin, "reward", "variant", "Demo")
+    if not isinstance(value, str) or value not in EVERY_VARIANT:
+        raise SettingsError(f"reward.variant in {origin}/{CONFIG} must be a variant, not {short_repr(value)}")
+    return value
+
+
+def _setting(origin: object, part: str, name: str, usual: Any) -> Any:
+    """A setting of the training in a folder. The usual value if there is none."""
+    path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
+    known = read_toml(path).get(part) if path.is_file() else None
+    return known.get(name, usual) if isinstance(known, dict) else usual
 
 
 def statistics_of(origin: object) -> Path | None:

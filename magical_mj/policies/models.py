@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from magical_mj.policies.interface import HISTORY, Episode, History, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import MissingExtraError, SettingsError
+from magical_mj.tasks.registry import EVERY_VARIANT
+from magical_mj.utils.errors import MissingExtraError, SettingsError, check_name
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
@@ -68,11 +69,13 @@ class Model:
         tasks: the tasks of its training. Missing if the file does not contain them.
         preset: the preset of its training. Missing if the file does not contain it.
         demonstration_set: the set of the package's demonstrations of its training. Missing if it is unknown.
+        played_in: the variant whose scenes its training played. Missing if it is unknown.
     """
 
     tasks: tuple[str, ...]
     preset: str
     demonstration_set: int
+    played_in: str
 
     def __init__(
         self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
@@ -331,6 +334,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         model.tasks, model.preset = (known["task"],), known["preset"]
         learnt = known.get("demonstration_set", "")
         model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
+        model.played_in = known.get("played_in", "Demo")
+        check_name("variant", model.played_in, EVERY_VARIANT)
     return model
 
 

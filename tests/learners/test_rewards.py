@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,8 +13,11 @@ import torch
 from torch import Tensor
 
 from magical_mj import demos
+from magical_mj.evaluation import evaluate
+from magical_mj.leaderboard import check_entries, read_entry, submit, verify
 from magical_mj.learners import train
 from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.policy import export_policy
 from magical_mj.learners.rewards import (
     KINDS,
     OnLearntReward,
@@ -129,6 +133,35 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     learner.close()
     reward.close()
     check_resumes("ppo", {"preset": "State", "reward.run": tmp_path / "gail", "reward.variant": "Layout"}, tmp_path)
+
+
+def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: Path) -> None:
+    """An evaluation records it, also of an exported policy, and an entry keeps it when its card changes."""
+    train(from_states(method="iq-learn"), tmp_path / "iq")
+    for variant in ("Demo", "Layout"):
+        chosen = {"preset": "State", "reward.run": tmp_path / "iq", "reward.variant": variant}
+        train(playing("ppo", **chosen), tmp_path / variant)
+    export_policy(tmp_path / "Layout", tmp_path / "exported.onnx")
+    card = tmp_path / "card.toml"
+    card.write_text('privileges = ["states", "simulator in training"]')
+    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
+    for name in ("Demo", "Layout", "exported.onnx"):
+        evaluate({"PPO": tmp_path / name}, out=tmp_path / f"scores of {name}", **where)
+        if name != "Demo":
+            with pytest.raises(SettingsError, match=r'PPO played in scenes of Layout while .* add "other scenes" to'):
+                submit([tmp_path / f"scores of {name}"], tmp_path / "entry.json.xz", card=card)
+    assert submit([tmp_path / "scores of Demo"], tmp_path / "demo.json.xz", card=card).played_in == []
+    assert b"played_in" not in lzma.decompress((tmp_path / "demo.json.xz").read_bytes())
+    card.write_text('method = "PPO"\nprivileges = ["other scenes"]')
+    (tmp_path / "entry").mkdir()
+    submit([tmp_path / "scores of Layout"], tmp_path / "entry" / "layout.json.xz", card=card)
+    card.rename(tmp_path / "entry" / "card.toml")
+    assert read_entry(tmp_path / "entry").played_in == ["Layout"]
+    assert not check_entries({"": read_entry(tmp_path / "entry")}, jobs=1)[""].unfit
+    (tmp_path / "entry" / "card.toml").write_text('method = "PPO"\nprivileges = ["states"]')
+    problem = 'it played in scenes of Layout while it learnt: add "other scenes" to the card\'s privileges'
+    assert check_entries({"": read_entry(tmp_path / "entry")}, jobs=1)[""].unfit == [problem]
+    assert verify(tmp_path / "entry", jobs=1).unfit == [problem]
 
 
 def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:

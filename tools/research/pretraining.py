@@ -1,13 +1,14 @@
 """Does variation in other tasks teach a policy what to ignore? Pretraining on k tasks, then BC on another one.
 
     python -m tools.research.pretraining --out runs/pretraining [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 5]
+    python -m tools.pretraining runs/pretraining    # stores the scores for the table of docs/learners.md
 
 For each held-out task, number k of other tasks and seed:
 
 1. a policy with a head for each of k random other tasks clones the expert from states, in all variants of these tasks.
    Its demonstrations start in scenes of the dev split, and are cached for all runs;
 2. a policy for the held-out task starts with the layers below the head, and clones 10 demonstrations of the demo scene;
-3. it plays the test scenes of all variants of the held-out task.
+3. it plays the test scenes of the held-out task.
 
 With k = 0, step 1 is left out. Each result is a line of OUT/scores.jsonl. Called again, the command continues, and
 prints the means so far.
@@ -19,6 +20,7 @@ import argparse
 import json
 import zlib
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,20 +41,18 @@ TRAINED_IN: Final = 1_000
 
 
 def others(held_out: str, count: int, seed: int) -> tuple[str, ...]:
-    """Random other tasks."""
+    """Random other tasks. Those of a smaller number are among those of a larger one."""
     rng = np.random.default_rng([seed, zlib.crc32(held_out.encode())])
     return tuple(rng.permutation([task for task in TASKS if task != held_out]).tolist()[:count])
 
 
-def demonstrations(tasks: Sequence[str], scenes: int, path: Path) -> dict[str, list[Demonstration]]:
-    """The expert's demonstrations in this number of scenes of each variant of the tasks."""
-    found: dict[str, list[Demonstration]] = {}
-    for task in tasks:
-        first = SPLITS["dev"] + TRAINED_IN
-        variants = [variant for name, variant in ENVIRONMENTS if name == task]
-        keys = [(task, variant, first + number) for variant in variants for number in range(scenes)]
-        found[task] = [stored.replay(one, path) for one in stored.complete(keys, path, jobs=1)]
-    return found
+@cache
+def demonstrations(task: str, scenes: int, path: Path) -> Sequence[Demonstration]:
+    """The expert's demonstrations in this number of scenes of each variant of a task."""
+    first = SPLITS["dev"] + TRAINED_IN
+    variants = [variant for name, variant in ENVIRONMENTS if name == task]
+    keys = [(task, variant, first + number) for variant in variants for number in range(scenes)]
+    return [stored.replay(one, path) for one in stored.complete(keys, path, jobs=1)]
 
 
 def trained(learner: BehaviouralCloning) -> BehaviouralCloning:
@@ -62,8 +62,8 @@ def trained(learner: BehaviouralCloning) -> BehaviouralCloning:
     return learner
 
 
-def result(held_out: str, count: int, seed: int, options: argparse.Namespace) -> dict[str, float]:
-    """The mean score in each variant of the held-out task."""
+def result(held_out: str, count: int, seed: int, options: argparse.Namespace) -> dict[str, list[float]]:
+    """The score of each episode in each variant of the held-out task, in the order of the scenes."""
     learner = BehaviouralCloning(
         load_settings("bc", held_out, preset="State", seed=seed, device="cpu", **{"bc.batches": options.batches})
     )
@@ -72,15 +72,17 @@ def result(held_out: str, count: int, seed: int, options: argparse.Namespace) ->
         settings = load_settings(
             "bc", known, preset="State", seed=seed, device="cpu", **{"bc.batches": options.pretraining}
         )
-        before = BehaviouralCloning(settings, demonstrations(known, options.scenes, options.out / "experts.jsonl"))
+        path = options.out / "experts.jsonl"
+        before = BehaviouralCloning(settings, {task: demonstrations(task, options.scenes, path) for task in known})
         learner.actor.torso.load_state_dict(trained(before).actor.torso.state_dict())
     policy = trained(learner).policy()
-    frame = evaluate(policy, tasks=held_out, episodes=options.episodes, preset="State", jobs=1)
-    return {str(variant): float(mean) for variant, mean in frame.groupby("variant")["score"].mean().items()}
+    played = {"tasks": held_out, "variants": options.variants, "episodes": options.episodes}
+    frame = evaluate(policy, preset="State", jobs=1, **played).sort_values("seed")
+    return {str(variant): scores.tolist() for variant, scores in frame.groupby("variant")["score"]}
 
 
-def main() -> None:
-    """Computes what is missing, and prints the means."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Computes what is missing, and prints the means. By default, the arguments are those of the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--held-out", default=",".join(TASKS))
@@ -89,12 +91,13 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=10, help="demonstrations of each variant of the other tasks")
     parser.add_argument("--pretraining", type=int, default=12_000, help="batches on the other tasks")
     parser.add_argument("--batches", type=int, default=6_000, help="batches on the held-out task")
+    parser.add_argument("--variants", default="all", help="variants of the held-out task")
     parser.add_argument("--episodes", type=int, default=100)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     path = options.out / "scores.jsonl"
-    budget = {name: getattr(options, name) for name in ("scenes", "pretraining", "batches", "episodes")}
+    budget = {name: getattr(options, name) for name in ("scenes", "pretraining", "batches", "variants", "episodes")}
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     numbers = [int(text) for text in options.tasks.split(",")]
     tasks: list[str] = options.held_out.split(",")
@@ -105,12 +108,12 @@ def main() -> None:
             with path.open("a") as file:
                 file.write(json.dumps(done[-1]) + "\n")
     rows = [
-        {"tasks": row["tasks"], "held_out": row["held_out"], **row["scores"]}
+        {"tasks": row["tasks"], **{variant: np.mean(scores) for variant, scores in row["scores"].items()}}
         for row in done
         if budget.items() <= row.items() and row["tasks"] in numbers
     ]
-    frame = pd.DataFrame(rows).groupby(["tasks", "held_out"]).mean()
-    print(frame.reindex(columns=[variant for variant in VARIANTS if variant in frame]).groupby("tasks").mean().round(2))
+    frame = pd.DataFrame(rows).groupby("tasks").mean()
+    print(frame.reindex(columns=[variant for variant in VARIANTS if variant in frame]).round(2))
 
 
 if __name__ == "__main__":
