@@ -471,8 +471,15 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
-    shared = (getattr(content, name) for name in EntryFields.__struct_fields__)
-    return Entry(*shared, episodes, content.played_in)
+    return Entry(
+        content.card,
+        content.observations,
+        content.rules,
+        content.protocol,
+        content.versions,
+        episodes,
+        content.played_in,
+    )
 
 
 def _check_name(method: str, name: object) -> None:
