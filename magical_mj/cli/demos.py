@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
@@ -22,11 +23,12 @@ from magical_mj.cli.console import (
     check_writable,
     complain,
     console,
+    counting,
+    how_to_continue,
     make_writable_folder,
     with_bar,
 )
 from magical_mj.cli.film import film
-from magical_mj.cli.intents import intents
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
@@ -89,8 +91,32 @@ DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with 
 AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
 Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
 
+Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; several with commas.")]
+PerIntent = Annotated[
+    int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
+]
+Scenes = Annotated[
+    int | None,
+    typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
+]
+IntentTarget = Annotated[
+    Literal["npz", "lerobot", "webdataset"] | None,
+    typer.Option(
+        metavar="FORMAT",
+        help="npz (a numpy archive), lerobot or webdataset (an archive).",
+        show_default="only the actions are stored",
+    ),
+]
+IntentFile = Annotated[
+    Path | None, typer.Option("--out", help="The file or the folder.", show_default="by intents and preset")
+]
+IntentPreset = Annotated[str, typer.Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
+Actions = Annotated[
+    Path | None,
+    typer.Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
+]
+
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
-app.command(name="intents")(intents)
 
 
 @app.callback(invoke_without_command=True)
@@ -441,6 +467,46 @@ def export(
         console().print(target, soft_wrap=True)
         if to == "minari":
             console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
+
+
+@app.command(name="intents")
+def make_intents(
+    context: typer.Context,
+    intents: Intents = "train",
+    per_intent: PerIntent = 5,
+    scenes: Scenes = None,
+    variants: option.Variants = "Demo",
+    to: IntentTarget = None,
+    out: IntentFile = None,
+    preset: IntentPreset = "State",
+    folder: Actions = None,
+    jobs: option.Jobs = None,
+    force: option.Force = False,
+) -> None:
+    """Make demonstrations of intents by the expert; --to exports them. Called again, the command continues."""
+    from magical_mj.demos.export import default_target, make_data_set
+    from magical_mj.intents.expert_data import dataset
+
+    check_fits(context, to is not None, "with --to", "out", "preset", "force")
+    screen, start = console(), time.monotonic()
+    target = "" if to is None else str(out or default_target(to, f"intents-{intents}", [], preset))
+    if to is not None:
+        _check_target(to, target, set(), force and to != "lerobot")
+    with how_to_continue(screen, "the same command continues"), counting(screen, "demonstrating") as watch:
+        data = dataset(
+            intents, per_intent, preset, scenes=scenes, variants=variants, folder=folder, jobs=jobs, watch=watch
+        )
+    number = len({stored.task for stored in data.stored})
+    screen.print(
+        f"{counted(len(data), 'demonstration')} of {counted(number, 'intent')} in {data.path}, "
+        f"{time.monotonic() - start:.0f} s",
+        soft_wrap=True,
+    )
+    if to is not None:
+        replayed = map(data.demonstration, range(len(data)))
+        demos = list(with_bar(screen, "replaying", replayed, len(data)))
+        make_data_set(to, demos, target, preset, overwrite=force)
+        screen.print(target, soft_wrap=True)
 
 
 def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
