@@ -1,7 +1,7 @@
-"""Compares the pictures of batched environments with the software renderer's, byte by byte.
+"""Compares the pictures and segmentations of batched environments with the software renderer's, byte by byte.
 
     python tools/batched_pictures.py --scenes 200
-    python tools/batched_pictures.py --scenes 60 --size 48 --shifts camera:3,light:3,texture:3,palette:3
+    python tools/batched_pictures.py --scenes 60 --size 48 --shifts camera:3,light:3,texture:3,palette:3,sensor:3
     python tools/batched_pictures.py --scenes 2000 --device cuda
 
 Without `--device`, numba-cuda's simulator runs the accelerator's kernel in Python, with a thread for each of its
@@ -17,7 +17,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -27,84 +26,94 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.scene.state_vector import VIEWS
-from magical_mj.shifts.episode import EpisodeShifts, draw_shifts
+from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.registry import parse_shifts
 
 if TYPE_CHECKING:
-    from magical_mj.batched.scenes import BatchScenes
+    from magical_mj.batched.scenes import Arrays, BatchScenes
 
 ROOT: Final = Path(__file__).parent.parent
+ALL_VIEWS: Final = (*VIEWS, *SEGMENTATIONS)
+STEPS: Final = 2
+"""The number of steps before the pictures, since shifts may change with the step."""
+Pictures = dict[str, "NDArray[np.uint8]"]
 SIMULATED: Final = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
 
 
 def different_bytes(count: int, size: int, shifts: str = "", device: str | None = None) -> int:
-    """The number of bytes in which the pictures of this many scenes differ, both views.
+    """The number of bytes in which the pictures and segmentations of this many scenes differ, both views.
 
     Args:
-        count: the number of scenes: those of seeds 0, 1, 2... of all environments in turn.
+        count: the number of scenes: those of the seeds 0, 1, 2..., of all environments in turn.
         size: pixels per side.
         shifts: shifts with strengths.
         device: the device that draws the batch; None: numba-cuda's simulator.
     """
     from magical_mj.batched.scenes import BatchScenes, Capacity
+    from magical_mj.batched.tables import episode_tables
 
     pairs, strengths = magical_mj.ENVIRONMENTS, parse_shifts(shifts)
-    drawn = [(*pairs[index % len(pairs)], index // len(pairs)) for index in range(count)]
-    scenes = [magical_mj.sample_scene(*each) for each in drawn]
-    batch, seeds = BatchScenes.of(scenes, *Capacity.of(scenes)), [seed for *_, seed in drawn]
-    draw = _simulated if device is None else partial(_on_device, device)
-    pictures, different = draw(batch, {name: int(strengths[name]) for name in strengths}, seeds, size), 0
-    for number, (task, variant, seed) in enumerate(drawn):
+    drawn = [(*pairs[index % len(pairs)], index) for index in range(count)]
+    wanted: dict[str, list[NDArray[np.uint8]]] = {view: [] for view in ALL_VIEWS}
+    scenes: list[magical_mj.Scene] = []
+    for task, variant, seed in drawn:
         with closing(magical_mj.Engine(task, variant, seed=seed, renderer="software", shifts=shifts)) as engine:
-            for view, name in enumerate(VIEWS):
-                different += int(np.count_nonzero(engine.render(name, size) != pictures[view, number]))
-    return different
+            for _ in range(STEPS):
+                engine.step(1)
+            scenes.append(engine.scene)
+            for view in ALL_VIEWS:
+                wanted[view].append(engine.render(view, size))
+    batch, seeds = BatchScenes.of(scenes, *Capacity.of(scenes)), [seed for *_, seed in drawn]
+    tables = episode_tables(batch, seeds, {name: int(strengths[name]) for name in strengths}, STEPS + 1)
+    pictures = (_simulated if device is None else partial(_on_device, device))(batch, tables, size)
+    return sum(np.count_nonzero(np.stack(wanted[view]).reshape(out.shape) != out) for view, out in pictures.items())
 
 
-def _on_device(
-    device: str, batch: BatchScenes, strengths: Mapping[str, int], seeds: Sequence[int], size: int
-) -> NDArray[np.uint8]:
-    """The pictures that a device draws, shape (views, scenes, size, size, 3)."""
+def blank(count: int, size: int) -> Pictures:
+    """Black pictures of this many scenes: a batch for each view."""
+    return {view: np.zeros((count, size, size, 3 if view in VIEWS else 1), np.uint8) for view in ALL_VIEWS}
+
+
+def _on_device(device: str, batch: BatchScenes, tables: Arrays, size: int) -> Pictures:
+    """The pictures that a device draws."""
     import torch
 
     from magical_mj.batched.pictures import Painter
 
-    painter = Painter(batch, device, strengths, seeds)
-    out = torch.zeros((len(VIEWS), len(seeds), size, size, 3), dtype=torch.uint8, device=device)
+    painter = Painter(batch, tables, device)
+    painter.set_steps(torch.full((len(batch.poses),), STEPS))
     poses, fingers = (torch.from_numpy(values).to(device) for values in (batch.poses, batch.fingers))
-    for view, pictures in zip(VIEWS, out, strict=True):
-        painter.draw(view, poses, fingers, pictures)
-    return out.cpu().numpy()
+    drawn = {view: torch.from_numpy(out).to(device) for view, out in blank(len(poses), size).items()}
+    for view, out in drawn.items():
+        painter.draw(view, poses, fingers, out)
+    return {view: out.cpu().numpy() for view, out in drawn.items()}
 
 
-def _simulated(batch: BatchScenes, strengths: Mapping[str, int], seeds: Sequence[int], size: int) -> NDArray[np.uint8]:
+def _simulated(batch: BatchScenes, tables: Arrays, size: int) -> Pictures:
     """The pictures that numba-cuda's simulator draws in a process of its own."""
-    from magical_mj.batched.pictures import most_corners, tables
+    from magical_mj.batched.tables import all_tables, most_corners
 
-    episodes = [EpisodeShifts(draw_shifts(strengths, seed)) for seed in seeds if strengths]
-    arrays: dict[str, Any] = {
-        name: np.ascontiguousarray(table) for name, table in tables(batch, episodes)._asdict().items()
-    }
+    arrays: dict[str, Any] = {name: np.ascontiguousarray(table) for name, table in all_tables(batch, tables).items()}
     with tempfile.TemporaryDirectory() as folder:
-        given, result = Path(folder, "tables.npz"), Path(folder, "pictures.npy")
+        given, result = Path(folder, "tables.npz"), Path(folder, "pictures.npz")
         np.savez(given, **arrays, room=most_corners(batch), size=size, poses=batch.poses, fingers=batch.fingers)
         subprocess.run([sys.executable, __file__, "--simulate", given, result], env=os.environ | SIMULATED, check=True)
-        return np.load(result)
+        return dict(np.load(result))
 
 
 def simulate(given: Path, result: Path) -> None:
     """Draws with the simulator."""
     from magical_mj.batched.accelerator import launch
-    from magical_mj.batched.pictures import Tables
+    from magical_mj.batched.tables import Faults, Tables
 
     arrays = np.load(given)
     tables = Tables(*(arrays[name] for name in Tables._fields))
-    envs, size = len(tables.polygons), int(arrays["size"])
-    pictures = np.zeros((len(VIEWS), envs, size, size, 3), np.uint8)
-    for view, out in enumerate(pictures):
-        launch(tables, int(arrays["room"]), arrays["poses"], arrays["fingers"], view, np.arange(envs), out)
-    np.save(result, pictures)
+    faults = Faults(*(arrays[name] for name in Faults._fields)) if "sensors" in arrays else None
+    count, room = len(tables.polygons), int(arrays["room"])
+    posed, pictures = (arrays["poses"], arrays["fingers"], np.full(count, STEPS)), blank(count, int(arrays["size"]))
+    for view, out in pictures.items():
+        launch(tables, faults, room, posed, view, np.arange(count), out)
+    np.savez(result, **pictures)
 
 
 def main() -> int:
@@ -121,7 +130,7 @@ def main() -> int:
         return 0
     different = different_bytes(chosen.scenes, chosen.size, chosen.shifts, chosen.device)
     shifted = f", {chosen.shifts}" if chosen.shifts else ""
-    print(f"{chosen.scenes} scenes, {len(VIEWS)} views, {chosen.size} pixels{shifted}: {different} bytes differ")
+    print(f"{chosen.scenes} scenes, {len(ALL_VIEWS)} views, {chosen.size} pixels{shifted}: {different} bytes differ")
     return int(different > 0)
 
 

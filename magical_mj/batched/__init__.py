@@ -55,9 +55,10 @@ def make(
         rules: "paper" or "released".
         reward: "none", or "score" for the score as reward at the last step.
         autoreset_mode: `gymnasium.vector.AutoresetMode.SAME_STEP` or `DISABLED`.
-        workers: processes that sample scenes in advance. 0 samples a scene when it is needed, in half a millisecond.
+        workers: processes that sample scenes in advance. 0 samples a scene when it is needed, in half a millisecond,
+            with shifts in two.
         shifts: shifts of the pictures and their strengths, such as ``"camera:3,light:2"``. The values of an episode
-            are those of its seed, as in single environments. The shift `sensor` needs the device "cpu".
+            are those of its seed, as in single environments.
 
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any, Final
 
 import gymnasium
@@ -18,7 +19,8 @@ from torch import Tensor
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.pictures import check_accelerator
-from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler, sample
+from magical_mj.batched.scenes import BatchScenes, Capacity, Episodes, Prepare, Sampler, sample
+from magical_mj.batched.tables import constant_states, episode_tables
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
 from magical_mj.envs.vector import check_mask, environment_seeds
@@ -91,11 +93,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed = check_seed(seed)
         self._rules: Rules = check_rules(rules)
         observed = preset_named(preset)
-        if observed.depth == 1:
-            raise SettingsError(f"batched environments cannot draw segmentations: choose another preset than {preset}")
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
-        strengths = check_shifts(shifts, pairs, self.device, pictures=observed.layout != "state")
+        strengths = check_shifts(shifts, pairs, pictures=observed.layout != "state")
         if observed.layout != "state":
             check_accelerator(self.device)
         self._specs = [task_spec(task) for task, _ in pairs]
@@ -115,16 +115,26 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
 
         capacity = Capacity.of_environments(pairs)
-        self._seeds = [0] * self.num_envs
-        self._scenes = sample(pairs, self._seeds, capacity)
-        self._sampler = SceneSampler(pairs, capacity, workers)
+        in_states = observed.layout == "state"
+        steps = 1 + int(self._horizons.max())
+        self._prepare: Prepare = (
+            partial(constant_states, start=observed.start)
+            if in_states
+            else partial(episode_tables, shifts=strengths, steps=steps)
+        )
+        self._sampler = Sampler(pairs, capacity, self._prepare, workers)
         self._sampler.seed(seed)
+        self._seeds = [0] * self.num_envs
+        kinds = {pair: row for row, pair in enumerate(dict.fromkeys(pairs))}
+        first, rows = sample(list(kinds), [0] * len(kinds), capacity), np.array([kinds[pair] for pair in pairs])
+        episodes = {name: values[rows] for name, values in self._prepare(first, [0] * len(kinds)).items()}
+        self._scenes = first[rows]
         self.physics = Physics(self._scenes, self.device)
-        self.observer: States | Frames
-        if observed.layout == "state":
-            self.observer = States(observed, self.num_envs, self.device)
-        else:
-            self.observer = Frames(observed, size, self._scenes, self.device, strengths, self._seeds)
+        self.observer: States | Frames = (
+            States(observed, episodes, self.device)
+            if in_states
+            else Frames(observed, size, self._scenes, episodes, self.device)
+        )
         self.single_observation_space = self.observer.space
         self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
@@ -159,19 +169,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _begin(self, envs: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(envs, dtype=torch.int64, device=self.device)
         if envs:
-            chosen = self._sampler.next_seeds(envs) if seeds is None else seeds
-            self._put(self._sampler.scenes(envs, seeds), where, chosen)
+            self._put(self._sampler.episodes(envs, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
         return self.observer.observe_start(self.physics, where)
 
-    def _put(self, scenes: BatchScenes, envs: Tensor, seeds: Sequence[int]) -> None:
-        """Places the scenes of these seeds into these environments, at rest."""
-        for env, seed in zip(envs.tolist(), seeds, strict=True):
+    def _put(self, episodes: Episodes, envs: Tensor) -> None:
+        """Starts these episodes in these environments."""
+        for env, seed in zip(envs.tolist(), episodes.seeds, strict=True):
             self._seeds[env] = seed
-        self._scenes.write(scenes, envs.cpu().numpy())
-        self.physics.reset(scenes, envs)
-        self.observer.set_scenes(scenes, envs, seeds)
+        self._scenes.write(episodes.scenes, envs.cpu().numpy())
+        self.physics.reset(episodes.scenes, envs)
+        self.observer.set_episodes(episodes.prepared, envs)
 
     def get_state(self) -> dict[str, Any]:
         """The state of all environments, including the pictures in the stacks, as tensors, arrays and plain values."""
@@ -200,7 +209,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         check_state(state, self.get_state())
-        self._put(BatchScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device), state["seeds"])
+        scenes, seeds = BatchScenes(**state["scenes"]), state["seeds"]
+        every = torch.arange(self.num_envs, device=self.device)
+        self._put(Episodes(scenes, seeds, self._prepare(scenes, seeds)), every)
         self._sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]
@@ -311,19 +322,18 @@ def arrays(value: Any) -> Any:
     return value
 
 
-def check_shifts(shifts: Shifts, pairs: Sequence[Pair], device: str, *, pictures: bool) -> dict[str, int]:
+def check_shifts(shifts: Shifts, pairs: Sequence[Pair], *, pictures: bool) -> dict[str, int]:
     """The strengths of shifts.
 
     Raises:
-        SettingsError: if batched environments cannot draw one of them on this device, or draw no pictures.
+        SettingsError: if batched environments cannot draw one of them, or draw no pictures.
         UnknownNameError, ShiftError: see `parse_shifts`.
     """
     strengths = dict(ChainMap(*(parse_shifts(shifts, task) for task in dict.fromkeys(task for task, _ in pairs))))
-    possible = DRAWN if torch.device(device).type == "cpu" else tuple(name for name in DRAWN if name != "sensor")
-    if other := [name for name in strengths if name not in possible]:
+    if other := [name for name in strengths if name not in DRAWN]:
         raise SettingsError(
-            f"batched environments on {device} can have the shifts {', '.join(possible)}, not {other[0]}: use "
-            "gymnasium.make or make_vec"
+            f"batched environments can have the shifts {', '.join(DRAWN)}, not {other[0]}: use gymnasium.make or "
+            "make_vec"
         )
     if strengths and not pictures:
         raise SettingsError("these shifts change pictures, and the preset has none: leave them out, or choose another")

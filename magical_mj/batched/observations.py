@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import chain
 from typing import Any, Final
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from torch import Tensor
 
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import BatchScenes
+from magical_mj.batched.scenes import Arrays, BatchScenes
 from magical_mj.envs.presets import Preset, observation_space
-from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
+from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 
 Observation = Tensor | dict[str, Tensor]
 
@@ -27,16 +26,13 @@ _REGION: Final = STATE_NAMES.index("region0.present")
 class States:
     """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (envs, entries), float32."""
 
-    def __init__(self, preset: Preset, envs: int, device: str) -> None:
+    def __init__(self, preset: Preset, episodes: Arrays, device: str) -> None:
         self.space: spaces.Space[Any] = observation_space(preset, {})
-        self._start = preset.start
-        self._fixed = torch.zeros((envs, *(self.space.shape or ())), device=device)
+        self._fixed = torch.from_numpy(episodes["fixed"]).to(device, copy=True)
 
-    def set_scenes(self, scenes: BatchScenes, envs: Tensor, seeds: Sequence[int]) -> None:
-        """Starts episodes in these environments, and stores the constant entries."""
-        del seeds
-        fixed = np.stack([StateEncoder(scenes.scene(row), start=self._start).fixed for row in range(len(envs))])
-        self._fixed[envs] = torch.from_numpy(fixed).to(self._fixed)
+    def set_episodes(self, episodes: Arrays, envs: Tensor) -> None:
+        """Starts episodes in these environments, see `tables.constant_states`."""
+        self._fixed[envs] = torch.from_numpy(episodes["fixed"]).to(self._fixed)
 
     def observe(self, physics: Physics, steps: Tensor | None = None) -> Tensor:
         """The current states, in a new tensor. They do not depend on the steps of the episodes."""
@@ -69,28 +65,25 @@ class Frames:
     them in order. For presets with finger angles, the dict also contains these, float32.
     """
 
-    def __init__(
-        self, preset: Preset, size: int, scenes: BatchScenes, device: str, shifts: Mapping[str, int], seeds: list[int]
-    ) -> None:
-        self._painter = Painter(scenes, device, shifts, seeds)
-        self._preset, shape = preset, (len(scenes.shapes), size, size, 3)
+    def __init__(self, preset: Preset, size: int, scenes: BatchScenes, episodes: Arrays, device: str) -> None:
+        self._painter = Painter(scenes, episodes, device)
+        self._preset, shape = preset, (len(scenes.shapes), size, size, preset.depth)
         self._rings = {
             view: torch.zeros((count, *shape), dtype=torch.uint8, device=device) for view, count in preset.frames
         }
-        """View -> its last pictures, shape (count, envs, size, size, 3). The newest has the index `_drawn` % count."""
-        self._drawn, self._shifted = 0, bool(shifts)
+        """View -> its last frames, shape (count, envs, size, size, depth). The newest has index `_drawn` % count."""
+        self._drawn = 0
         shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self.get_state().items()}
         self.space = observation_space(preset, shapes)
 
-    def set_scenes(self, scenes: BatchScenes, envs: Tensor, seeds: Sequence[int]) -> None:
-        """Starts episodes with these scenes and seeds in these environments."""
-        self._painter.set_scenes(scenes, envs, seeds)
+    def set_episodes(self, episodes: Arrays, envs: Tensor) -> None:
+        """Starts episodes in these environments, see `tables.episode_tables`."""
+        self._painter.set_episodes(episodes, envs)
 
     def observe(self, physics: Physics, steps: Tensor) -> Observation:
         """Adds the current pictures, after so many steps of each episode, to the stacks. Returns new tensors."""
         self._drawn += 1
-        if self._shifted:
-            self._painter.set_steps(steps.tolist())
+        self._painter.set_steps(steps)
         poses, fingers = physics.poses, physics.fingers
         for view, ring in self._rings.items():
             self._painter.draw(view, poses, fingers, ring[self._drawn % len(ring)])
@@ -118,7 +111,7 @@ class Frames:
 
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Observation:
         """Restores a state, and returns its observation."""
-        pictures = chain.from_iterable(stack.split(3, dim=-1) for stack in state.values())
+        pictures = chain.from_iterable(stack.split(self._preset.depth, dim=-1) for stack in state.values())
         for ring in self._rings.values():
             for age in range(len(ring)):
                 ring[(self._drawn + 1 + age) % len(ring)] = next(pictures).to(ring)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
@@ -152,26 +152,65 @@ class BatchScenes:
             values[envs] = getattr(other, name)
 
 
+Arrays = dict[str, NDArray[Any]]
+"""Arrays by name, which have a row for each environment."""
+Prepare = Callable[[BatchScenes, Sequence[int]], Arrays]
+"""Computes what observations need of episodes with these scenes and seeds."""
+
+
+Sampled = tuple[Arrays, Arrays]
+"""The fields of `BatchScenes`, and what observations need of their episodes."""
+
+
+class Episodes(NamedTuple):
+    """The episodes that start in some environments."""
+
+    scenes: BatchScenes
+    seeds: list[int]
+    prepared: Arrays
+    """What observations need of them."""
+
+
 def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> BatchScenes:
     """The scenes `sample_scene(task, variant, seed)`."""
     scenes = [sample_scene(task, variant, seed) for (task, variant), seed in zip(pairs, seeds, strict=True)]
     return BatchScenes.of(scenes, *capacity)
 
 
-class SceneSampler:
-    """Samples the scenes of a batch. They depend only on the seed, the environment's number and the episode's number.
+def _sampled(pairs: Sequence[Pair], capacity: Capacity, prepare: Prepare, seeds: Sequence[int]) -> Sampled:
+    """Samples these episodes."""
+    scenes = sample(pairs, seeds, capacity)
+    return vars(scenes), prepare(scenes, seeds)
 
-    Workers are started when they are first needed, and sample in advance. Without workers, scenes are sampled on
+
+Row = tuple["Future[Sampled]", int]
+"""Episodes that a worker samples, and the row of one of them."""
+
+
+def _joined(rows: Sequence[Row]) -> Sampled:
+    """The arrays with these rows."""
+    parts = [(future.result(), [row for _, row in group]) for future, group in groupby(rows, key=itemgetter(0))]
+    scenes, prepared = (
+        {name: np.concatenate([result[kind][name][chosen] for result, chosen in parts]) for name in parts[0][0][kind]}
+        for kind in (0, 1)
+    )
+    return scenes, prepared
+
+
+class Sampler:
+    """Samples the episodes of a batch. They depend only on the seed, the environment's number and the episode's number.
+
+    Workers are started when they are first needed, and sample in advance. Without workers, episodes are sampled on
     demand.
     """
 
-    def __init__(self, pairs: Sequence[Pair], capacity: Capacity, workers: int = 0) -> None:
-        self._pairs, self._capacity, self._workers = pairs, capacity, workers
+    def __init__(self, pairs: Sequence[Pair], capacity: Capacity, prepare: Prepare, workers: int = 0) -> None:
+        self._pairs, self._capacity, self._prepare, self._workers = pairs, capacity, prepare, workers
         self._seed = 0
         self._episodes = [0] * len(pairs)
         self._pool: Pool | None = None
-        self._ahead: dict[int, tuple[Future[BatchScenes], int]] = {}
-        """Environment -> sampled scenes, and the row with its next one."""
+        self._ahead: dict[int, Row] = {}
+        """Environment -> its next episode."""
 
     def seed(self, seed: int) -> None:
         """Restarts the sequences of all environments with this seed."""
@@ -188,44 +227,46 @@ class SceneSampler:
         self.seed(state["seed"])
         self._episodes = list(state["episodes"])
 
-    def scenes(self, envs: Sequence[int], seeds: Sequence[int] | None = None) -> BatchScenes:
-        """Scenes for these environments, in this order: those of the seeds, or each environment's next one.
+    def episodes(self, envs: Sequence[int], seeds: Sequence[int] | None = None) -> Episodes:
+        """Episodes for these environments, in this order: those of the seeds, or each environment's next one.
 
         With workers, starts to sample the following ones.
         """
-        if seeds is not None or not self._workers:
-            scenes = sample([self._pairs[env] for env in envs], seeds or self.next_seeds(envs), self._capacity)
+        chosen = self._next_seeds(envs) if seeds is None else list(seeds)
+        if not self._workers or (seeds is not None and len(envs) <= CHUNK):
+            sampled = _sampled([self._pairs[env] for env in envs], self._capacity, self._prepare, chosen)
+        elif seeds is None:
+            self._start(envs)
+            sampled = _joined([self._ahead.pop(env) for env in envs])
         else:
-            self._prepare(envs)
-            scenes = self._prepared(envs)
+            sampled = _joined(list(self._submitted(envs, chosen).values()))
         if seeds is None:
             for env in envs:
                 self._episodes[env] += 1
         if self._workers:
-            self._prepare(envs)
-        return scenes
+            self._start(envs)
+        return Episodes(BatchScenes(**sampled[0]), chosen, sampled[1])
 
-    def next_seeds(self, envs: Sequence[int]) -> list[int]:
+    def _next_seeds(self, envs: Sequence[int]) -> list[int]:
         """The seeds of the next episodes of these environments."""
         keys = ((env, self._episodes[env]) for env in envs)
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
 
-    def _prepare(self, envs: Sequence[int]) -> None:
-        """Starts to sample the next scenes of these environments, unless this has been done."""
-        self._pool = self._pool or Pool(self._workers)
+    def _start(self, envs: Sequence[int]) -> None:
+        """Starts to sample the next episodes of these environments, unless this has been done."""
         missing = [env for env in envs if env not in self._ahead]
-        for first in range(0, len(missing), CHUNK):
-            chunk = missing[first : first + CHUNK]
-            work = partial(sample, [self._pairs[env] for env in chunk], capacity=self._capacity)
-            future = self._pool.submit(work, self.next_seeds(chunk))
-            self._ahead |= {env: (future, row) for row, env in enumerate(chunk)}
+        self._ahead |= self._submitted(missing, self._next_seeds(missing))
 
-    def _prepared(self, envs: Sequence[int]) -> BatchScenes:
-        """The prepared scenes of these environments."""
-        sampled = groupby((self._ahead.pop(env) for env in envs), key=itemgetter(0))
-        parts = [future.result()[np.array([row for _, row in rows])] for future, rows in sampled]
-        names = [entry.name for entry in fields(BatchScenes)]
-        return BatchScenes(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    def _submitted(self, envs: Sequence[int], seeds: Sequence[int]) -> dict[int, Row]:
+        """Lets the workers sample an episode of these seeds for each of these environments."""
+        self._pool = self._pool or Pool(self._workers)
+        submitted: dict[int, Row] = {}
+        for first in range(0, len(envs), CHUNK):
+            chunk = envs[first : first + CHUNK]
+            work = partial(_sampled, [self._pairs[env] for env in chunk], self._capacity, self._prepare)
+            future = self._pool.submit(work, seeds[first : first + CHUNK])
+            submitted |= {env: (future, row) for row, env in enumerate(chunk)}
+        return submitted
 
     def close(self) -> None:
         """Stops the workers. May be called twice."""

@@ -311,6 +311,12 @@ def draw_picture(
     average(pairs, out)
 
 
+@inlined
+def view_from(camera: Any, visible: float, side: int) -> Any:
+    """The argument `view` of `place`: a camera's frame, and the steps of the grid per world unit."""
+    return camera[0], camera[1], camera[2], camera[3], GRID * side / visible
+
+
 @compiled(f"void({_SCENE}, f8[:, ::1], f8, {_SCRATCH}, i8[::1], u4[::1], u8[::1], u1[:, :, :])")
 def draw_posed(
     scene: Any, frames: Any, visible: float, scratch: Any, palette: Any, colours: Any, pairs: Any, out: Any
@@ -319,11 +325,10 @@ def draw_posed(
 
     The column SOURCE of the table is the polygon's entry of the palette, 0xAABBGGRR.
     """
-    polygons, side, camera = scene[0], 2 * len(out), frames[-1]
+    polygons, side = scene[0], 2 * len(out)
     for p in range(len(polygons)):
         colours[p] = palette[polygons[p, SOURCE]]
-    view = camera[0], camera[1], camera[2], camera[3], GRID * side / visible
-    paint(scene, colours, frames, view, side, scratch)
+    paint(scene, colours, frames, view_from(frames[-1], visible, side), side, scratch)
     average(pairs, out)
 
 
@@ -342,12 +347,25 @@ def count_bare(samples: Any, out: Any) -> None:
             line[column] = bare[2 * column] + bare[2 * column + 1]
 
 
+@inlined
+def put_segments(samples: Any, out: Any) -> None:
+    """Writes painted samples, one for each pixel, into a picture, top row first."""
+    side = len(out)
+    for row in range(side):
+        for column in range(side):
+            out[side - 1 - row, column] = samples[row * side + column]
+
+
 @compiled(f"void({_WORLD}, {_SCRATCH}, u4[::1], u1[:, :])")
 def draw_segments(scene: Any, poses: Any, view: Any, scratch: Any, segments: Any, out: Any) -> None:
     """Writes the segment at each pixel's centre into `out`, shape (size, size); 0 without a polygon."""
-    side = len(out)
-    frames, camera = seen(poses, view, side)
-    paint(scene, segments, frames, camera, side, scratch)
-    for row in range(side):
-        for column in range(side):
-            out[side - 1 - row, column] = scratch[0][row * side + column]
+    frames, camera = seen(poses, view, len(out))
+    paint(scene, segments, frames, camera, len(out), scratch)
+    put_segments(scratch[0], out)
+
+
+@compiled(f"void({_SCENE}, f8[:, ::1], f8, {_SCRATCH}, i8[::1], u1[:, :])")
+def segment_posed(scene: Any, frames: Any, visible: float, scratch: Any, segments: Any, out: Any) -> None:
+    """As `draw_segments`, of bodies with these frames, see `draw_posed`."""
+    paint(scene, segments, frames, view_from(frames[-1], visible, len(out)), len(out), scratch)
+    put_segments(scratch[0], out)

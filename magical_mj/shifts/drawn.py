@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Final
 
@@ -185,11 +186,14 @@ def turned(colours: NDArray[Any], degrees: float, change: float) -> NDArray[Any]
 
 
 NOISE, BLUR, BLOCKS, DIRT, LOSS = range(5)
-NOISE_LEVELS: Final = (6, 12, 20, 32, 48)  # standard deviation of noise, levels
-BLUR_WIDTHS: Final = (0.005, 0.01, 0.016, 0.024, 0.036)  # half the width of the blur, sides of the picture
-COEFFICIENT_STEPS: Final = (32, 64, 112, 192, 320)  # 16 times the step of coefficients, levels
-DIRT_RADII: Final = (0.06, 0.1, 0.15, 0.21, 0.28)  # radius of the dirt, sides of the picture
-LOSS_RATES: Final = (0.03, 0.06, 0.12, 0.25, 0.5)  # probability that a frame is lost
+AMOUNTS: Final = (
+    (6, 12, 20, 32, 48),  # standard deviation of noise, levels
+    (0.005, 0.01, 0.016, 0.024, 0.036),  # half the width of the blur, sides of the picture
+    (32, 64, 112, 192, 320),  # 16 times the step of coefficients, levels
+    (0.06, 0.1, 0.15, 0.21, 0.28),  # radius of the dirt, sides of the picture
+    (0.03, 0.06, 0.12, 0.25, 0.5),  # probability that a frame is lost
+)
+"""For each fault and grade."""
 NOISE_SAMPLES: Final = 2**17
 
 
@@ -208,42 +212,57 @@ class Sensor(Shift):
         Factor("y", "y of the dirt, in half sides of the picture", (0.7,) * 5),
     )
 
+    @property
+    def fault(self) -> int:
+        """The fault, or -1 without one."""
+        return int(self.values["fault"]) if self.values["grade"] >= 1 else -1
+
+    @property
+    def amount(self) -> float:
+        """Its entry of `AMOUNTS`."""
+        return AMOUNTS[self.fault][int(self.values["grade"]) - 1] if self.fault >= 0 else 0
+
     @cached_property
-    def _noise(self) -> NDArray[np.int8]:
-        grade = int(self.values["grade"]) - 1
-        levels = NOISE_LEVELS[grade] * self.rng(0).standard_normal(NOISE_SAMPLES, np.float32)
+    def noise(self) -> NDArray[np.int8]:
+        """The noise of the episode, from which each picture takes a part."""
+        levels = np.float32(self.amount) * self.rng(0).standard_normal(NOISE_SAMPLES, np.float32)
         return np.clip(levels, -127, 127).astype(np.int8)
 
-    def _dirt(self, size: int) -> NDArray[np.uint8]:
-        """The opacity of the dirt, 0 to 255, with a soft edge. Shape (size, size)."""
-        if self._mask.shape != (size, size):
-            radius = DIRT_RADII[int(self.values["grade"]) - 1]
-            centres = (np.arange(size) + 0.5) / size - 0.5
-            across, down = centres[None, :] - self.values["x"] / 2, centres[:, None] + self.values["y"] / 2
-            self._mask = np.clip(255 * 1.6 * (1.2 - np.hypot(across, down) / radius), 0, 240).astype(np.uint8)
-        return self._mask
+    def chance(self, view: str, step: int) -> float:
+        """A picture's random number in [0, 1), for noise and lost frames. Frames of both views are lost together."""
+        return self.uniform(step, *([VIEWS.index(view)] if self.fault == NOISE else []))
 
-    _mask: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
+    @property
+    def numbers(self) -> tuple[int, float, float, float]:
+        """The argument `sensor` of `spoil`."""
+        return self.fault, self.amount, self.values["x"], self.values["y"]
 
     def picture(self, picture: Picture, frame: Frame) -> Picture:
         """Applies the fault."""
-        from magical_mj.shifts import kernels
-
-        fault, grade = int(self.values["fault"]), int(self.values["grade"]) - 1
-        if grade < 0:
-            return picture
-        if fault == NOISE:
-            noise = self._noise
-            if picture.size > len(noise):
-                noise = np.tile(noise, picture.size // len(noise) + 2)
-            first = int(self.uniform(frame.step, VIEWS.index(frame.view)) * (len(noise) - picture.size + 1))
-            kernels.add_noise(picture.reshape(-1), noise, first)
-        elif fault == BLUR:
-            kernels.blur(picture, max(1, round(BLUR_WIDTHS[grade] * len(picture))))
-        elif fault == BLOCKS:
-            kernels.quantise(picture, COEFFICIENT_STEPS[grade])
-        elif fault == DIRT:
-            kernels.add_dirt(picture, self._dirt(len(picture)), 60)
-        elif self.uniform(frame.step) < LOSS_RATES[grade]:
-            picture[:] = 128
+        noise = self.noise if self.fault == NOISE else None
+        spoil(picture, self.numbers, noise, self.chance(frame.view, frame.step))
         return picture
+
+
+def spoil(picture: Picture, sensor: Sequence[float], noise: Any, chance: float) -> None:
+    """Applies a sensor's fault to a picture in place.
+
+    Args:
+        picture: shape (size, size, 3).
+        sensor: the fault, its amount, and x and y of the dirt.
+        noise: the episode's noise, if it is the fault.
+        chance: the picture's random number, see `Sensor.chance`.
+    """
+    from magical_mj.shifts import kernels
+
+    fault, amount, x, y = sensor
+    if fault == NOISE:
+        kernels.add_noise(picture.reshape(-1), noise, chance)
+    elif fault == BLUR:
+        kernels.blur(picture, max(1, round(amount * len(picture))))
+    elif fault == BLOCKS:
+        kernels.quantise(picture, int(amount))
+    elif fault == DIRT:
+        kernels.add_dirt(picture, x, y, amount)
+    elif fault == LOSS and chance < amount:
+        picture[:] = kernels.GREY

@@ -1,6 +1,6 @@
 """Pixel operations of shifts, compiled by numba. Integer arithmetic gives the same bytes on every machine.
 
-Accelerators use the functions for a pixel and for a row of ground and light, see `batched.accelerator`.
+Accelerators use the functions for a pixel, a row, a line or a block, see `batched.accelerator`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
 from magical_mj.rendering.scanlines import compiled, inlined, product
 
@@ -19,6 +18,14 @@ BITS: Final = 24
 ONE: Final = float(1 << BITS)
 """The side of a ground cell in fixed-point coordinates."""
 WHITE: Final = 255
+DIRTY: Final = 1.2
+OPACITY: Final = 255 * 1.6
+MOST_OPAQUE: Final = 240.0
+"""The opacity of dirt, of 255, rises from 0 at `DIRTY` radii by `OPACITY` per radius, to at most `MOST_OPAQUE`."""
+DIRT_LEVEL: Final = 60
+"""The level of dirt."""
+GREY: Final = 128
+"""The level of lost frames."""
 _FRAME: Final = "UniTuple(f8, 4)"
 
 
@@ -136,61 +143,71 @@ def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None
         relight_row(row, picture[row], tones, slope, bar, seen_by)
 
 
-@compiled("void(u1[::1], i1[::1], i8)")
-def add_noise(pixels: Any, noise: Any, first: int) -> None:
-    """Adds noise to all levels in place, starting with the noise's entry `first`."""
+@inlined
+def noisy(level: Any, noise: Any) -> Any:
+    """A level with noise, clipped to 0..255."""
+    return np.uint8(min(max(np.int32(level) + np.int32(noise), 0), 255))
+
+
+@inlined
+def first_noise(chance: float, count: int, levels: int) -> int:
+    """The first of `count` entries of noise for the `levels` of a picture, from a random number in [0, 1).
+
+    A picture with more levels than there is noise repeats it.
+    """
+    if levels > count:
+        count *= levels // count + 2
+    return int(chance * (count - levels + 1))
+
+
+@compiled("void(u1[::1], i1[::1], f8)")
+def add_noise(pixels: Any, noise: Any, chance: float) -> None:
+    """Adds noise to all levels in place. See `first_noise`. The length of the noise is a power of two."""
+    first, last = first_noise(chance, len(noise), len(pixels)), len(noise) - 1
     for k in range(len(pixels)):
-        pixels[k] = np.uint8(min(max(np.int32(pixels[k]) + np.int32(noise[first + k]), 0), 255))
+        pixels[k] = noisy(pixels[k], noise[(first + k) & last])
 
 
-@njit
-def _blur_rows(picture: Any, width: int, before: Any) -> None:
-    """Writes the means along rows into `before`, shape (size, 3 * size)."""
-    size, count = len(picture), 2 * width + 1
+@inlined
+def blur_line(pixels: Any, line: Any, width: int) -> None:
+    """Replaces each pixel of a row or column by the mean of itself and `width` pixels on either side, in place.
+
+    Args:
+        pixels: shape (size, 3).
+        line: is overwritten, shape (3 * size,), uint8.
+        width: beyond the ends, the pixels there continue.
+    """
+    last, count = len(pixels) - 1, 2 * width + 1
     share = np.int32(65536 // count)
-    line = np.empty(3 * (size + count), np.int32)
-    for row in range(size):  # a moving sum along the row
-        for i in range(size + count):
-            for k in range(3):
-                line[3 * i + k] = picture[row, min(max(i - width, 0), size - 1), k]
+    for i in range(last + 1):
         for k in range(3):
-            total = np.int32(0)
-            for i in range(count):
-                total += line[3 * i + k]
-            for i in range(k, 3 * size, 3):
-                before[row, i] = total
-                total += line[i + 3 * count] - line[i]
-    for row in range(size):
-        for i in range(3 * size):
-            before[row, i] = (before[row, i] * share + 32768) >> 16
+            line[3 * i + k] = pixels[i, k]
+    for k in range(3):
+        total = np.int32(0)  # a moving sum
+        for i in range(-width, width + 1):
+            total += np.int32(line[3 * min(max(i, 0), last) + k])
+        for i in range(last + 1):
+            pixels[i, k] = np.uint8((total * share + 32768) >> 16)
+            total += np.int32(line[3 * min(i + width + 1, last) + k]) - np.int32(line[3 * max(i - width, 0) + k])
 
 
 @compiled("void(u1[:, :, ::1], i8)")
 def blur(picture: Any, width: int) -> None:
-    """Replaces each pixel by the mean of itself and `width` pixels on either side, along rows and then columns."""
-    size, count = len(picture), 2 * width + 1
-    share = np.int32(65536 // count)
-    before = np.empty((size, 3 * size), np.int32)
-    _blur_rows(picture, width, before)
-    sums = np.zeros(3 * size, np.int32)
-    for row in range(-width, width + 1):
-        for i in range(3 * size):
-            sums[i] += before[min(max(row, 0), size - 1), i]
-    pixels = picture.reshape(size, 3 * size)
-    for row in range(size):
-        entering, leaving = min(row + width + 1, size - 1), max(row - width, 0)
-        for i in range(3 * size):
-            pixels[row, i] = np.uint8(min((sums[i] * share + 32768) >> 16, 255))
-            sums[i] += before[entering, i] - before[leaving, i]
+    """Blurs the rows of a picture, and then its columns, in place. See `blur_line`."""
+    line = np.empty(3 * len(picture), np.uint8)
+    for row in range(len(picture)):
+        blur_line(picture[row], line, width)
+    for column in range(len(picture)):
+        blur_line(picture[:, column], line, width)
 
 
-@njit
+@inlined
 def _mixed(a: float, b: float, c: float, d: float) -> Any:
     """The Hadamard transform of four numbers, ordered by frequency. Applied twice, it multiplies them by four."""
     return a + b + c + d, a + b - c - d, a - b - c + d, a - b + c - d
 
 
-@njit
+@inlined
 def _round(block: Any, step: int) -> None:
     """Rounds the Hadamard coefficients of a block in place, shape (4, 4)."""
     for i in range(BLOCK):
@@ -205,23 +222,41 @@ def _round(block: Any, step: int) -> None:
         block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
 
 
-@njit
-def _fill(picture: Any, top: int, left: int, plain: Any) -> bool:
-    """Quantises a block quickly if all its pixels are equal, as in most blocks. Returns whether they are.
+@inlined
+def _level(coefficient: float) -> Any:
+    """The level of a pixel, 0 to 255, from the rounded coefficients' transform."""
+    return np.uint8(min(max(coefficient / 16.0 + 0.5, 0.0), 255.0))
 
-    Only the mean of such a block is not 0; `plain` maps it to the rounded level.
-    """
-    for i in range(top, top + BLOCK):
-        for j in range(left, left + BLOCK):
+
+@inlined
+def _is_plain(pixels: Any) -> bool:
+    """Whether all pixels of a block are equal, as in most blocks."""
+    for i in range(BLOCK):
+        for j in range(BLOCK):
             for k in range(3):
-                if picture[i, j, k] != picture[top, left, k]:
+                if pixels[i, j, k] != pixels[0, 0, k]:
                     return False
-    for k in range(3):
-        level = plain[picture[top, left, k]]
-        for i in range(top, top + BLOCK):
-            for j in range(left, left + BLOCK):
-                picture[i, j, k] = level
     return True
+
+
+@inlined
+def quantise_block(pixels: Any, step: int, block: Any) -> None:
+    """Rounds the coefficients of a block of pixels in place, shape (4, 4, 3). `block` is overwritten, shape (4, 4)."""
+    plain = _is_plain(pixels)
+    for k in range(3):
+        if plain:  # all coefficients but the mean are 0
+            level = _level(math.floor(16.0 * pixels[0, 0, k] / step + 0.5) * step)
+            for i in range(BLOCK):
+                for j in range(BLOCK):
+                    pixels[i, j, k] = level
+            continue
+        for i in range(BLOCK):
+            for j in range(BLOCK):
+                block[i, j] = pixels[i, j, k]
+        _round(block, step)
+        for i in range(BLOCK):
+            for j in range(BLOCK):
+                pixels[i, j, k] = _level(block[i, j])
 
 
 @compiled("void(u1[:, :, ::1], i8)")
@@ -230,33 +265,39 @@ def quantise(picture: Any, step: int) -> None:
 
     The coefficients are those of the Hadamard transform, which are integers. Pixels outside whole blocks are unchanged.
     """
-    size = len(picture) // BLOCK * BLOCK
-    block, plain = np.empty((BLOCK, BLOCK), np.float64), np.empty(256, np.uint8)
-    for level in range(256):
-        mean = math.floor(16.0 * level / step + 0.5) * step
-        plain[level] = np.uint8(min(max(mean / 16.0 + 0.5, 0.0), 255.0))
-    for corner in range((size // BLOCK) ** 2):
-        top, left = corner // (size // BLOCK) * BLOCK, corner % (size // BLOCK) * BLOCK
-        if _fill(picture, top, left, plain):
+    size, block = len(picture) // BLOCK * BLOCK, np.empty((BLOCK, BLOCK), np.float64)
+    for top in range(0, size, BLOCK):
+        for left in range(0, size, BLOCK):
+            quantise_block(picture[top : top + BLOCK, left : left + BLOCK], step, block)
+
+
+@inlined
+def dirty_row(row: int, line: Any, x: float, y: float, radius: float) -> None:
+    """Adds a grey spot with a soft edge to a row of a picture in place.
+
+    Args:
+        row: its number, from the top.
+        line: its pixels, shape (size, 3).
+        x: the centre, to the right of the picture's, in half sides of the picture.
+        y: the same upwards.
+        radius: in sides of the picture.
+    """
+    size = len(line)
+    down = (row + 0.5) / size - 0.5 + product(0.5, y)
+    if abs(down) > DIRTY * radius:
+        return
+    for column in range(size):
+        across = (column + 0.5) / size - 0.5 - product(0.5, x)
+        if abs(across) > DIRTY * radius:
             continue
+        away = math.sqrt(product(across, across) + product(down, down))
+        cover = np.int32(min(max(OPACITY * (DIRTY - away / radius), 0.0), MOST_OPAQUE))
         for k in range(3):
-            for i in range(BLOCK):
-                for j in range(BLOCK):
-                    block[i, j] = picture[top + i, left + j, k]
-            _round(block, step)
-            for i in range(BLOCK):
-                for j in range(BLOCK):
-                    picture[top + i, left + j, k] = np.uint8(min(max(block[i, j] / 16.0 + 0.5, 0.0), 255.0))
+            line[column, k] = np.uint8(((255 - cover) * np.int32(line[column, k]) + cover * DIRT_LEVEL + 127) // 255)
 
 
-@compiled("void(u1[:, :, ::1], u1[:, ::1], i8)")
-def add_dirt(picture: Any, mask: Any, level: int) -> None:
-    """Blends a grey level over a picture in place, with the opacities 0 to 255 of `mask`, shape (size, size)."""
+@compiled("void(u1[:, :, ::1], f8, f8, f8)")
+def add_dirt(picture: Any, x: float, y: float, radius: float) -> None:
+    """Adds a grey spot to a picture in place. See `dirty_row`."""
     for row in range(len(picture)):
-        for column in range(len(picture)):
-            cover = np.int32(mask[row, column])
-            if cover == 0:
-                continue
-            for k in range(3):
-                mixed = (255 - cover) * np.int32(picture[row, column, k]) + cover * level
-                picture[row, column, k] = np.uint8((mixed + 127) // 255)
+        dirty_row(row, picture[row], x, y, radius)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from magical_mj import batched
 from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import BatchScenes, Capacity, SceneSampler
+from magical_mj.batched.scenes import BatchScenes, Capacity, Episodes, Sampler
+from magical_mj.batched.tables import constant_states, episode_tables
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import (
@@ -152,7 +154,7 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
     single.close()
 
 
-@pytest.mark.parametrize("preset", [name for name, preset in PRESETS.items() if preset.depth != 1])
+@pytest.mark.parametrize("preset", list(PRESETS))
 def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> None:
     worlds = batched.make("FixColour", "Demo", 2, device="cpu", preset=preset)
     single = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))
@@ -184,7 +186,7 @@ def test_shifts_are_those_of_the_episodes_seeds() -> None:
         magical_mj.env_id("MoveToRegion", "Jitter", "LoRes4E"), image_size=48, shifts=settings["shifts"]
     )
     observation, _ = worlds.reset(seed=7)
-    seeds = [[7, 8], worlds._sampler.next_seeds([0, 1])]
+    seeds = [[7, 8], worlds._sampler._next_seeds([0, 1])]
     for number in range(2):
         for picture, seed in zip(observation, seeds[number], strict=True):
             assert np.abs(picture.numpy().astype(float) - single.reset(seed=seed)[0]).mean() < 0.05
@@ -377,26 +379,34 @@ def test_scores_of_whole_episodes_are_refused_by_name(tmp_path: Path, monkeypatc
 
 def test_scenes_do_not_depend_on_who_samples_them() -> None:
     """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
-    pairs = [("FindDupe", "All")] * 3
-    sampled = []
+    pairs, sampled = [("FindDupe", "All")] * 3, []
+    prepare = partial(episode_tables, shifts={"palette": 2, "sensor": 3}, steps=3)
     for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        sampler = SceneSampler(pairs, Capacity(10, 3), workers)
+        sampler = Sampler(pairs, Capacity(10, 3), prepare, workers)
         sampler.seed(7)
-        sampled.append([sampler.scenes(worlds) for worlds in order])
+        sampled.append([sampler.episodes(worlds) for worlds in order])
         sampler.close()
     for here, there in zip(sampled[0], sampled[1], strict=True):
-        np.testing.assert_array_equal(here.poses, there.poses)
-    np.testing.assert_array_equal(sampled[2][1].poses[0], sampled[0][1].poses[0])
-    np.testing.assert_array_equal(sampled[2][2].poses[0], sampled[0][0].poses[0])
+        equal_episodes(here, there)
+    equal_episodes(sampled[2][1], sampled[0][1])
+    np.testing.assert_array_equal(sampled[2][2].scenes.poses[0], sampled[0][0].scenes.poses[0])
+
+
+def equal_episodes(here: Episodes, there: Episodes) -> None:
+    assert here.seeds == there.seeds
+    for ours, theirs in ((vars(here.scenes), vars(there.scenes)), (here.prepared, there.prepared)):
+        assert ours.keys() == theirs.keys()
+        for name, values in ours.items():
+            np.testing.assert_equal(values, theirs[name], name)
 
 
 def test_workers_sample_ahead_after_given_seeds_too() -> None:
     pairs = [("MoveToRegion", "All")] * 2
-    here, ahead = (SceneSampler(pairs, Capacity(1, 1), workers) for workers in (0, 1))
+    here, ahead = (Sampler(pairs, Capacity(1, 1), partial(constant_states, start=False), n) for n in (0, 1))
     for sampler in (here, ahead):
         sampler.seed(3)
-        sampler.scenes([0, 1], [8, 9])
+        sampler.episodes([0, 1], [8, 9])
     ((begun, _), (same, _)) = ahead._ahead.values()
     assert begun is same
-    np.testing.assert_array_equal(begun.result(60).poses, here.scenes([0, 1]).poses)
+    np.testing.assert_array_equal(begun.result(60)[0]["poses"], here.episodes([0, 1]).scenes.poses)
     ahead.close()

@@ -11,10 +11,14 @@ import pytest
 import torch
 
 import magical_mj
-from magical_mj.batched import pictures
+from magical_mj.batched import tables
 from magical_mj.batched.pictures import Painter, check_accelerator
 from magical_mj.batched.scenes import BatchScenes, Capacity
+from magical_mj.batched.tables import episode_tables
 from magical_mj.scene import Scene
+from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
+from magical_mj.shifts.drawn import BLOCKS, BLUR, DIRT, LOSS, NOISE
+from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import DRAWN
 from magical_mj.utils.errors import MissingExtraError
 from tools.batched_pictures import different_bytes
@@ -27,10 +31,15 @@ def batch(scenes: list[Scene]) -> BatchScenes:
     return BatchScenes.of(scenes, *Capacity.of(scenes))
 
 
+def painted(scenes: BatchScenes) -> Painter:
+    return Painter(scenes, episode_tables(scenes))
+
+
 def drawn(painter: Painter, scenes: BatchScenes, view: str, size: int) -> np.ndarray:
-    out = torch.zeros((len(scenes.poses), size, size, 3), dtype=torch.uint8)
+    depth = 3 if view in VIEWS else 1
+    out = torch.zeros((len(scenes.poses), size, size, depth), dtype=torch.uint8)
     painter.draw(view, torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers), out)
-    return out.numpy()
+    return out.numpy() if depth == 3 else out.numpy()[..., 0]
 
 
 def rendered(scene: Scene, view: str, size: int) -> np.ndarray:
@@ -41,11 +50,11 @@ def rendered(scene: Scene, view: str, size: int) -> np.ndarray:
     return picture
 
 
-@pytest.mark.parametrize("view", ["ego", "allo"])
+@pytest.mark.parametrize("view", [*VIEWS, *SEGMENTATIONS])
 def test_pictures_of_all_environments_are_the_software_renderers(view: str) -> None:
     scenes = [magical_mj.sample_scene(*pair, 1) for pair in magical_mj.ENVIRONMENTS]
     arrays = batch(scenes)
-    for scene, picture in zip(scenes, drawn(Painter(arrays), arrays, view, 96), strict=True):
+    for scene, picture in zip(scenes, drawn(painted(arrays), arrays, view, 96), strict=True):
         np.testing.assert_array_equal(picture, rendered(scene, view, 96))
 
 
@@ -57,11 +66,12 @@ def test_shifted_pictures_are_those_of_the_single_environments(shifts: dict[str,
         magical_mj.Engine(task, variant, seed=seed, renderer="software", shifts=shifts)
         for task, variant, seed in environments
     ]
-    painter = Painter(batch([engine.scene for engine in engines]), "cpu", shifts, [seed for *_, seed in environments])
+    scenes, seeds = batch([engine.scene for engine in engines]), [seed for *_, seed in environments]
+    painter = Painter(scenes, episode_tables(scenes, seeds, shifts, steps=2))
     for engine in engines:
         engine.step(1)
-    painter.set_steps([1, 1, 1])
-    for view in ("ego", "allo"):
+    painter.set_steps(torch.tensor([1, 1, 1]))
+    for view in (*VIEWS, *SEGMENTATIONS):
         for engine, picture in zip(engines, drawn(painter, batch([e.scene for e in engines]), view, 64), strict=True):
             np.testing.assert_array_equal(picture, engine.render(view, 64))
 
@@ -70,8 +80,8 @@ def test_other_scenes_in_the_same_slots() -> None:
     """More or fewer blocks and regions, and other sizes of regions; only the named environments change."""
     first, second = ([magical_mj.sample_scene("FindDupe", "All", seed) for seed in seeds] for seeds in ((0, 1), (2, 3)))
     before, after = (BatchScenes.of(scenes, 10, 3) for scenes in (first, second))
-    painter = Painter(before)
-    painter.set_scenes(after[np.array([1])], torch.tensor([1]))
+    painter = painted(before)
+    painter.set_episodes(episode_tables(after[np.array([1])]), torch.tensor([1]))
     both = after[np.array([0, 1])]
     both.write(before[np.array([0])], np.array([0]))
     for scene, picture in zip((first[0], second[1]), drawn(painter, both, "allo", 61), strict=True):
@@ -84,7 +94,7 @@ def test_only_the_named_environments_are_drawn() -> None:
         torch.zeros((3, 16, 16, 3), dtype=torch.uint8),
         *map(torch.from_numpy, (arrays.poses, arrays.fingers)),
     )
-    Painter(arrays).draw("allo", poses, fingers, out, torch.tensor([1]))
+    painted(arrays).draw("allo", poses, fingers, out, torch.tensor([1]))
     assert [bool(picture.any()) for picture in out] == [False, True, False]
 
 
@@ -96,30 +106,35 @@ def test_an_accelerator_draws_the_same_bytes() -> None:
 
 @needs_numba_cuda
 def test_an_accelerator_draws_shifts_with_the_same_bytes() -> None:
-    assert different_bytes(8, 32, "camera:3,light:4,texture:4,palette:3") == 0
+    faults = {draw_shifts({"sensor": 4}, seed)["sensor"]["fault"] for seed in range(8)}
+    assert faults == {NOISE, BLUR, BLOCKS, DIRT, LOSS}
+    assert different_bytes(8, 32, "camera:3,light:4,texture:4,palette:3,sensor:4") == 0
 
 
 @needs_numba_cuda
-def test_the_kernel_compiles_for_an_accelerator(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernels_compile_for_an_accelerator(monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing but cosine and sine, which are CUDA's own functions, fuses a product with a sum."""
-    from numba import cuda, float32, float64, int32, int64, types, uint8
+    from numba import cuda, float32, float64, int8, int32, int64, types, uint8
 
     from magical_mj.batched import accelerator
     from magical_mj.rendering import scanlines
-    from magical_mj.shifts.kernels import relight_row
+    from magical_mj.shifts import kernels
 
     monkeypatch.setattr("numba.cuda.dispatcher.get_current_device", lambda: SimpleNamespace(compute_capability=(9, 0)))
     table, scene, doubles = int32[:, ::1], (float64[:, ::1], float32[:, ::1]), float64[:, ::1]
-    drawn = int32[:, :, ::1], doubles, float32[:, :, ::1], int64[:, ::1], float64[:, :, ::1], table
-    tables = *drawn, uint8[:, ::1], int32[:, :, ::1], doubles, doubles
-    posed = float32[:, :, ::1], float32[:, ::1]
-    signature = (types.Tuple(tables), int64, *posed, int64, int64[::1], uint8[:, :, :, ::1])
-    code, _ = cuda.compile_ptx(accelerator.draw.py_func, signature, cc=(9, 0))
-    assert ".visible .entry" in code
+    shapes = int32[:, :, ::1], doubles, float32[:, :, ::1], int64[:, ::1], float64[:, :, ::1], table, int64[::1]
+    every = types.Tuple((*shapes, uint8[:, ::1], int32[:, :, ::1], doubles, doubles))
+    drawn = every, int64, float32[:, :, ::1], float32[:, ::1], int64, int64[::1], uint8[:, :, :, ::1]
+    faults = types.Tuple((doubles, int8[:, ::1], float64[:, :, ::1]))
+    spoilt = faults, int64[::1], int64, int64[::1], uint8[:, :, :, ::1]
+    compiled = (accelerator.draw, drawn), (accelerator.segment, drawn), (accelerator.spoil, spoilt)
+    for kernel, signature in compiled:
+        assert ".visible .entry" in cuda.compile_ptx(kernel.py_func, signature, cc=(9, 0))[0]
 
     def rounded(scene, frames, view, x, y, line, light):  # noqa: ANN001, ANN202 - numba reads no annotations
         scanlines.place(scene, 0, frames, view, 96, x, y)
-        relight_row(0, line, *light, (0.1, 0.2, 0.8, 0.6, 2.0))
+        kernels.relight_row(0, line, *light, (0.1, 0.2, 0.8, 0.6, 2.0))
+        kernels.dirty_row(0, line, light[1][0], light[1][1], light[1][2])
 
     light = types.Tuple((table, float64[::1], float64[::1]))
     placed = types.Tuple((table, *scene)), doubles, types.UniTuple(float64, 5), int32[::1], int32[::1]
@@ -137,4 +152,4 @@ def test_what_is_missing_for_an_accelerator_is_named(monkeypatch: pytest.MonkeyP
 
 def test_a_palette_has_room_for_bytes() -> None:
     """The accelerator stores the entry of a sample as one."""
-    assert len(pictures.palette(pictures.library().model)) <= 256
+    assert len(tables.palette(tables.library().model)) <= 256
