@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,16 +20,17 @@ import magical_mj
 from magical_mj.cli import console
 from magical_mj.cli.app import run
 from magical_mj.evaluation.reports.results import published_results
-from magical_mj.evaluation.scores import SCORES
-from magical_mj.learners import plan_experiment, run_experiment
+from magical_mj.evaluation.scores import SCORES, SETTINGS
+from magical_mj.learners import checkpoint, plan_experiment, run_experiment
 from magical_mj.learners.experiment import agreement
 from magical_mj.learners.policy import POLICY
-from magical_mj.learners.run_folder import METRICS
+from magical_mj.learners.run_folder import CHECKPOINT, METRICS
 from magical_mj.utils.errors import MagicalError, SettingsError, UnknownNameError
 from magical_mj.utils.files import read_toml
 
 ROOT = Path(__file__).parents[2]
-EXPERIMENTS = sorted([*ROOT.glob("results/*/experiment.toml"), *ROOT.glob("tools/full_size/*.toml")])
+FULL_SIZE = ROOT / "tools" / "full_size"
+EXPERIMENTS = sorted([*ROOT.glob("results/*/experiment.toml"), *FULL_SIZE.glob("*.toml")])
 EXPERIMENT = """
 methods = ["bc"]
 tasks = ["MoveToRegion", "FixColour"]
@@ -209,3 +213,57 @@ def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None
     tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
     groups = 1 if table.get("multi_task") else len(tasks)
     assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])
+
+
+SMALL = """tasks = ["MoveToRegion"]
+seeds = [0]
+[settings]
+device = "cpu"
+renderer = "software"
+evaluations = 0
+demonstrations = 2
+network.first_stride = 4
+network.first_channels = 4
+network.channels = 4
+network.hidden = 8
+bc.batches = 100
+bc.batch_size = 4
+[evaluation]
+variants = "Demo"
+episodes = 1
+"""
+
+
+@pytest.mark.slow
+def test_the_papers_sizes_go_on_where_they_were_stopped(tmp_path: Path) -> None:
+    """The script's own loop, with small sizes. It is stopped, and called again with another table."""
+    for name in ("pixels-bc", "pixels-bc-no-augmentation"):
+        augment = 'augment = "none"\n' if "no-augmentation" in name else ""
+        text = f'methods = ["bc"]\n{SMALL}'.replace("[settings]\n", f"[settings]\n{augment}")
+        (tmp_path / f"{name}.toml").write_text(text)
+    script = shutil.copy(FULL_SIZE / "accelerator.sh", tmp_path)
+    path = {"PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
+    how: dict[str, Any] = {"cwd": tmp_path, "env": os.environ | path}
+    command = ["bash", script, "500", "1", "runs", "pixels-bc", "pixels-bc-no-augmentation"]
+    first = subprocess.Popen(command[:-1], start_new_session=True, **how)
+    run = tmp_path / "runs" / "pixels-bc" / "runs" / "bc-MoveToRegion-0"
+    while not (run / METRICS).exists() or (run / METRICS).read_text().count("\n") < 3:
+        assert first.poll() is None
+        time.sleep(0.05)
+    first.terminate()  # the shell only; Ctrl-C does the same
+    assert first.wait() == 128 + signal.SIGTERM
+    assert checkpoint.read(run / CHECKPOINT)["update"] > 0
+    second = subprocess.run(command, capture_output=True, text=True, check=True, **how)
+    assert second.stdout.count("bc-MoveToRegion-0: trained;") == 2
+    with tarfile.open(tmp_path / "runs" / "evaluations.tar.gz") as archive:
+        names = {Path(name) for name in archive.getnames()}
+    assert names == {
+        Path(table, "evaluations", "bc-MoveToRegion-0", file)
+        for table in ("pixels-bc", "pixels-bc-no-augmentation")
+        for file in (SCORES, SETTINGS)
+    }
+
+
+def test_the_papers_sizes_leave_no_table_out() -> None:
+    text = (FULL_SIZE / "accelerator.sh").read_text().partition("|| set --")[2].partition("mkdir")[0]
+    assert sorted(re.findall(r"pixels-[\w-]+", text)) == sorted(file.stem for file in FULL_SIZE.glob("*.toml"))
