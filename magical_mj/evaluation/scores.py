@@ -457,7 +457,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded in ``run.json``. Empty if there are none, or they are invalid."""
+    """The settings in an evaluation's ``run.json``. Empty if there are none, as in entries, or they are invalid."""
     try:
         return read_settings(folder)
     except EvaluationError:
