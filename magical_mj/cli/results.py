@@ -149,7 +149,7 @@ def _to_film(
 
     def replayable() -> Iterator[EpisodeResult]:
         for folder in folders:
-            recorded = {} if is_entry(folder) else recorded_settings(folder)
+            recorded = recorded_settings(folder)
             for score in episodes_of(folder, rules, trusted):
                 if problem := obstacle(score, recorded, trusted):
                     refused[f"{score.policy} in {folder} cannot be filmed: {problem}"] = None

@@ -296,10 +296,9 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
 
     Only the policy `method` is checked; with None, all are.
     """
-    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
     check_runs(
         (name, run, digest)
-        for settings in known
+        for settings in map(recorded_settings, folders)
         for policy, name, run, digest in recorded_policies(settings)
         if policy == (method or policy)
     )
@@ -311,7 +310,7 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
     This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
     package only, and record set 1 and no play for other policies. So a card may declare another set for these.
     """
-    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    known = map(recorded_settings, folders)
     learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
     if len(learnt) > 1 or learnt - {1, card.demonstrations.loaded_set}:
         numbers = ", ".join(map(str, sorted(learnt)))
@@ -325,7 +324,7 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
 
 def _played_in(folders: Sequence[Path], method: str) -> list[str]:
     """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
-    known = [recorded_settings(folder) for folder in folders if not is_entry(folder)]
+    known = map(recorded_settings, folders)
     return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
 
 
@@ -377,7 +376,7 @@ def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
 def entry_files(folder: Path | str) -> list[Path]:
     """The entries in a folder, sorted by name: files, and folders with a card. An entry's own path gives itself."""
     folder = files.to_path(folder)
-    if folder.is_file() or (folder / CARD).is_file():
+    if is_entry(folder):
         return [folder]
     paths = sorted([*folder.glob(f"*{SUFFIX}"), *(path.parent for path in folder.glob(f"*/{CARD}"))])
     if not paths:

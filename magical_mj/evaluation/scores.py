@@ -213,17 +213,10 @@ def method_name(policy: str, body: str, wrap: str, given: str = "") -> str:
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
-_USUAL: Final = (
-    ("split", "test"),
-    ("shift", ""),
-    ("wrap", ""),
-    ("body", GRIPPER),
-    ("retry", 0),
-    ("given", ""),
-    ("demonstrations", ""),
-    ("other", ""),
-    ("other_score", None),
+_USUAL: Final = tuple(
+    (field.name, field.default) for field in dataclasses.fields(EpisodeResult)[_FIELDS.index("split") :]
 )
+"""The fields that older versions did not write, with their default values."""
 
 _RETRY: Final = b'"retry": '
 """Only the line of an episode that was played again contains this."""
@@ -457,7 +450,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded in ``run.json``. Empty if there are none, or they are invalid."""
+    """The settings in an evaluation's ``run.json``. Empty if there are none, as in entries, or they are invalid."""
     try:
         return read_settings(folder)
     except EvaluationError:

@@ -112,16 +112,12 @@ def verify(
 
 @dataclass(frozen=True)
 class _Stored:
-    """The settings and episodes of an evaluation's folder, or of an entry, whose settings are partly unknown.
-
-    `undeclared` is the problem that an entry's card lacks a privilege.
-    """
+    """The settings and episodes of an evaluation's folder, or of an entry, whose settings are partly unknown."""
 
     path: Path
     settings: Mapping[str, Any]
     episodes: Sequence[EpisodeResult]
-    is_entry: bool
-    undeclared: str = ""
+    entry: Entry | None = None
 
     @property
     def environments(self) -> set[Pair]:
@@ -140,8 +136,8 @@ class _Stored:
 def _stored(path: Path) -> _Stored:
     if is_entry(path):
         entry = read_entry(path)
-        return _Stored(path, {"protocol": entry.protocol}, entry.episodes, is_entry=True, undeclared=entry.undeclared)
-    return _Stored(path, recorded_settings(path), read(path), is_entry=False)
+        return _Stored(path, {"protocol": entry.protocol}, entry.episodes, entry)
+    return _Stored(path, recorded_settings(path), read(path))
 
 
 def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
@@ -160,9 +156,8 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     problems += [f"{counted(count, 'episode')} cannot be replayed: {why}" for why, count in obstacles.items()]
     if others := {episode.split for episode in episodes} - {"test"}:
         problems.append(f"split: results must be from test, but it was played on {', '.join(sorted(others))}")
-    if part.is_entry:
-        problems += [f"it {part.undeclared}"] if part.undeclared else []
-        return problems + ([] if settings["protocol"] == PROTOCOL else ["the protocol's number is not recorded"])
+    if part.entry is not None:
+        return problems + _unfit_entry(part.entry)
     required = {"demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
     if settings.get("protocol") is None:  # another number is an obstacle
         required["protocol"] = {PROTOCOL}
@@ -177,6 +172,12 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     return problems + [
         f"{policy}: tasks outside the benchmark in {counted(count, 'episode')}" for policy, count in outside.items()
     ]
+
+
+def _unfit_entry(entry: Entry) -> list[str]:
+    """What an entry lacks to be checked against the protocol."""
+    problems = [] if entry.protocol == PROTOCOL else ["the protocol's number is not recorded"]
+    return problems + ([f"it {entry.undeclared}"] if entry.undeclared else [])
 
 
 def _all_missing(stored: Sequence[_Stored]) -> list[str]:
@@ -276,9 +277,7 @@ def check_entries(
     findings: dict[str, Findings] = {}
     chosen: list[Recorded] = []
     for name, entry in entries.items():
-        findings[name] = Findings(unfit=[] if entry.protocol == PROTOCOL else ["the protocol's number is not recorded"])
-        if entry.undeclared:
-            findings[name].unfit.append(f"it {entry.undeclared}")
+        findings[name] = Findings(unfit=_unfit_entry(entry))
         if not entry.counted:
             findings[name].unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
         episodes = entry.episodes

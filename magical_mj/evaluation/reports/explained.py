@@ -26,7 +26,6 @@ from magical_mj.evaluation.attribution import (
     turnings,
     unfit,
 )
-from magical_mj.evaluation.entry import is_entry
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
@@ -81,7 +80,7 @@ def explainable(
     """
     episodes, problems = list[EpisodeResult](), Counter[str]()
     for folder in folders:
-        recorded = {} if is_entry(folder) else recorded_settings(folder)
+        recorded = recorded_settings(folder)
         for episode in episodes_of(folder, rules, trusted):
             if problem := unfit(episode, recorded, trusted):
                 problems[problem] += 1

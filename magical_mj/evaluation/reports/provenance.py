@@ -65,7 +65,7 @@ class Provenance:
 
 def provenance(folders: Sequence[Path], scores: pd.DataFrame) -> Provenance:
     """How the episodes in these folders were produced. `scores` has a row for each episode."""
-    settings = {folder: {} if is_entry(folder) else recorded_settings(folder) for folder in folders}
+    settings = {folder: recorded_settings(folder) for folder in folders}
     plan: dict[Group, set[range]] = defaultdict(set)
     for folder in folders:
         for group, seeds in _planned(folder, settings[folder], scores[scores["folder"] == str(folder)]):
