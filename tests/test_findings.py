@@ -22,6 +22,8 @@ from tools import released
 from tools.claims import OURS
 from tools.scores import by_released_rules, own_methods
 
+pytestmark = pytest.mark.xdist_group("results")  # which are read once
+
 ROOT = Path(__file__).parent.parent
 TEXT = " ".join(
     line

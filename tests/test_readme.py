@@ -17,9 +17,9 @@ from typer.main import get_command
 
 import magical_mj
 from magical_mj.cli.app import app
-from magical_mj.leaderboard.standings import own_standings
 from tools import tables
 from tools.pages import filled
+from tools.scores import own_methods
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -55,6 +55,7 @@ def test_commands_in_the_text_lack_nothing() -> None:
             command.make_context(name or "", rest)  # an error says what is missing
 
 
+@pytest.mark.xdist_group("results")
 def test_tables_are_up_to_date() -> None:
     assert len(tables.PAGES) == 7
     for page, of_page in tables.PAGES.items():
@@ -73,8 +74,9 @@ def test_the_expert_is_as_good_as_said() -> None:
     assert said in " ".join(TEXT.split())
 
 
+@pytest.mark.xdist_group("results")
 def test_the_scores_in_the_introduction_are_those_of_the_entry() -> None:
-    means = own_standings(ROOT / "results")["pixels-bc-quick"].means
+    means = own_methods()["pixels-bc-quick"].means
     demo, layout = (
         np.mean([runs.mean() for (_, variant), runs in means.items() if variant == wanted])
         for wanted in ("Demo", "Layout")

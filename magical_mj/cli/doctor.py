@@ -8,9 +8,6 @@ import platform
 import re
 import subprocess
 import sys
-import threading
-import time
-from contextlib import closing
 from importlib.metadata import PackageNotFoundError, requires, version
 from typing import Any, Final
 
@@ -19,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-import magical_mj
 from magical_mj.cli.console import console
+from magical_mj.cli.probe import SIZE
 from magical_mj.rendering.backend import PACKAGES, REMEDY, VARIABLE, drawn_by, wanted_backend
 from magical_mj.utils.extras import remedy
 
@@ -32,8 +29,6 @@ REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 SOFTWARE: Final = "software"
 TIMEOUT: Final = 60  # seconds for one renderer
-SIZE: Final = 96  # pixels, as in the LoRes presets
-FRAMES: Final = 20
 
 
 def doctor() -> None:
@@ -92,8 +87,8 @@ def _version(name: str) -> str | None:
 
 
 def _probe(name: str) -> dict[str, Any]:
-    """Runs `probe` in a process with an OpenGL backend or the software renderer. Returns its JSON, or the error."""
-    command = [sys.executable, "-m", "magical_mj.cli.doctor"]
+    """Runs `magical_mj.cli.probe` with an OpenGL backend or the software renderer. Returns its JSON, or the error."""
+    command = [sys.executable, "-m", "magical_mj.cli.probe"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     variables |= {VARIABLE: SOFTWARE} if name == SOFTWARE else {VARIABLE: "opengl", "MUJOCO_GL": name}
     alive, ours = os.pipe()  # closes when this process ends, even if it is killed
@@ -131,29 +126,3 @@ def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
     for name, facts in results.items():
         if "error" in facts:  # an error may be too long for the table
             out.print(f"{name}: {facts['error']}", soft_wrap=True)
-
-
-def probe() -> None:
-    """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
-    times = []
-    with closing(magical_mj.Engine("FindDupe", seed=0)) as env:  # its error explains why OpenGL does not start
-        for _ in range(FRAMES):
-            start = time.perf_counter()
-            env.render("ego", SIZE)
-            times.append(1000 * (time.perf_counter() - start))
-    from magical_mj.rendering.canvas import opengl_name  # imported late: it may fail without OpenGL
-
-    renderer = "on the processor, without OpenGL" if drawn_by() == SOFTWARE else opengl_name()
-    facts = {"renderer": renderer, "first": times[0], "typical": sorted(times)[FRAMES // 2]}
-    sys.stdout.write(json.dumps(facts))
-
-
-def _end_with_caller() -> None:
-    """Ends this process when its caller has ended. A driver may hang in the main thread."""
-    os.read(0, 1)  # a file object would be locked when Python ends
-    os._exit(1)
-
-
-if __name__ == "__main__":
-    threading.Thread(target=_end_with_caller, daemon=True).start()
-    probe()

@@ -22,8 +22,8 @@ import pytest
 from magical_mj.cli.doctor import OWN, optional
 from magical_mj.evaluation.scores import read
 from magical_mj.protocol import PROTOCOL
-from tests.helpers.commands import COMMANDS as ALL
 from tests.helpers.commands import Shell, process
+from tests.helpers.commands import commands as all_commands
 
 ROOT = Path(__file__).parents[2]
 SHORT = ("--tasks", "MoveToRegion", "--variants", "Demo")
@@ -90,7 +90,8 @@ def commands_in(folder: Path) -> list[list[str]]:
 @pytest.mark.slow
 def test_every_command_works(tmp_path: Path) -> None:
     """In a read-only folder, isolated, without HOME and TMPDIR, in the C locale, with unusual file names."""
-    missing = [name for name in ALL if not any(command[: len(name.split())] == name.split() for command in COMMANDS)]
+    run = [f"{' '.join(command)} " for command in COMMANDS]
+    missing = [name for name in all_commands() if not any(words.startswith(f"{name} ") for words in run)]
     # One serves a page until it is interrupted, like `play --web`; tests/learners/test_rewards.py runs the other.
     assert missing == ["inspect", "evaluate-reward"]
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}

@@ -297,7 +297,7 @@ def test_an_episode_is_played_with_real_keys(display: Display, tmp_path: Path) -
     with subprocess.Popen([*command, "--speed", "4", "--size", "480"], env=variables) as game:
         try:
             wait_for(lambda: shows("Drive into the goal region."), "the goal")
-            time.sleep(3)  # three times the length of the episode
+            time.sleep(2)  # longer than the episode
             assert not any(tmp_path.iterdir())
             said = play_to_the_end()
             wait_for(lambda: shows(f"{said}; saved, D discards it; {AFTER}"), "that it is kept")

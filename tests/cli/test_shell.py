@@ -15,7 +15,8 @@ from magical_mj.cli import main
 from magical_mj.cli.console import Bars
 from magical_mj.tasks.registry import ENVIRONMENTS, task_spec
 from magical_mj.variants import variants_of
-from tests.helpers.commands import COMMANDS, Shell, process
+from tests.helpers.commands import Shell, process
+from tests.helpers.commands import commands as all_commands
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,7 @@ def test_the_shell_completes(line: str, offered: list[str], shell: Shell, monkey
 
 
 def test_wrong_options_are_one_line_that_names_the_commands_own_help(shell: Shell) -> None:
-    for command in COMMANDS:
+    for command in all_commands():
         assert f"; see magical-mj {command} --help" in shell.fails(2, *command.split(), "--no-such-option")
 
 
@@ -48,7 +49,7 @@ def test_wrong_options_are_one_line_that_names_the_commands_own_help(shell: Shel
 def test_help_fits_any_terminal_and_can_be_read(columns: int, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Help in a second column has at least 40 columns. On narrow terminals, it is below the options."""
     monkeypatch.setenv("COLUMNS", str(columns))
-    for command in COMMANDS:
+    for command in all_commands():
         code, out, _ = shell(*command.split(), "--help")
         assert code == 0
         assert max(map(len, out.splitlines())) <= columns

@@ -28,6 +28,7 @@ from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES
 from magical_mj.scene.constants import SHAPES
 from magical_mj.utils.errors import InvalidSceneError
+from tests.helpers.environments import TWO_EACH
 
 PAGE = Path(__file__).parents[2] / "docs" / "exported-model.md"
 LOAD, SCENES, EPISODE, TWO, MJX, WARP, DEPTH = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
@@ -76,10 +77,10 @@ def texts(model: mujoco.MjModel) -> dict[str, str]:
     }
 
 
-def test_the_file_alone_plays_every_environment_to_the_bit(tmp_path: Path) -> None:
+def test_the_file_alone_plays_every_task_and_variant_to_the_bit(tmp_path: Path) -> None:
     """With the program in the docs, which imports only MuJoCo and NumPy."""
     tracks = {}
-    for task, variant in magical_mj.ENVIRONMENTS:
+    for task, variant in TWO_EACH:
         env = started(task, variant)
         path = magical_mj.export_mjcf(env, tmp_path / f"{task}-{variant}.xml")
         assert env.horizon is not None

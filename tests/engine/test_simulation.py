@@ -17,6 +17,7 @@ from magical_mj.engine.simulation import Simulation
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants.placement import jitter
+from tests.helpers.environments import TWO_EACH
 
 
 def arrays(parts: object) -> Iterator[tuple[str, Any]]:
@@ -56,7 +57,7 @@ def repeats(task: str, variant: str) -> list[tuple[SceneModel, SceneModel]]:
 
 
 def test_rewriting_equals_compiling() -> None:
-    for task, variant in magical_mj.ENVIRONMENTS:
+    for task, variant in TWO_EACH:
         pairs = repeats(task, variant)
         assert len(pairs) == 2
         for before, after in pairs:

@@ -16,6 +16,7 @@ import magical_mj
 from magical_mj.engine import Engine, State
 from magical_mj.envs.presets import PRESETS
 from magical_mj.utils.errors import ClosedError, InvalidSceneError, StateError
+from tests.helpers.environments import TWO_EACH
 
 STEPS = 24
 
@@ -34,7 +35,7 @@ def trajectory(env: Any, plan: Sequence[int]) -> list[bytes]:
 
 def test_what_follows_a_state_is_the_same_to_the_bit() -> None:
     """In the same engine, after another scene, in an engine with another seed, and in copies."""
-    for task, variant in magical_mj.ENVIRONMENTS:
+    for task, variant in TWO_EACH:
         engine, fresh = Engine(task, variant, seed=2), Engine(task, variant, seed=9)
         states, went = [], []
         for action in actions(0):

@@ -168,10 +168,12 @@ def test_a_failing_policy_costs_only_its_episodes() -> None:
 
 
 def test_a_slow_policy_fails_at_its_next_action_in_this_process() -> None:
-    frame = evaluate(agents.Slower(), variants="Demo", time_limit=3, jobs=1)
+    policy = agents.Slower()
+    policy.usual = 0.01
+    frame = evaluate(policy, variants="Demo", time_limit=1.5, jobs=1)
     assert frame["failure"].isna().tolist() == [True, False, True]
-    assert frame["failure"][1] == "TimeLimitError: no end within 3 s"
-    assert 5 < frame["steps"][1] <= 12
+    assert frame["failure"][1] == "TimeLimitError: no end within 1.5 s"
+    assert 2 < frame["steps"][1] <= 6
     assert frame["steps"].tolist()[::2] == [40, 40]
 
 

@@ -118,9 +118,10 @@ class Slower:
     """Takes no-op actions, a second for an episode of MoveToRegion, and ten in the scene of seed 1."""
 
     uses_simulation = True
+    usual = 0.025
 
     def reset(self, episode: Episode) -> None:
-        self.pause = 0.25 if episode.seed == 1 else 0.025
+        self.pause = 0.25 if episode.seed == 1 else self.usual
 
     def __call__(self, observation: Any) -> int:
         time.sleep(self.pause)

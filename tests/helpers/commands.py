@@ -8,16 +8,15 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 from PIL import Image
 from typer import Context
 from typer.core import TyperGroup
-from typer.main import get_command
 
 from magical_mj.cli import main
-from magical_mj.cli.app import app
 
 
 def _commands(group: object, before: str = "") -> Iterator[str]:
@@ -28,8 +27,14 @@ def _commands(group: object, before: str = "") -> Iterator[str]:
             yield from _commands(group.get_command(context, name), f"{before}{name} ")
 
 
-COMMANDS = tuple(_commands(get_command(app)))
-"""All commands of `magical-mj`, such as "demos generate"."""
+@cache
+def commands() -> tuple[str, ...]:
+    """All commands of `magical-mj`, such as "demos generate". Imports them, which takes half a second."""
+    from typer.main import get_command
+
+    from magical_mj.cli.app import app
+
+    return tuple(_commands(get_command(app)))
 
 
 class Shell:

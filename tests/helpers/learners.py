@@ -18,6 +18,9 @@ from magical_mj.learners.run_folder import CHECKPOINT
 from magical_mj.policies.models import onnx_runtime
 from magical_mj.utils.errors import DemonstrationError
 
+EXPORTS = pytest.mark.xdist_group("exports")
+"""Of ONNX files: the first in a process takes seconds more than the others."""
+
 TINY = {
     "network.first_stride": 4,
     "network.first_channels": 4,

@@ -23,6 +23,8 @@ from tools.ambiguity import (
 )
 from tools.tables import ROOT
 
+pytestmark = pytest.mark.xdist_group("ambiguity")  # measured with the same lists of intents
+
 PAGE = (ROOT / "docs" / "intents.md").read_text("utf-8")
 
 

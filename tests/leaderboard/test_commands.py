@@ -179,8 +179,8 @@ def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
     options = {"tasks": "MoveToRegion", "variants": "Demo", "preset": "State", "jobs": 1}
     magical_mj.evaluate("noop", out=tmp_path / "s0", episodes=60, **options)
     magical_mj.evaluate("noop", out=tmp_path / "s1", episodes=50, first_seed=50, **options)
-    assert any("MoveToRegion Demo: 40, such as seed 60" in gap for gap in verify(tmp_path / "s0").missing)
-    findings = verify(tmp_path / "s0", tmp_path / "s1")
+    assert any("MoveToRegion Demo: 40, such as seed 60" in gap for gap in verify(tmp_path / "s0", jobs=1).missing)
+    findings = verify(tmp_path / "s0", tmp_path / "s1", jobs=1)
     assert (findings.episodes, findings.differing, findings.unfit) == (100, [], [])
     assert not any("Demo" in gap for gap in findings.missing)
     submit([tmp_path / "s1"], tmp_path / "entry.json.xz")
@@ -190,7 +190,7 @@ def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
     assert "s0, entry.json.xz is incomplete: noop, run 0, MoveToRegion Jitter: all of the 100" in error
     assert "Demo" not in error
     rewrite(tmp_path / "s1", lambda rows: rows[0].update(score=0.5))
-    (problem,) = verify(tmp_path / "s0", tmp_path / "s1").differing
+    (problem,) = verify(tmp_path / "s0", tmp_path / "s1", jobs=1).differing
     assert "seed 50: " in problem
     assert "s0 and " in problem
     assert "contain it with different results" in problem

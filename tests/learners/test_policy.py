@@ -19,7 +19,7 @@ from magical_mj.policies.interface import Episode, histories
 from magical_mj.policies.models import load_onnx
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import compare_exported, tiny
+from tests.helpers.learners import EXPORTS, compare_exported, tiny
 
 
 def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
@@ -108,6 +108,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@EXPORTS
 def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path: Path) -> None:
     file = export_policy(both, tmp_path / "line.onnx", "MakeLine")
     compare_exported(load_policy(both).actor, file, states, head=1)
@@ -130,6 +131,7 @@ def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path
 
 
 @pytest.mark.slow
+@EXPORTS
 def test_pictures(tmp_path: Path) -> None:
     train(tiny(), tmp_path / "run")
     file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")

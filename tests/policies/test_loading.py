@@ -43,6 +43,7 @@ def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("exports")
 @pytest.mark.filterwarnings("ignore::FutureWarning")  # of PyTorch's export
 def test_a_network_is_evaluated_as_the_page_says(example: Callable[[str], None]) -> None:
     torch = pytest.importorskip("torch")

@@ -161,8 +161,8 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
         from magical_mj import demos
         from magical_mj.learners.data import shipped
 
-        does("demos generate --tasks push_out:SPEC --count 1 --out {folder}")
-        does("demos verify {folder}")
+        does("demos generate --tasks push_out:SPEC --count 1 --jobs 1 --out {folder}")
+        does("demos verify {folder} --jobs 1")
         does("demos export {folder} --out folder.npz")
         does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
         assert Path("same.npz").read_bytes() == Path("folder.npz").read_bytes()
@@ -174,7 +174,7 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
 
         does("train bc --tasks PushOut --quick --out run {settings}")
         does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --jobs 1 --out learnt")
-        does("demos generate --tasks push_out:SPEC --variants All --count 1 --out {folder}")
+        does("demos generate --tasks push_out:SPEC --variants All --count 1 --jobs 1 --out {folder}")
         assert [demo.variant for demo in demos.load("PushOut")] == ["All", "Demo"]
         assert [demo.variant for demo in shipped("PushOut")] == ["Demo"]
 

@@ -32,7 +32,7 @@ from magical_mj.policies.interface import histories
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from tests.helpers.learners import TINY, check_own_demonstrations, check_resumes, check_seeds, compare_exported
+from tests.helpers.learners import EXPORTS, TINY, check_own_demonstrations, check_resumes, check_seeds, compare_exported
 
 RELATIONAL = {
     "relational.hidden": 8,
@@ -367,6 +367,7 @@ def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) ->
 
 
 @pytest.mark.slow
+@EXPORTS
 def test_the_onnx_file_computes_what_the_networks_compute(tmp_path: Path) -> None:
     train(load_settings("relational", "MoveToRegion", **SMALL), tmp_path / "run")
     file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
