@@ -121,7 +121,7 @@ def place_or_colour() -> str:
     for entry in entries(COMPARED):
         there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
         telling = {seed for seed in {episode.seed for episode in there} if disagree(sample_scene(*TELLING, seed))}
-        results = replayed(entry, [episode for episode in there if episode.seed in telling])
+        results = replayed([episode for episode in there if episode.seed in telling])
         if results:
             rows.append((entry.method, str(len(results)), *(f"{100 * value:.0f}" for value in pursued(results))))
     return table(("Method", "Episodes", "the block at the place", "another of its colour", "the intended one"), rows)
@@ -169,7 +169,7 @@ def measured() -> list[dict[str, str]]:
         for task in missing:
             episodes = [one for one in entry.episodes if one.task == task and covered(entry, one)] if entry else []
             if entry and episodes:
-                row = measured_row(entry, task, episodes)
+                row = measured_row(task, episodes)
                 with ENDED.open("a", encoding="utf-8", newline="") as file:
                     csv.writer(file, lineterminator="\n").writerow([name, *row])
     return sorted(_stored(), key=lambda row: (row["entry"], TASKS.index(row["task"])))
@@ -180,9 +180,9 @@ def _stored() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def measured_row(entry: Entry, task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
+def measured_row(task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
     """A row without the entry's name: the columns after the first of `COLUMNS`."""
-    failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
+    failed = replayed([episode for episode in episodes if episode.score < 1.0])
     counts = {kind: len(failed) * part for kind, part in shares(failed).items()} if failed else {}
     counts["intended"] = len(episodes) - len(failed)
     reached = Counter[int]()
@@ -209,12 +209,12 @@ def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
     return episode.run == entry.runs[0] and episode.seed - SPLITS["test"] < scenes
 
 
-def replayed(entry: Entry, episodes: Iterable[EpisodeResult]) -> list[Attribution]:
+def replayed(episodes: Iterable[EpisodeResult]) -> list[Attribution]:
     """The attributions of some episodes of an entry."""
     found: list[Attribution] = []
     for result in attribute(episodes, jobs=1):
         if not isinstance(result, Attribution):
-            raise RuntimeError(f"{entry.method}: {result.episode.title}: {result.problem}")
+            raise RuntimeError(f"{result.episode.policy}, {result.episode.title}: {result.problem}")
         found.append(result)
     return found
 

@@ -2,18 +2,20 @@
 
     python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT goals-4   or some
-    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the table
+    python -m tools.intent_baselines write OUT...       writes docs/intent-baselines.csv, and the table
     python -m tools.intent_baselines write              writes the table
 
 It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Policies for
 many intents are trained before, with python -m magical_intents.train OUT and python -m magical_intents.pictures OUT.
+Trainings with other seeds, in other folders, are further runs.
 """
 
 from __future__ import annotations
 
 import csv
+import itertools
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -22,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.reports.statistics import percentile_interval, resample
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
@@ -97,9 +99,10 @@ BASELINES: Final = {
 
 
 class Mean(NamedTuple):
-    """The mean score of a baseline with an intent in a variant."""
+    """The mean score of a run of a baseline with an intent in a variant."""
 
     baseline: str
+    run: int
     set: str
     number: int
     variant: str
@@ -133,15 +136,15 @@ def play(out: Path, names: Iterable[str]) -> None:
         )
 
 
-def gather(out: Path) -> list[Mean]:
-    """The means of the baselines that were played to the end."""
+def gather(*runs: Path) -> list[Mean]:
+    """The means of the baselines that were played to the end. Each folder is a run."""
     means = []
-    for name in BASELINES:
+    for name, (run, out) in itertools.product(BASELINES, enumerate(runs)):
         scores: dict[tuple[str, str], list[float]] = {}
         for row in episodes_of(out / name):
             scores.setdefault((row.task, row.variant), []).append(row.score)
         of_rows = {
-            (name, *place, variant): scores.get((task, variant), [])
+            (name, run, *place, variant): scores.get((task, variant), [])
             for place, task in played(BASELINES[name].intents).items()
             for variant in VARIANTS
         }
@@ -163,8 +166,10 @@ def episodes_of(folder: Path) -> list[EpisodeResult]:
 def stored() -> list[Mean]:
     """The means in the file."""
     with DATA.open(encoding="utf-8", newline="") as file:
-        rows = csv.DictReader(file)
-        return [Mean(r["baseline"], r["set"], int(r["number"]), r["variant"], float(r["score"])) for r in rows]
+        return [
+            Mean(r["baseline"], int(r["run"]), r["set"], int(r["number"]), r["variant"], float(r["score"]))
+            for r in csv.DictReader(file)
+        ]
 
 
 def store(means: Sequence[Mean]) -> None:
@@ -176,25 +181,35 @@ def store(means: Sequence[Mean]) -> None:
 
 
 def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
-    """The mean over variants of each intent, shape (intents,)."""
+    """The mean over runs and variants of each intent, shape (intents,)."""
     found: dict[tuple[str, int], list[float]] = {}
     for mean in means:
         found.setdefault((mean.set, mean.number), []).append(mean.score)
     return np.array([np.mean(scores) for scores in found.values()])
 
 
+def by_set_and_run(means: Iterable[Mean]) -> list[list[NDArray[Any]]]:
+    """For each set and each run, the means over variants of each intent, shape (intents,)."""
+    every = list(means)
+    runs = sorted({mean.run for mean in every})
+    return [[over_intents(m for m in every if (m.set, m.run) == (group, run)) for run in runs] for group in TESTS]
+
+
+def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> tuple[float, float, float]:
+    """The mean of values by set and run, and its 95 % interval over runs and intents."""
+    return float(np.mean(groups)), *percentile_interval(resample(groups).mean(axis=0))
+
+
 def baselines(means: Sequence[Mean]) -> str:
-    """The table: means by variant and of all, with intervals over intents."""
-    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.variant == name for name in VARIANTS]
+    """The table: means by variant and of all, with intervals."""
     rows = []
     for name, baseline in BASELINES.items():
         own = [mean for mean in means if mean.baseline == name]
         if own:
-            parts = [f"{over_intents(filter(kind, own)).mean():.2f}" for kind in kinds]
-            every = over_intents(own)
-            low, high = mean_interval([over_intents(m for m in own if m.set == group) for group in TESTS])
-            rows.append((baseline.method, baseline.given, *parts, f"{every.mean():.2f} ({low:.2f} to {high:.2f})"))
-    return table(("Method", "Given", *VARIANTS, "mean"), rows)
+            parts = [f"{over_intents(m for m in own if m.variant == variant).mean():.2f}" for variant in VARIANTS]
+            every = "{:.2f} ({:.2f} to {:.2f})".format(*interval(by_set_and_run(own)))
+            rows.append((baseline.method, baseline.given, str(len({mean.run for mean in own})), *parts, every))
+    return table(("Method", "Given", "Runs", *VARIANTS, "mean"), rows)
 
 
 def write() -> None:
@@ -209,7 +224,7 @@ if __name__ == "__main__":
             play(Path(out), names or BASELINES)
         case ["write", *out]:
             if out:
-                store(gather(Path(out[0])))
+                store(gather(*map(Path, out)))
             write()
         case _:
             sys.exit(__doc__)

@@ -10,7 +10,7 @@ import pytest
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.intents.sets import tasks_in
 from tools import intent_checks, intent_scenes
-from tools.intent_baselines import BASELINES, PAGE, baselines, over_intents, stored
+from tools.intent_baselines import BASELINES, PAGE, baselines, by_set_and_run, interval, over_intents, stored
 from tools.intent_scenes import KINDS, SCENES, Outcome, chosen_rows, settled
 from tools.intents import TESTS, VARIANTS
 from tools.tables import filled
@@ -35,12 +35,8 @@ def in_variant(name: str, variant: str) -> float:
 def gain(name: str, other: str) -> tuple[float, float, float]:
     """The mean difference of one row from another over the intents that both played, and its interval."""
     number = min(BASELINES[one].intents for one in (name, other))
-    rows = [
-        [over_intents(m for m in MEANS if (m.baseline, m.set) == (one, group) and m.number < number) for group in TESTS]
-        for one in (name, other)
-    ]
-    differences = [first - second for first, second in zip(*rows, strict=True)]
-    return (float(np.mean(differences)), *mean_interval(differences))
+    rows = [by_set_and_run(m for m in MEANS if m.baseline == one and m.number < number) for one in (name, other)]
+    return interval([list(np.array(first) - np.array(second)) for first, second in zip(*rows, strict=True)])
 
 
 def in_scenes(number: int, kind: str = "random") -> list[Outcome]:
@@ -125,7 +121,8 @@ def test_checks_have_the_scenes_of_their_intents() -> None:
 def test_the_files_have_whole_rows() -> None:
     for name in {mean.baseline for mean in MEANS}:
         own = [mean for mean in MEANS if mean.baseline == name]
-        assert len({mean[:-1] for mean in own}) == len(own) == BASELINES[name].intents * len(TESTS) * len(VARIANTS)
+        episodes = BASELINES[name].intents * len(TESTS) * len(VARIANTS)
+        assert len({mean[:-1] for mean in own}) == len(own) == episodes * len({mean.run for mean in own})
         assert all(0.0 <= mean.score <= 1.0 for mean in own)
     kinds = [(1, "random"), *((number, kind) for kind in KINDS for number in SCENES[1:])]
     assert Counter((row.scenes, row.kind) for row in OUTCOMES) == dict.fromkeys(kinds, len(OUTCOMES) // len(kinds))
