@@ -2,7 +2,8 @@
 
     python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT goals-4   or some
-    python -m tools.intent_baselines write OUT...       writes docs/intent-baselines.csv, and the table
+    python -m tools.intent_baselines check              replays a tenth of the episodes in results/intents.jsonl.xz
+    python -m tools.intent_baselines write OUT...       writes this file, docs/intent-baselines.csv, and the table
     python -m tools.intent_baselines write              writes the table
 
 It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Policies for
@@ -14,9 +15,11 @@ from __future__ import annotations
 
 import csv
 import itertools
+import lzma
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -24,8 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.evaluation.replay import replay
 from magical_mj.evaluation.reports.statistics import percentile_interval, resample
 from magical_mj.evaluation.scores import EpisodeResult, read
+from magical_mj.evaluation.scores import parse as episode_in
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.utils.errors import EvaluationError
@@ -33,6 +38,8 @@ from tools.intents import TESTS, VARIANTS
 from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
+KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
+"""The file of the episodes: lines as of an evaluation, with the name of the baseline as policy."""
 PAGE: Final = ROOT / "docs" / "intents.md"
 INTENTS: Final = 6
 """The number of intents of each set that a baseline plays."""
@@ -136,21 +143,24 @@ def play(out: Path, names: Iterable[str]) -> None:
         )
 
 
-def gather(*runs: Path) -> list[Mean]:
-    """The means of the baselines that were played to the end. Each folder is a run."""
-    means = []
+def gather(episodes: Iterable[EpisodeResult]) -> list[Mean]:
+    """The means of baselines from their episodes."""
+    places = {task: place for place, task in played(INTENTS).items()}
+    scores: dict[tuple[str, int, str, int, str], list[float]] = {}
+    for row in episodes:
+        scores.setdefault((row.policy, row.run, *places[row.task], row.variant), []).append(row.score)
+    return [Mean(*key, float(np.mean(each))) for key, each in scores.items()]
+
+
+def whole(*runs: Path) -> list[EpisodeResult]:
+    """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
+    found = []
     for name, (run, out) in itertools.product(BASELINES, enumerate(runs)):
-        scores: dict[tuple[str, str], list[float]] = {}
-        for row in episodes_of(out / name):
-            scores.setdefault((row.task, row.variant), []).append(row.score)
-        of_rows = {
-            (name, run, *place, variant): scores.get((task, variant), [])
-            for place, task in played(BASELINES[name].intents).items()
-            for variant in VARIANTS
-        }
-        if all(of_rows.values()):
-            means += [Mean(*key, float(np.mean(each))) for key, each in of_rows.items()]
-    return means
+        every = {(row.task, row.variant, row.seed): row for row in episodes_of(out / name)}
+        wanted = list(itertools.product(played(BASELINES[name].intents).values(), VARIANTS, range(EPISODES)))
+        if every.keys() >= set(wanted):
+            found += [replace(every[key], policy=name, run=run, seconds=0.0) for key in wanted]
+    return found
 
 
 def episodes_of(folder: Path) -> list[EpisodeResult]:
@@ -161,6 +171,31 @@ def episodes_of(folder: Path) -> list[EpisodeResult]:
             sys.exit(f"{folder}: {len(failures)} episodes failed, such as {failures[0]}")
         return episodes
     return []
+
+
+def kept() -> list[EpisodeResult]:
+    """The episodes in the file of the repository."""
+    return [episode_in(line) for line in lzma.decompress(KEPT.read_bytes()).splitlines()]
+
+
+def keep(episodes: Iterable[EpisodeResult]) -> None:
+    """Writes the file of episodes."""
+    lines = "".join(episode.line() for episode in episodes)
+    KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
+
+
+def differences(episodes: Iterable[EpisodeResult], jobs: int | None = None) -> list[str]:
+    """Replays episodes. A sentence for each that does not lead to its scene and score."""
+    return [difference for *_, difference in replay((("", one) for one in episodes), jobs=jobs) if difference]
+
+
+def check() -> None:
+    """Replays a random tenth of the episodes, as the leaderboard does with its entries."""
+    every = kept()
+    chosen = [every[number] for number in np.random.default_rng().choice(len(every), len(every) // 10, replace=False)]
+    if different := differences(chosen):
+        sys.exit("\n".join(different))
+    print(f"{KEPT.name}: {len(chosen)} of {len(every)} episodes were replayed, with the same scores")
 
 
 def stored() -> list[Mean]:
@@ -222,9 +257,12 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["play", out, *names]:
             play(Path(out), names or BASELINES)
+        case ["check"]:
+            check()
         case ["write", *out]:
             if out:
-                store(gather(*map(Path, out)))
+                keep(whole(*map(Path, out)))
+                store(gather(kept()))
             write()
         case _:
             sys.exit(__doc__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,18 @@ import pytest
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.intents.sets import tasks_in
 from tools import intent_checks, intent_scenes
-from tools.intent_baselines import BASELINES, PAGE, baselines, by_set_and_run, interval, over_intents, stored
+from tools.intent_baselines import (
+    BASELINES,
+    PAGE,
+    baselines,
+    by_set_and_run,
+    differences,
+    gather,
+    interval,
+    kept,
+    over_intents,
+    stored,
+)
 from tools.intent_scenes import KINDS, SCENES, Outcome, chosen_rows, settled
 from tools.intents import TESTS, VARIANTS
 from tools.tables import filled
@@ -116,6 +128,19 @@ def test_checks_have_the_scenes_of_their_intents() -> None:
     assert all(
         row.score in (0.0, 1.0) and row.score + (row.other or 0.0) <= 1.0 for row in CHECKED if row.check == "Diagnose"
     )
+
+
+def test_the_file_has_the_means_of_the_stored_episodes() -> None:
+    assert [mean._replace(score=float(f"{mean.score:.4g}")) for mean in gather(kept())] == MEANS
+
+
+def test_stored_episodes_lead_to_their_scores() -> None:
+    policies = [one for one in kept() if one.policy == SENTENCE]
+    best = max(policies, key=lambda one: (one.score, -one.steps))
+    assert best.score == 1.0
+    assert differences([best], jobs=1) == []
+    (difference,) = differences([replace(best, score=0.5)], jobs=1)
+    assert best.title in difference
 
 
 def test_the_files_have_whole_rows() -> None:
