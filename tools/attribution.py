@@ -167,8 +167,7 @@ def measured() -> list[dict[str, str]]:
         missing = [task for task in TASKS if (name, task) not in done]
         entry = read_entry(RESULTS / name) if missing else None
         for task in missing:
-            episodes = [one for one in entry.episodes if one.task == task and covered(entry, one)] if entry else []
-            if entry and episodes:
+            if episodes := [one for one in covered(entry) if one.task == task] if entry else []:
                 row = measured_row(task, episodes)
                 with ENDED.open("a", encoding="utf-8", newline="") as file:
                     csv.writer(file, lineterminator="\n").writerow([name, *row])
@@ -199,14 +198,14 @@ def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
         yield read_entry(folder)
 
 
-def covered(entry: Entry, episode: EpisodeResult) -> bool:
-    """Whether the file of endings covers an episode."""
-    return first(entry, episode, FEW_LONG if episode.task in LONG else FEW)
-
-
-def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
-    """Whether an episode is one of the first run, in one of the first scenes of its environment."""
-    return episode.run == entry.runs[0] and episode.seed - SPLITS["test"] < scenes
+def covered(entry: Entry) -> list[EpisodeResult]:
+    """The episodes of an entry that the file of endings covers: of the first run, in the first scenes."""
+    run = entry.runs[0]
+    return [
+        episode
+        for episode in entry.episodes
+        if episode.run == run and episode.seed - SPLITS["test"] < (FEW_LONG if episode.task in LONG else FEW)
+    ]
 
 
 def replayed(episodes: Iterable[EpisodeResult]) -> list[Attribution]:

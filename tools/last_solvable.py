@@ -69,10 +69,10 @@ def measure() -> None:
 def _failed(name: str) -> dict[tuple[str, str], list[EpisodeResult]]:
     """The first failed episodes of an entry's first run, by task and variant."""
     (entry,) = entries((name,))
-    found: dict[tuple[str, str], list[EpisodeResult]] = {}
+    run, found = entry.runs[0], dict[tuple[str, str], list[EpisodeResult]]()
     for episode in sorted(entry.counted, key=lambda one: one.seed):
         group = found.setdefault((episode.task, episode.variant), [])
-        if episode.run == entry.runs[0] and episode.score < 1.0 and episode.failure is None and len(group) < EACH:
+        if episode.run == run and episode.score < 1.0 and episode.failure is None and len(group) < EACH:
             group.append(episode)
     return found
 
