@@ -48,6 +48,7 @@ mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the sc
 
 leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
 	$(BIN)/magical-mj leaderboard results --out out/leaderboard $(ARGS)
+	$(BIN)/python -m tools.intent_baselines check
 
 check: $(VENV)/.installed-dev  ## lint and type check
 	$(BIN)/ruff check

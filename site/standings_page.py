@@ -31,6 +31,7 @@ from magical_mj.leaderboard.standings import (
 )
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
+from tools.intent_baselines import baselines, stored
 from tools.scores import by_released_rules
 
 ROOT: Final = Path(__file__).parent.parent
@@ -51,6 +52,9 @@ Methods are in the order of their generalisation. Compare them within a block: a
 observations, and the same kind of help. A method's name opens its scores in each environment, how to repeat them, and
 episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
 [statistics](evaluation.md#statistics) how scores and intervals are computed."""
+INTENTS: Final = """What do policies reach that receive an [intent](intents.md#baselines) at test time, by what they are
+given? Means over the first test intents of each set in Demo, Layout and All, with 95 % intervals over runs and intents.
+Their episodes are in the repository, in `results/intents.jsonl.xz`."""
 USES: Final = "May also use"
 GLOSSARY: Final = {
     "ST, MT": "one policy for each task, one policy for all tasks",
@@ -98,6 +102,7 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
     beats = _beats(own)
     parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
+    parts += ["## Intents", INTENTS, baselines(stored())]
     return "\n\n".join(parts) + "\n"
 
 

@@ -23,8 +23,9 @@ from magical_mj.evaluation.attribution import BITS
 from magical_mj.intents import EIGHT, Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, ends_of
 from magical_mj.intents.canonical import implies
-from magical_mj.intents.contrast import further_scenes, planned
+from magical_mj.intents.contrast import further_scenes
 from magical_mj.intents.intent import conjunct_bits, intent_bits
+from magical_mj.intents.plans import planned
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
 from magical_mj.intents.selectors import ALL, REST

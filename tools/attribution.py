@@ -121,7 +121,7 @@ def place_or_colour() -> str:
     for entry in entries(COMPARED):
         there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
         telling = {seed for seed in {episode.seed for episode in there} if disagree(sample_scene(*TELLING, seed))}
-        results = replayed(entry, [episode for episode in there if episode.seed in telling])
+        results = replayed([episode for episode in there if episode.seed in telling])
         if results:
             rows.append((entry.method, str(len(results)), *(f"{100 * value:.0f}" for value in pursued(results))))
     return table(("Method", "Episodes", "the block at the place", "another of its colour", "the intended one"), rows)
@@ -167,9 +167,8 @@ def measured() -> list[dict[str, str]]:
         missing = [task for task in TASKS if (name, task) not in done]
         entry = read_entry(RESULTS / name) if missing else None
         for task in missing:
-            episodes = [one for one in entry.episodes if one.task == task and covered(entry, one)] if entry else []
-            if entry and episodes:
-                row = measured_row(entry, task, episodes)
+            if episodes := [one for one in covered(entry) if one.task == task] if entry else []:
+                row = measured_row(task, episodes)
                 with ENDED.open("a", encoding="utf-8", newline="") as file:
                     csv.writer(file, lineterminator="\n").writerow([name, *row])
     return sorted(_stored(), key=lambda row: (row["entry"], TASKS.index(row["task"])))
@@ -180,9 +179,9 @@ def _stored() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def measured_row(entry: Entry, task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
+def measured_row(task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
     """A row without the entry's name: the columns after the first of `COLUMNS`."""
-    failed = replayed(entry, [episode for episode in episodes if episode.score < 1.0])
+    failed = replayed([episode for episode in episodes if episode.score < 1.0])
     counts = {kind: len(failed) * part for kind, part in shares(failed).items()} if failed else {}
     counts["intended"] = len(episodes) - len(failed)
     reached = Counter[int]()
@@ -199,22 +198,22 @@ def entries(names: Sequence[str] = ()) -> Iterator[Entry]:
         yield read_entry(folder)
 
 
-def covered(entry: Entry, episode: EpisodeResult) -> bool:
-    """Whether the file of endings covers an episode."""
-    return first(entry, episode, FEW_LONG if episode.task in LONG else FEW)
+def covered(entry: Entry) -> list[EpisodeResult]:
+    """The episodes of an entry that the file of endings covers: of the first run, in the first scenes."""
+    run = entry.runs[0]
+    return [
+        episode
+        for episode in entry.episodes
+        if episode.run == run and episode.seed - SPLITS["test"] < (FEW_LONG if episode.task in LONG else FEW)
+    ]
 
 
-def first(entry: Entry, episode: EpisodeResult, scenes: int) -> bool:
-    """Whether an episode is one of the first run, in one of the first scenes of its environment."""
-    return episode.run == entry.runs[0] and episode.seed - SPLITS["test"] < scenes
-
-
-def replayed(entry: Entry, episodes: Iterable[EpisodeResult]) -> list[Attribution]:
+def replayed(episodes: Iterable[EpisodeResult]) -> list[Attribution]:
     """The attributions of some episodes of an entry."""
     found: list[Attribution] = []
     for result in attribute(episodes, jobs=1):
         if not isinstance(result, Attribution):
-            raise RuntimeError(f"{entry.method}: {result.episode.title}: {result.problem}")
+            raise RuntimeError(f"{result.episode.policy}, {result.episode.title}: {result.problem}")
         found.append(result)
     return found
 

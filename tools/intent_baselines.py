@@ -3,20 +3,25 @@
     python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT goals-4   or some
     python -m tools.intent_baselines infer              writes docs/inferred-intents.csv, or what it lacks
-    python -m tools.intent_baselines write OUT          writes docs/intent-baselines.csv, and the table
+    python -m tools.intent_baselines check              replays a tenth of the episodes in results/intents.jsonl.xz
+    python -m tools.intent_baselines write OUT...       writes this file, docs/intent-baselines.csv, and the table
     python -m tools.intent_baselines write              writes the table
 
 It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Policies for
 many intents are trained before, with python -m magical_intents.train OUT and python -m magical_intents.pictures OUT.
+Trainings with other seeds, in other folders, are further runs.
 """
 
 from __future__ import annotations
 
 import csv
+import itertools
+import lzma
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -25,8 +30,10 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
-from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.replay import replay
+from magical_mj.evaluation.reports.statistics import percentile_interval, resample
 from magical_mj.evaluation.scores import EpisodeResult, read
+from magical_mj.evaluation.scores import parse as episode_in
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import parse
 from magical_mj.intents.ambiguity import ends_of
@@ -38,6 +45,8 @@ from tools.tables import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "intent-baselines.csv"
 INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
+KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
+"""The file of the episodes: lines as of an evaluation, with the name of the baseline as policy."""
 PAGE: Final = ROOT / "docs" / "intents.md"
 INTENTS: Final = 6
 """The number of intents of each set that a baseline plays."""
@@ -107,9 +116,10 @@ MISREADINGS: Final = ("the intent", "its relations, other blocks or places", "fe
 
 
 class Mean(NamedTuple):
-    """The mean score of a baseline with an intent in a variant."""
+    """The mean score of a run of a baseline with an intent in a variant."""
 
     baseline: str
+    run: int
     set: str
     number: int
     variant: str
@@ -143,21 +153,24 @@ def play(out: Path, names: Iterable[str]) -> None:
         )
 
 
-def gather(out: Path) -> list[Mean]:
-    """The means of the baselines that were played to the end."""
-    means = []
-    for name in BASELINES:
-        scores: dict[tuple[str, str], list[float]] = {}
-        for row in episodes_of(out / name):
-            scores.setdefault((row.task, row.variant), []).append(row.score)
-        of_rows = {
-            (name, *place, variant): scores.get((task, variant), [])
-            for place, task in played(BASELINES[name].intents).items()
-            for variant in VARIANTS
-        }
-        if all(of_rows.values()):
-            means += [Mean(*key, float(np.mean(each))) for key, each in of_rows.items()]
-    return means
+def gather(episodes: Iterable[EpisodeResult]) -> list[Mean]:
+    """The means of baselines from their episodes."""
+    places = {task: place for place, task in played(INTENTS).items()}
+    scores: dict[tuple[str, int, str, int, str], list[float]] = {}
+    for row in episodes:
+        scores.setdefault((row.policy, row.run, *places[row.task], row.variant), []).append(row.score)
+    return [Mean(*key, float(np.mean(each))) for key, each in scores.items()]
+
+
+def whole(*runs: Path) -> list[EpisodeResult]:
+    """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
+    found = []
+    for name, (run, out) in itertools.product(BASELINES, enumerate(runs)):
+        every = {(row.task, row.variant, row.seed): row for row in episodes_of(out / name)}
+        wanted = list(itertools.product(played(BASELINES[name].intents).values(), VARIANTS, range(EPISODES)))
+        if every.keys() >= set(wanted):
+            found += [replace(every[key], policy=name, run=run, seconds=0.0) for key in wanted]
+    return found
 
 
 def episodes_of(folder: Path) -> list[EpisodeResult]:
@@ -170,11 +183,38 @@ def episodes_of(folder: Path) -> list[EpisodeResult]:
     return []
 
 
+def kept() -> list[EpisodeResult]:
+    """The episodes in the file of the repository."""
+    return [episode_in(line) for line in lzma.decompress(KEPT.read_bytes()).splitlines()]
+
+
+def keep(episodes: Iterable[EpisodeResult]) -> None:
+    """Writes the file of episodes."""
+    lines = "".join(episode.line() for episode in episodes)
+    KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
+
+
+def differences(episodes: Iterable[EpisodeResult], jobs: int | None = None) -> list[str]:
+    """Replays episodes. A sentence for each that does not lead to its scene and score."""
+    return [difference for *_, difference in replay((("", one) for one in episodes), jobs=jobs) if difference]
+
+
+def check() -> None:
+    """Replays a random tenth of the episodes, as the leaderboard does with its entries."""
+    every = kept()
+    chosen = [every[number] for number in np.random.default_rng().choice(len(every), len(every) // 10, replace=False)]
+    if different := differences(chosen):
+        sys.exit("\n".join(different))
+    print(f"{KEPT.name}: {len(chosen)} of {len(every)} episodes were replayed, with the same scores")
+
+
 def stored() -> list[Mean]:
     """The means in the file."""
     with DATA.open(encoding="utf-8", newline="") as file:
-        rows = csv.DictReader(file)
-        return [Mean(r["baseline"], r["set"], int(r["number"]), r["variant"], float(r["score"])) for r in rows]
+        return [
+            Mean(r["baseline"], int(r["run"]), r["set"], int(r["number"]), r["variant"], float(r["score"]))
+            for r in csv.DictReader(file)
+        ]
 
 
 def store(means: Sequence[Mean]) -> None:
@@ -186,15 +226,27 @@ def store(means: Sequence[Mean]) -> None:
 
 
 def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
-    """The mean over variants of each intent, shape (intents,)."""
+    """The mean over runs and variants of each intent, shape (intents,)."""
     found: dict[tuple[str, int], list[float]] = {}
     for mean in means:
         found.setdefault((mean.set, mean.number), []).append(mean.score)
     return np.array([np.mean(scores) for scores in found.values()])
 
 
+def by_set_and_run(means: Iterable[Mean]) -> list[list[NDArray[Any]]]:
+    """For each set and each run, the means over variants of each intent, shape (intents,)."""
+    every = list(means)
+    runs = sorted({mean.run for mean in every})
+    return [[over_intents(m for m in every if (m.set, m.run) == (group, run)) for run in runs] for group in TESTS]
+
+
+def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> tuple[float, float, float]:
+    """The mean of values by set and run, and its 95 % interval over runs and intents."""
+    return float(np.mean(groups)), *percentile_interval(resample(groups).mean(axis=0))
+
+
 def baselines(means: Sequence[Mean]) -> str:
-    """The table: means by set, by variant and of all, with intervals over intents."""
+    """The table: means by set, by variant and of all, with intervals."""
     kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
     kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
     rows = []
@@ -202,10 +254,9 @@ def baselines(means: Sequence[Mean]) -> str:
         own = [mean for mean in means if mean.baseline == name]
         if own:
             parts = [f"{over_intents(filter(kind, own)).mean():.2f}" for kind in kinds]
-            every = over_intents(own)
-            low, high = mean_interval([over_intents(m for m in own if m.set == group) for group in TESTS])
-            rows.append((baseline.method, baseline.given, *parts, f"{every.mean():.2f} ({low:.2f} to {high:.2f})"))
-    return table(("Method", "Given", *TESTS, *VARIANTS, "mean"), rows)
+            every = "{:.2f} ({:.2f} to {:.2f})".format(*interval(by_set_and_run(own)))
+            rows.append((baseline.method, baseline.given, str(len({mean.run for mean in own})), *parts, every))
+    return table(("Method", "Given", "Runs", *TESTS, *VARIANTS, "mean"), rows)
 
 
 class Reading(NamedTuple):
@@ -271,9 +322,12 @@ if __name__ == "__main__":
             play(Path(out), names or BASELINES)
         case ["infer"]:
             infer_all()
+        case ["check"]:
+            check()
         case ["write", *out]:
             if out:
-                store(gather(Path(out[0])))
+                keep(whole(*map(Path, out)))
+                store(gather(kept()))
             write()
         case _:
             sys.exit(__doc__)

@@ -20,12 +20,10 @@ from typing import Any, Final, NamedTuple
 import magical_mj
 from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.replay import engine_for, replay_problem
-from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import task_spec
-from tools.intent_baselines import BASELINES, SECONDS, Mean, episodes_of, over_intents, played
+from tools.intent_baselines import BASELINES, SECONDS, Mean, by_set_and_run, episodes_of, interval, played
 from tools.intent_scenes import reached
-from tools.intents import TESTS
 from tools.tables import ROOT
 
 DATA: Final = ROOT / "docs" / "intent-checks.csv"
@@ -134,17 +132,14 @@ def means(checks: Sequence[Check], name: str, check: str, field: str) -> tuple[f
     """The mean of a field over intents, and its 95 % interval; empty if the episodes do not have the field."""
     rows = [row for row in checks if (row.baseline, row.check) == (name, check)]
     known = [(row, value) for row in rows if (value := getattr(row, field)) is not None]
-    return _interval([Mean(name, row.set, row.number, row.variant, value) for row, value in known]) if known else ()
+    every = [Mean(name, 0, row.set, row.number, row.variant, value) for row, value in known]
+    return interval(by_set_and_run(every)) if known else ()
 
 
 def right(baselines: Sequence[Mean], name: str) -> tuple[float, float, float]:
-    """The mean score with the right information in the scenes of the check "wrong", and its 95 % interval."""
-    return _interval([m for m in baselines if m.baseline == name and m.variant in CHECKS["wrong"]["variants"]])
-
-
-def _interval(every: Sequence[Mean]) -> tuple[float, float, float]:
-    groups = [over_intents(mean for mean in every if mean.set == group) for group in TESTS]
-    return float(over_intents(every).mean()), *mean_interval(groups)
+    """The mean score of the first run with the right information in the scenes of "wrong", and its interval."""
+    chosen = [m for m in baselines if (m.baseline, m.run) == (name, 0) and m.variant in CHECKS["wrong"]["variants"]]
+    return interval(by_set_and_run(chosen))
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import DEMONSTRATIONS_GIVEN
 from magical_mj.intents import EIGHT, sets
 from magical_mj.intents.intent import Intent, intent_of, parse
-from magical_mj.intents.plans import solved
+from magical_mj.intents.plans import planned
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
@@ -143,8 +143,7 @@ def fault(intent: Intent) -> str:
         rest = Intent(tuple(other for number, other in enumerate(intent.conjuncts) if number != place))
         if not rest.conjuncts or keeps(one) or any(other.selector == REST for other in rest.conjuncts):
             continue
-        ends = [solved(rest, scene) or scene for scene in scenes]
-        if all(Intent((one,)).holds(scene, end) for scene, end in zip(scenes, ends, strict=True)):
+        if all(Intent((one,)).holds(*planned(rest, scene)) for scene in scenes):
             return f"{one} adds nothing"
     share = solved_by_chance(intent)
     return f"random actions solve {share:.0%}" if share > CHANCE else ""
@@ -250,7 +249,7 @@ def ends(intent: Intent) -> list[tuple[Scene, Scene]]:
     """Starts of an intent, and ends that satisfy it."""
     spec = spec_of(Task(intent))
     starts = [spec.demo, *(vary(spec, variant, 0) for variant in ("Layout", "CountPlus", "All"))]
-    return [(scene, solved(intent, scene) or scene) for scene in starts]
+    return [planned(intent, scene) for scene in starts]
 
 
 def meaning(intent: Intent, scenes: Sequence[tuple[Scene, Scene]]) -> tuple[bool, ...]:
@@ -327,7 +326,7 @@ def picture() -> None:
         intent = parse(text)
         start = intent.spec().demo
         panel.suptitle(f"{text}\n{intent.sentence}", fontsize=8)
-        for axes, scene in zip(panel.subplots(1, 2), (start, solved(intent, start) or start), strict=True):
+        for axes, scene in zip(panel.subplots(1, 2), planned(intent, start), strict=True):
             with closing(Engine.of_scene(scene, renderer="software")) as engine:
                 axes.imshow(engine.render("allo", 240))
             axes.set_axis_off()

@@ -22,7 +22,7 @@ from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
 from magical_mj.intents.names import has_intent, task_intent
-from magical_mj.intents.plans import solved
+from magical_mj.intents.plans import planned
 from magical_mj.intents.readings import READINGS, Shown, ending, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
@@ -82,7 +82,7 @@ def task_ends(task: str) -> tuple[Ends, ...]:
     """
     if in_language(task):
         intent = task_intent(task)
-        return tuple((demo, solved(intent, demo) or demo) for demo in task_spec(task).demos)
+        return tuple(planned(intent, demo) for demo in task_spec(task).demos)
     scenes = [demonstration.scenes() for demonstration in demos.load(task)]
     return tuple((shown[0], shown[-1]) for shown in scenes)
 

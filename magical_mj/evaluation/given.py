@@ -20,7 +20,6 @@ from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
 from magical_mj.intents.expert_data import with_scenes
 from magical_mj.intents.names import has_intent, task_intent
-from magical_mj.intents.selectors import UngroundedError
 from magical_mj.intents.sets import tasks_in
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.scene import Scene
@@ -166,10 +165,7 @@ def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
 
 def _can_be_pursued(intent: Intent, scene: Scene) -> bool:
     """Whether an intent has a meaning in a scene, and does not hold in it."""
-    try:
-        return intent.grounded(scene) and not intent.holds(scene, scene)
-    except UngroundedError:
-        return False
+    return intent.grounded(scene) and not intent.holds(scene, scene)
 
 
 def with_other_score(episode: EpisodeResult) -> EpisodeResult:

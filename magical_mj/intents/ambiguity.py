@@ -7,7 +7,7 @@ each block, and both are combined by numpy.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Final, NamedTuple, Protocol
 
@@ -114,7 +114,8 @@ class Judge:
     def holds(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
         """Which intents hold in the final scene and are about something in the initial one. Shape (intents,)."""
         reached = np.zeros(len(self.intents), np.bool_)
-        reached[self._alone] = [_holds_alone(self.intents[number], initial, final) for number in self._alone]
+        alone = [self.intents[number] for number in self._alone]
+        reached[self._alone] = [intent.grounded(initial) and intent.holds(initial, final) for intent in alone]
         truths = _truths(self._table, initial, final)
         one, two = self._places.T
         holds = truths.holds[two]
@@ -134,14 +135,6 @@ def _is_like_rivals(intent: Intent) -> bool:
         else one.selector != REST or RELATIONS[one.relation].each is not None
         for one in intent.conjuncts
     )
-
-
-def _holds_alone(intent: Intent, initial: Scene, final: Scene) -> bool:
-    """Whether an intent is about something in the initial scene and holds in the final one."""
-    try:
-        return intent.grounded(initial) and intent.holds(initial, final)
-    except UngroundedError:
-        return False
 
 
 class _Table(NamedTuple):
@@ -246,13 +239,13 @@ def _of_selectors(
     if relation.each is not None:
         return _of_each(conjunct, relation.each, masks, valid, initial, final)
     if relation.robot is not None or conjunct.relation == "clustered":
-        return np.full(len(valid), _holds(conjunct, initial, final))
+        return np.full(len(valid), _all(conjunct.parts, initial, final))
     unique, place = np.unique(masks, axis=0, return_inverse=True)
     together = np.zeros(len(unique), np.bool_)
     for number, mask in enumerate(unique):
         blocks = tuple(np.flatnonzero(mask).tolist())
         if len(blocks) >= max(relation.least, conjunct.number):
-            together[number] = _together(conjunct, blocks, initial, final)
+            together[number] = _all(relation.together, conjunct, blocks, initial, final)
     return together[place.reshape(-1)] & valid
 
 
@@ -270,16 +263,10 @@ def _of_each(
     return holds & valid & concerned.any(axis=1)
 
 
-def _together(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> bool:
+def _all(parts: Callable[..., Iterable[bool]], *about: object) -> bool:
+    """Whether a conjunct holds for all objects. False if it means nothing."""
     try:
-        return all(RELATIONS[conjunct.relation].together(conjunct, blocks, initial, final))
-    except UngroundedError:
-        return False
-
-
-def _holds(conjunct: Conjunct, initial: Scene, final: Scene) -> bool:
-    try:
-        return all(conjunct.parts(initial, final))
+        return all(parts(*about))
     except UngroundedError:
         return False
 

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.intents.ambiguity import Ends, Judge, rivals
+from magical_mj.intents.ambiguity import Judge, rivals
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.plans import solved
-from magical_mj.intents.scenes import colours_rule, count_rule, demo_scene, redrawn, shapes_rule
+from magical_mj.intents.plans import planned
+from magical_mj.intents.scenes import ALL_RULES, colours_rule, demo_scene, redrawn
 from magical_mj.scene import Scene
 
 BITS: Final = 22.0
@@ -43,15 +43,10 @@ def further_scenes(
         return [redrawn(intent, rng, first, colours_rule) for _ in range(number)]
     scenes, left = list[Scene](), rivals([planned(intent, first)], BITS) if number else []
     while len(scenes) < number:
-        candidates = [redrawn(intent, rng, first, count_rule, colours_rule, shapes_rule) for _ in range(CANDIDATES)]
+        candidates = [redrawn(intent, rng, first, *ALL_RULES) for _ in range(CANDIDATES)]
         judge = Judge(left)
         reached = [judge.reached(*planned(intent, scene)) for scene in candidates]
         best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
         left = list(compress(left, reached[best]))
         scenes.append(candidates[best])
     return scenes
-
-
-def planned(intent: Intent, scene: Scene) -> Ends:
-    """A scene, and the scene after a plan that satisfies the intent."""
-    return scene, solved(intent, scene) or scene

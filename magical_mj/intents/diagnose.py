@@ -14,8 +14,8 @@ import numpy as np
 
 from magical_mj.intents.ambiguity import rivals
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.plans import solved
-from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
+from magical_mj.intents.plans import planned, solved
+from magical_mj.intents.scenes import ALL_RULES, redrawn
 from magical_mj.scene import Scene
 
 BITS: Final = 24.0
@@ -43,18 +43,18 @@ def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) 
     for number in range(len(simplest)):
         rival = simplest[(seed + number) % len(simplest)]
         for _ in range(DRAWS):
-            scene = _redrawn(intent, rng, demo)
+            scene = redrawn(intent, rng, demo, *ALL_RULES)
             if refutes(intent, rival, scene):
                 return scene
-    return _redrawn(intent, rng, demo)
+    return redrawn(intent, rng, demo, *ALL_RULES)
 
 
 @lru_cache(maxsize=512)
 def simplest_rivals(intent: Intent, demo: Scene) -> tuple[Intent, ...]:
     """The simplest rivals that a demonstration in the demo scene leaves, as far as scenes can refute them."""
     rng = np.random.Generator(np.random.PCG64(0))
-    scenes = [_redrawn(intent, rng, demo) for _ in range(SCENES)]
-    found = rivals([(demo, solved(intent, demo) or demo)], BITS)[:CHECKED]
+    scenes = [redrawn(intent, rng, demo, *ALL_RULES) for _ in range(SCENES)]
+    found = rivals([planned(intent, demo)], BITS)[:CHECKED]
     refuted = (rival for rival in found if any(refutes(intent, rival, scene) for scene in scenes))
     return tuple(islice(refuted, RIVALS))
 
@@ -65,8 +65,3 @@ def refutes(intent: Intent, rival: Intent, scene: Scene) -> bool:
         return False
     end = solved(rival, scene)
     return end is not None and not intent.holds(scene, end)
-
-
-def _redrawn(intent: Intent, rng: np.random.Generator, demo: Scene) -> Scene:
-    """A scene with other blocks, colours, shapes and poses."""
-    return redrawn(intent, rng, demo, count_rule, colours_rule, shapes_rule)

@@ -93,10 +93,9 @@ class Intent:
     def grounded(self, initial: Scene) -> bool:
         """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
         try:
-            named = self._named(initial)
+            return all(self.parts(initial, initial))
         except UngroundedError:
             return False
-        return all(conjunct.grounded(initial, named) for conjunct in self.conjuncts)
 
     def _named(self, initial: Scene) -> tuple[int, ...]:
         """The blocks that the conjuncts without the selector `others` name."""

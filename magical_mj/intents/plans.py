@@ -84,6 +84,11 @@ def solved(intent: Intent, scene: Scene) -> Scene | None:
     return end if intent.holds(scene, end) else None
 
 
+def planned(intent: Intent, scene: Scene) -> tuple[Scene, Scene]:
+    """A scene, and the scene after a plan that satisfies the intent. Without one, the scene itself."""
+    return scene, solved(intent, scene) or scene
+
+
 def cost(intent: Intent, scene: Scene) -> float:
     """The estimated number of actions from the start of an episode, as sum of the subgoals' costs."""
     noise = _quiet()

@@ -96,13 +96,6 @@ class Conjunct:
             raise UngroundedError(f"{self} is about {len(blocks)} blocks")
         return relation.together(self, blocks, initial, final)
 
-    def grounded(self, initial: Scene, named: tuple[int, ...] = ()) -> bool:
-        """Whether it is about something in the initial scene: a block at least, or the robot."""
-        try:
-            return bool(self.parts(initial, initial, named))
-        except UngroundedError:
-            return False
-
     def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
         """The blocks that it is about."""
         if self.selector == REST:

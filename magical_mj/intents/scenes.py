@@ -222,6 +222,10 @@ def count_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
     return _first_grounded(intent, scene, draw)
 
 
+ALL_RULES: Final = (count_rule, colours_rule, shapes_rule)
+"""The rules that the variant All uses."""
+
+
 def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule) -> Scene:
     """A scene with other attributes by some rules, and other poses; the scene itself if none is accepted."""
     for _ in range(LAYOUTS):

@@ -21,6 +21,7 @@ from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
 from magical_mj.intents.remaining import distance
 from magical_mj.intents.scenes import (
+    ALL_RULES,
     INNER_MARGIN,
     accepts,
     colours_rule,
@@ -137,7 +138,7 @@ def _horizon(intent: Intent, demo: Scene) -> int:
     rng = np.random.Generator(np.random.PCG64(0))
     starts = [demo]
     for _ in range(STARTS):
-        starts += [redrawn(intent, rng, demo), redrawn(intent, rng, demo, count_rule, colours_rule, shapes_rule)]
+        starts += [redrawn(intent, rng, demo), redrawn(intent, rng, demo, *ALL_RULES)]
     most = max(cost(intent, scene) for scene in starts)
     return max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
 

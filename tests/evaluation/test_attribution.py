@@ -60,7 +60,7 @@ def test_bc_takes_the_block_at_the_demonstrated_place_as_the_page_says() -> None
     entry = read_entry(RESULTS / "pixels-bc-quick")
     there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
     seeds = {seed for seed in range(100) if disagree(magical_mj.sample_scene(*TELLING, seed))}
-    results = replayed(entry, [episode for episode in there if episode.seed in seeds])
+    results = replayed([episode for episode in there if episode.seed in seeds])
     row = [entry.method, len(results), *(round(100 * share) for share in pursued(results))]
     assert row == ["BC (ST, quick)", 90, 96, 0, 8]
     page = (ROOT / "docs" / "explain.md").read_text("utf-8")
@@ -222,5 +222,5 @@ def test_the_file_of_all_entries_is_what_a_replay_gives() -> None:
     )
     known = rows.set_index(["entry", "task"]).loc[("pixels-bc-quick", "MoveToRegion")]
     entry = read_entry(RESULTS / "pixels-bc-quick")
-    episodes = [one for one in entry.episodes if one.task == "MoveToRegion" and covered(entry, one)]
-    assert measured_row(entry, "MoveToRegion", episodes) == ["MoveToRegion", *known.tolist()]
+    episodes = [one for one in covered(entry) if one.task == "MoveToRegion"]
+    assert measured_row("MoveToRegion", episodes) == ["MoveToRegion", *known.tolist()]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magical_mj.intents import EIGHT, parse, rivals
-from magical_mj.intents.contrast import planned
+from magical_mj.intents.plans import planned
 from magical_mj.intents.tasks import task_of
 from tools.ambiguity import (
     KINDS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,11 @@ from tools.intent_baselines import (
     PAGE,
     Reading,
     baselines,
+    by_set_and_run,
+    differences,
+    gather,
+    interval,
+    kept,
     misreading,
     over_intents,
     readings,
@@ -48,12 +54,8 @@ def in_variant(name: str, variant: str) -> float:
 def gain(name: str, other: str) -> tuple[float, float, float]:
     """The mean difference of one row from another over the intents that both played, and its interval."""
     number = min(BASELINES[one].intents for one in (name, other))
-    rows = [
-        [over_intents(m for m in MEANS if (m.baseline, m.set) == (one, group) and m.number < number) for group in TESTS]
-        for one in (name, other)
-    ]
-    differences = [first - second for first, second in zip(*rows, strict=True)]
-    return (float(np.mean(differences)), *mean_interval(differences))
+    rows = [by_set_and_run(m for m in MEANS if m.baseline == one and m.number < number) for one in (name, other)]
+    return interval([list(np.array(first) - np.array(second)) for first, second in zip(*rows, strict=True)])
 
 
 def right(name: str) -> int:
@@ -148,10 +150,24 @@ def test_checks_have_the_scenes_of_their_intents() -> None:
     )
 
 
+def test_the_file_has_the_means_of_the_stored_episodes() -> None:
+    assert [mean._replace(score=float(f"{mean.score:.4g}")) for mean in gather(kept())] == MEANS
+
+
+def test_stored_episodes_lead_to_their_scores() -> None:
+    policies = [one for one in kept() if one.policy == SENTENCE]
+    best = max(policies, key=lambda one: (one.score, -one.steps))
+    assert best.score == 1.0
+    assert differences([best], jobs=1) == []
+    (difference,) = differences([replace(best, score=0.5)], jobs=1)
+    assert best.title in difference
+
+
 def test_the_files_have_whole_rows() -> None:
     for name in {mean.baseline for mean in MEANS}:
         own = [mean for mean in MEANS if mean.baseline == name]
-        assert len({mean[:-1] for mean in own}) == len(own) == BASELINES[name].intents * len(TESTS) * len(VARIANTS)
+        episodes = BASELINES[name].intents * len(TESTS) * len(VARIANTS)
+        assert len({mean[:-1] for mean in own}) == len(own) == episodes * len({mean.run for mean in own})
         assert all(0.0 <= mean.score <= 1.0 for mean in own)
     inferring = [name for name, baseline in BASELINES.items() if baseline.policy == GOALS]
     assert Counter(reading.baseline for reading in READINGS) == dict.fromkeys(inferring, INTENTS * len(TESTS))

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -23,8 +22,8 @@ from torch import Tensor, nn
 from magical_intents.network import SIZE, Sentences
 from magical_intents.policy import drawn_actions
 from magical_intents.symmetries import words_of
-from magical_intents.train import LARGEST, LEARNING_RATE, VARIANTS, trained_intents
-from magical_mj.intents import Intent, dataset
+from magical_intents.train import LARGEST, LEARNING_RATE, demonstrated, trained_intents, words_for
+from magical_mj.intents import Intent
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import ONE_HOT, maxima
@@ -32,7 +31,7 @@ from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.actions import ACTIONS, Drive, Turn
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, TrainingError
+from magical_mj.utils.errors import TrainingError
 
 PRESET: Final = "LoRes3EA"
 """The current picture of the arena, and the last three of the robot's view."""
@@ -78,20 +77,15 @@ def small(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return parts.mean((2, 4), dtype=np.float32).astype(np.uint8)
 
 
-def films(intents: Sequence[Intent], folder: Path | None = None) -> list[Film]:
-    """One demonstration of each intent in each of `VARIANTS`, which are kept in `folder`."""
+def films(intents: Iterable[Intent], folder: Path | None = None) -> list[Film]:
+    """A demonstration of each intent in each of the variants, which are kept in `folder`."""
     found = []
-    for intent in intents:
-        words = np.stack([words_of(sentence) for sentence in intent.paraphrases])
-        try:
-            shown = list(dataset([str(intent)], 1, PRESET, variants=VARIANTS, folder=folder, jobs=1))
-        except DemonstrationError as error:
-            warnings.warn(f"left out: {error}", stacklevel=2)
-            continue
-        for example in shown:
+    for intent, examples in demonstrated(intents, PRESET, folder):
+        for example in examples:
             rests = _RESTS[example.actions]
             acts = ~(rests & np.concatenate([[False], rests[:-1]]))
-            found.append(Film(small(np.asarray(example.observations)[acts]), example.actions[acts].astype(int), words))
+            pictures = small(np.asarray(example.observations)[acts])
+            found.append(Film(pictures, example.actions[acts].astype(int), words_for(intent)))
     return found
 
 

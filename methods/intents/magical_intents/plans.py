@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from magical_intents.subgoals import DONE, ROBOT, Labels, Shown
 from magical_mj.intents import Intent
 from magical_mj.intents.plans import plan
-from magical_mj.intents.scenes import colours_rule, count_rule, demo_scene, redrawn, shapes_rule
+from magical_mj.intents.scenes import ALL_RULES, demo_scene, redrawn
 from magical_mj.scene import Scene
 from magical_mj.scene.scene import Pose
 from magical_mj.scene.state_vector import StateEncoder
@@ -40,8 +40,7 @@ def planned(intent: Intent, rng: np.random.Generator, scenes: int = SCENES) -> l
     try:
         demo = demo_scene(intent, rng)
         for number in range(scenes):
-            rules = (count_rule, colours_rule, shapes_rule) if number > 1 else ()
-            scene = redrawn(intent, rng, demo, *rules) if number else demo
+            scene = redrawn(intent, rng, demo, *(ALL_RULES if number > 1 else ())) if number else demo
             found += _shown(intent, scene, rng)
     except (IntentError, PlacementError):
         pass

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -30,6 +30,7 @@ from magical_mj.intents import SETS, Intent, dataset
 from magical_mj.intents.expert_data import Example
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
+from magical_mj.learners.settings import STATE
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils.errors import DemonstrationError, TrainingError
 
@@ -39,7 +40,7 @@ INTENTS: Final = 1000
 """The number of intents of the plans."""
 SIMULATED_INTENTS: Final = 200
 """The number of intents of the demonstrations."""
-UPDATES: Final = {"skill": 6000, "sentence": 3000, "demonstrations": 3000}
+UPDATES: Final = {"skill": 8000, "sentence": 3000, "demonstrations": 3000}
 LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
@@ -91,16 +92,24 @@ def trained_intents(number: int = INTENTS) -> list[Intent]:
     return list(dict.fromkeys([*SETS["seen"][: number // 10], *SETS["train"]]))[:number]
 
 
-def lessons(intents: Sequence[Intent], folder: Path | None = None, jobs: int | None = 1) -> list[Lesson]:
-    """The intents with their demonstrations, which are kept in `folder`. Those that the expert fails are left out."""
-    found = []
+def demonstrated(
+    intents: Iterable[Intent], preset: str, folder: Path | None = None
+) -> Iterator[tuple[Intent, list[Example]]]:
+    """The intents, each with a demonstration in each of `VARIANTS`. Those that the expert fails are left out.
+
+    The demonstrations are kept in `folder`.
+    """
     for intent in intents:
         try:
-            one = lesson(intent, dataset([str(intent)], 1, variants=VARIANTS, folder=folder, jobs=jobs))
-            found += [one] if len(one.shown) > 1 else []
+            yield intent, list(dataset([str(intent)], 1, preset, variants=VARIANTS, folder=folder, jobs=1))
         except DemonstrationError as error:
             warnings.warn(f"left out: {error}", stacklevel=2)
-    return found
+
+
+def lessons(intents: Iterable[Intent], folder: Path | None = None) -> list[Lesson]:
+    """The intents with their demonstrations from states. Those with fewer than two of use are left out."""
+    every = [lesson(intent, examples) for intent, examples in demonstrated(intents, STATE, folder)]
+    return [one for one in every if len(one.shown) > 1]
 
 
 def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
@@ -116,16 +125,17 @@ def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
         cut = Labels(labels.objects[rows], labels.places[rows])
         first = np.flatnonzero(np.diff(cut.objects, prepend=-1))
         shown.append(Shown(states[rows], actions[rows], cut, states[-1], first))
-    return Lesson(_words(intent), shown)
+    return Lesson(words_for(intent), shown)
 
 
 def planned_lessons(intents: Sequence[Intent], scenes: int = SCENES) -> list[Lesson]:
     """The intents with plans of the expert, without simulation. Those with fewer than two plans are left out."""
-    every = [Lesson(_words(one), planned(one, np.random.default_rng(k), scenes)) for k, one in enumerate(intents)]
+    every = [Lesson(words_for(one), planned(one, np.random.default_rng(k), scenes)) for k, one in enumerate(intents)]
     return [one for one in every if len(one.shown) > 1]
 
 
-def _words(intent: Intent) -> NDArray[np.int64]:
+def words_for(intent: Intent) -> NDArray[np.int64]:
+    """The words of an intent's sentences, shape (sentences, LENGTH)."""
     return np.stack([words_of(sentence) for sentence in intent.paraphrases])
 
 
@@ -294,6 +304,7 @@ if __name__ == "__main__":
     parser.add_argument("out", type=Path)
     parser.add_argument("--intents", type=int, default=INTENTS, help="the number of intents of the plans")
     parser.add_argument("--folder", type=Path, help="where the demonstrations are kept; by default the user's cache")
+    parser.add_argument("--seed", type=int, default=0, help="of the networks and the batches")
     chosen = parser.parse_args()
     with torch_settings(1):
         data = lessons(trained_intents(SIMULATED_INTENTS), chosen.folder)
@@ -305,5 +316,6 @@ if __name__ == "__main__":
                 kind,
                 plans=plans,
                 skill=None if kind == "skill" else chosen.out / "skill",
+                seed=chosen.seed,
                 watch=lambda updates, loss, kind=kind: sys.stdout.write(f"{kind} {updates} {loss:.4f}\n"),
             )
