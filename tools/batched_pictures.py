@@ -66,7 +66,8 @@ def different_bytes(count: int, size: int, shifts: str = "", device: str | None 
     batch, seeds = BatchScenes.of(scenes, *Capacity.of(scenes)), [seed for *_, seed in drawn]
     tables = episode_tables(batch, seeds, {name: int(strengths[name]) for name in strengths}, STEPS + 1)
     pictures = (_simulated if device is None else partial(_on_device, device))(batch, tables, size)
-    return sum(np.count_nonzero(np.stack(wanted[view]).reshape(out.shape) != out) for view, out in pictures.items())
+    differ = (np.stack(wanted[view]).reshape(out.shape) != out for view, out in pictures.items())
+    return int(sum(map(np.count_nonzero, differ)))
 
 
 def blank(count: int, size: int) -> Pictures:
@@ -113,7 +114,7 @@ def simulate(given: Path, result: Path) -> None:
     posed, pictures = (arrays["poses"], arrays["fingers"], np.full(count, STEPS)), blank(count, int(arrays["size"]))
     for view, out in pictures.items():
         launch(tables, faults, room, posed, view, np.arange(count), out)
-    np.savez(result, **pictures)
+    np.savez(result, allow_pickle=False, **pictures)
 
 
 def main() -> int:
