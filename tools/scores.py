@@ -7,12 +7,11 @@ from dataclasses import replace
 from functools import cache
 from typing import Final
 
-from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.leaderboard.page import label, shown
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
-    COLUMNS,
     GROUPS,
     Standing,
     floor,
@@ -22,7 +21,7 @@ from magical_mj.leaderboard.standings import (
 )
 from tools import released
 from tools.claims import claims
-from tools.pages import ROOT, number, table
+from tools.pages import ROOT, table
 
 RESULTS: Final = ROOT / "results"
 AGENTS: Final = {
@@ -34,14 +33,12 @@ AGENTS: Final = {
 HEADLINES: Final = (
     "BC (ST, quick)",
     "Redraw (ST, quick)",
-    "BC (ST)",
-    "GAIL (ST)",
     "Relational (ST, State)",
     "BC (ST, State)",
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the tables of docs/results.md."""
+"""The learners in the table of docs/results.md."""
 SATURATED: Final = 0.95
 """From this score of the best learnt method on, an environment does not tell methods apart."""
 HOPELESS: Final = 0.1
@@ -59,16 +56,6 @@ def groups(methods: Iterable[Standing]) -> str:
         rows += [(f"**{heading}**", *[""] * len(columns))] if group else []
         rows += [(_label(method), *(shown(method, column) for column in columns)) for method in group]
     return table(("Method", *columns), rows)
-
-
-def compared(methods: Iterable[Standing]) -> str:
-    """The mean score over tasks in each variant."""
-    tasks = (f"{variant} ({len(COLUMNS[variant])})" for variant in VARIANTS)
-    rows = [
-        (_label(method), *(number(method.scores[variant].value) for variant in VARIANTS))
-        for method in sorted(methods, key=lambda method: method.rank)
-    ]
-    return table(("Method", *tasks), rows)
 
 
 def _label(method: Standing) -> str:
@@ -95,12 +82,9 @@ def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     chosen = {*HEADLINES, *AGENTS}
     own = [method for method in own_methods().values() if method.name in chosen and method.everywhere]
-    rescored = by_released_rules()
-    in_paper = [method for method in published() if method.name in HEADLINES]
     return {
         "methods": groups(own),
-        "compared": compared([*(method for method in rescored if method.name in chosen), *in_paper]),
-        "claims": claims({method.name: method for method in rescored}, published()),
+        "claims": claims({method.name: method for method in by_released_rules()}, published()),
     }
 
 
