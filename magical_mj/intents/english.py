@@ -43,13 +43,11 @@ CLAUSES: Final[dict[str, tuple[str, ...]]] = {
 """Relation -> clauses that say the same, the usual one first."""
 
 
-def sentence_of(conjuncts: Sequence[Conjunct]) -> str:
-    """One sentence that asks for all of the conjuncts, last for those that want blocks left where they are."""
-    return paraphrases_of(conjuncts)[0]
-
-
 def paraphrases_of(conjuncts: Sequence[Conjunct]) -> tuple[str, ...]:
-    """Different sentences that ask for the same, the usual one first."""
+    """Different sentences that ask for all of the conjuncts, the usual one first.
+
+    They end with what shall be left where it is.
+    """
     ordered = sorted(conjuncts, key=lambda conjunct: conjunct.relation == "untouched")
     sentences = map(_joined, itertools.product(*map(_clauses, ordered)))
     return tuple(itertools.islice(dict.fromkeys(sentences), MOST_PARAPHRASES))

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Final, NoReturn
 
 from magical_mj.intents.canonical import without_repetition
-from magical_mj.intents.english import paraphrases_of, sentence_of
+from magical_mj.intents.english import paraphrases_of
 from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
 from magical_mj.intents.selectors import (
     ALL,
@@ -129,7 +129,7 @@ class Intent:
     @property
     def sentence(self) -> str:
         """The intent in English: "Bring all red blocks into the region, and leave all other blocks where they are."."""
-        return sentence_of(self.conjuncts)
+        return self.paraphrases[0]
 
     @property
     def paraphrases(self) -> tuple[str, ...]:

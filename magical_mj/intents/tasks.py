@@ -32,7 +32,6 @@ from magical_mj.intents.scenes import (
     size_of,
 )
 from magical_mj.scene import Scene
-from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import IntentError, InvalidSceneError, short_repr
 
@@ -123,7 +122,7 @@ def spec_of(task: Task) -> TaskSpec:
         distance=partial(_distance, intent),
         check=partial(_check, intent),
         accepts=partial(accepts, intent),
-        plan=partial(_plan, intent),
+        plan=partial(plan, intent),
         colour=partial(colours_rule, intent),
         shape=partial(shapes_rule, intent),
         count=partial(count_rule, intent),
@@ -156,7 +155,3 @@ def _distance(intent: Intent, initial: Scene, final: Scene, rules: Rules = "pape
 def _check(intent: Intent, scene: Scene) -> None:
     if why := missing(intent, scene):
         raise InvalidSceneError(f"this is not a scene of the intent {intent}: {why}")
-
-
-def _plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    return plan(intent, initial, now, noise)

@@ -16,6 +16,7 @@ from PIL import Image
 import magical_mj
 from magical_mj import Engine, demos
 from magical_mj.evaluation.attribution import (
+    FAILURES,
     Attribution,
     Unexplained,
     attribute,
@@ -35,7 +36,9 @@ from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
+from tools import last_solvable
 from tools.attribution import COLUMNS, ENDED, RESULTS, ROOT, TELLING, covered, disagree, measured_row, pursued, replayed
+from tools.pages import filled
 
 CLOSE_GRIPPER = 9
 
@@ -224,3 +227,12 @@ def test_the_file_of_all_entries_is_what_a_replay_gives() -> None:
     entry = read_entry(RESULTS / "pixels-bc-quick")
     episodes = [one for one in covered(entry) if one.task == "MoveToRegion"]
     assert measured_row("MoveToRegion", episodes) == ["MoveToRegion", *known.tolist()]
+
+
+def test_the_table_of_last_solvable_steps_is_that_of_the_file() -> None:
+    rows = last_solvable.stored()
+    assert len({row.place for row in rows}) == len(rows)
+    assert all(row.failure in FAILURES and (row.last is None or 0 <= row.last < row.steps) for row in rows)
+    page = last_solvable.PAGE.read_text("utf-8")
+    assert filled(page, {"lost": last_solvable.losses(rows)}, last_solvable.COMMAND) == page
+    assert f"Of {len(rows)} failed episodes" in " ".join(page.split())

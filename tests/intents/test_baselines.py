@@ -47,6 +47,13 @@ def score(name: str, *groups: str) -> float:
     return float(over_intents(chosen).mean())
 
 
+def by_training(name: str) -> str:
+    runs = sorted({mean.run for mean in MEANS if mean.baseline == name})
+    scores = [float(over_intents(m for m in MEANS if (m.baseline, m.run) == (name, run)).mean()) for run in runs]
+    *first, last = (f"{value:.2f}" for value in scores)
+    return f"{', '.join(first)} and {last}"
+
+
 def in_variant(name: str, variant: str) -> float:
     return float(over_intents(mean for mean in MEANS if (mean.baseline, mean.variant) == (name, variant)).mean())
 
@@ -92,7 +99,9 @@ def statements() -> list[str]:
         f"so it gains {learnt[0]:.2f} ({learnt[1]:.2f} to {learnt[2]:.2f}).",
         f"with demonstrations in one scene scores {score(SHOWN):.2f},",
         f"in four random scenes {score(SHOWN_RANDOM):.2f} and in four contrasting ones {score(SHOWN_CONTRASTING):.2f}.",
-        f"One scene gains {varied[0]:.2f} ({varied[1]:.2f} to {varied[2]:.2f}) over four random ones,",
+        f"One scene gains {varied[0]:.2f} ({varied[1]:.2f} to {varied[2]:.2f}) over four random ones",
+        f"the trainings with the sentence score {by_training(SENTENCE)}, "
+        f"and those with one scene {by_training(SHOWN)}.",
         *checks(),
     ]
 
@@ -106,7 +115,7 @@ def checks() -> list[str]:
 
     return [
         (
-            f"With its own sentence, the policy scores {own(SENTENCE)} in All. "
+            f"with its own sentence, the policy scores {own(SENTENCE)} in All. "
             f"With another sentence, it scores {figures(SENTENCE, 'wrong', 'score')},"
         ),
         f"and {figures(SENTENCE, 'wrong', 'other')} by the intent of that sentence.",
