@@ -42,13 +42,10 @@ class Painter:
     """
 
     def __init__(self, scenes: BatchScenes, episodes: EpisodeArrays, device: str = "cpu") -> None:
-        count = len(scenes.shapes)
         arrays = all_tables(scenes, episodes)
         self._named = {name: torch.tensor(table, device=device) for name, table in arrays.items()}
-        self._all, self._steps = (
-            torch.arange(count, device=device),
-            torch.zeros(count, dtype=torch.int64, device=device),
-        )
+        self._all = torch.arange(len(scenes.shapes), device=device)
+        self._steps = torch.zeros_like(self._all)
         self._tables = Tables(*(self._named[name] for name in Tables._fields))
         self._faults = Faults(*(self._named[name] for name in Faults._fields)) if "noises" in episodes else None
         self._canvas: Any = None

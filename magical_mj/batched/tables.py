@@ -145,7 +145,6 @@ def all_tables(scenes: BatchScenes, episodes: EpisodeArrays) -> EpisodeArrays:
     (envs, _), plain = scenes.shapes.shape, library()
     arrays = {
         "corners": plain.corners,
-        "quads": scenes.quads.reshape(envs, -1, 2),
         "palettes": np.repeat(palette(plain.model)[None], envs, axis=0),
         "cameras": np.repeat(cameras(plain.model)[None], envs, axis=0),
         "segments": segments(scenes),
@@ -153,7 +152,8 @@ def all_tables(scenes: BatchScenes, episodes: EpisodeArrays) -> EpisodeArrays:
         "tones": np.zeros((0, 3, 256), np.int32),
         "slopes": np.zeros((0, 3)),
         "bars": np.zeros((0, 6)),
-        **episodes,
+        **{name: episodes[name] for name in (*Tables._fields, *Faults._fields) if name in episodes},
+        "quads": scenes.quads.reshape(envs, -1, 2),
     }
     if "noises" in episodes:
         silence = np.zeros(NOISE_SAMPLES, np.int8)
