@@ -1,16 +1,18 @@
 """Measures all figures about batched environments that need an accelerator, for at most twelve minutes at a time.
 
-    python tools/batched_gpu.py --list                       # the names of all parts
+    python tools/batched_gpu.py --list                       # all parts, and about how long each takes on an H100
     python tools/batched_gpu.py --out out/batched            # all parts that are not finished
     python tools/batched_gpu.py --out out/batched --seconds 540 --only speed-MoveToRegion-Demo-State
     python tools/batched_gpu.py --out out/rehearsal --rehearse --device cpu
 
 A finished part has a file with its output in the folder, and is skipped. So when the time is over, or after an
 interruption, start the script again: trainings and evaluations continue, and any other part that was stopped starts
-again. If a part fails, the others still run, and the exit code is 1. The first parts are the comparison of pictures
-with the software renderer's, then the speed, with the time of each kernel and the memory of an environment. The part
-`bc`, behavioural cloning at the paper's full size (tools/full_size/accelerator.sh), takes all the time that is left,
-in each call until it has ended; `--only` runs one of the parts after it.
+again; it is only started if there is about as much time as it needs. If a part fails, the others still run, and the
+exit code is 1. The first parts are the comparison of pictures with the software renderer's, then the speed, with the
+time of each kernel, PyTorch's profile of whole steps, and the memory of an environment. The part `bc`, behavioural
+cloning at the paper's full size (tools/full_size/accelerator.sh), takes all the time that is left, in each call until
+it has ended; `--only` runs one of the parts after it. A rehearsal does as little as possible, also of that part, and
+draws with numba-cuda's simulator as well.
 
 The machine needs Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports, and
 the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, the one on PyPI) with NVIDIA's
@@ -46,14 +48,26 @@ TO_END: Final = 20  # seconds that a part needs more to end
 SECONDS_LEFT: Final = "SECONDS"
 ROOT: Final = Path(__file__).parent.parent
 COMMAND: Final = [sys.executable, "-m", "magical_mj"]
-FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
-"""The environment variables of the commands. `tools.benchmarks` can be imported from any folder."""
+FROM_HERE: Final = os.environ | {
+    "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
+    "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),
+}
+"""The environment variables of the commands: they find `tools.benchmarks` and `magical-mj` from any folder."""
 FIDELITY: Final = [sys.executable, str(ROOT / "tools" / "research" / "batched_fidelity.py")]
 PICTURES: Final = [sys.executable, str(ROOT / "tools" / "batched_pictures.py")]
 BENCHMARK: Final = [sys.executable, "-m", "tools.benchmarks", "--batched"]
 FULL_SIZE: Final = ROOT / "tools" / "full_size" / "accelerator.sh"
 PRINTED: Final = ("pictures", "speed", "fidelity")
 """The beginnings of the names of parts whose output is printed."""
+NEEDED: Final[Mapping[str, int]] = {
+    "pictures": 40,
+    "pictures-shifted": 60,
+    "speed-MoveToRegion-Demo-State": 120,  # Warp compiles
+    "speed-MoveToRegion-Demo-LoRes4E": 50,
+    "speed-ClusterShape-All-State": 130,
+    "speed-ClusterShape-All-LoRes4E": 170,
+}
+"""About how many seconds parts take on an H100. Other parts continue where they stopped, or are short."""
 MEASURED: Final = (("MoveToRegion", "Demo"), ("ClusterShape", "All"))
 
 
@@ -76,15 +90,18 @@ def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
     tasks = ("MoveToRegion",) if rehearse else magical_mj.TASKS
     states, replays, episodes = ("2", "1", "1") if rehearse else ("200", "25", "100")
     commands: dict[str, list[str]] = {}
-    for size, shifts in (("96", ""), ("64", "camera:3,light:3,texture:3,palette:3")):
-        drawn = ["--scenes", "4" if rehearse else "1000", "--size", size, "--shifts", shifts]
-        commands["pictures-shifted" if shifts else "pictures"] = [*PICTURES, *on, *drawn]
+    for size, shifts in (("96", ""), ("64", "camera:3,light:3,texture:3,palette:3,sensor:3")):
+        name = "pictures-shifted" if shifts else "pictures"
+        drawn = ["--scenes", "4" if rehearse else "1000", "--shifts", shifts]
+        commands[name] = [*PICTURES, *on, *drawn, "--size", size]
+        if rehearse:
+            commands[f"{name}-simulated"] = [*PICTURES, *drawn, "--size", "16"]
     for (task, variant), preset in product(MEASURED[:1] if rehearse else MEASURED, ("State", "LoRes4E")):
         options = ["--tasks", task, "--variants", variant, "--presets", preset, "--profile"]
         options += ["--num-envs", "2" if rehearse else "4096,256,1024,16384"]
         commands[f"speed-{task}-{variant}-{preset}"] = [*BENCHMARK, *on, *options]
-    if not rehearse:
-        commands["bc"] = [str(FULL_SIZE), SECONDS_LEFT, "12", str(out / "full_size")]
+    trained = ["60", "1"] if rehearse else [SECONDS_LEFT, "12"]
+    commands["bc"] = [str(FULL_SIZE), *trained, str(out / "full_size")]
     commands["fidelity-actions"] = [*FIDELITY, "actions", *on, "--states", states]
     commands["fidelity-replays"] = [*FIDELITY, "replays", *on, "--count", replays, "--tasks", ",".join(tasks)]
     environment = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
@@ -103,6 +120,7 @@ def run(command: list[str], done: Path, seconds: float) -> str:
     """Runs a part for at most so many seconds and returns how it ended. If it succeeds, its output is in `done`."""
     partial, goes_on = done.with_suffix(".partial"), SECONDS_LEFT in command
     command = [str(int(seconds)) if word == SECONDS_LEFT else word for word in command]
+    partial.unlink(missing_ok=True)  # if this script was killed, the part may still write there
     with partial.open("w") as file:
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0, env=FROM_HERE)
         try:
@@ -134,16 +152,18 @@ def main() -> int:
     chosen.out = chosen.out or Path("out/rehearsal" if chosen.rehearse else "out/batched")
     every = parts(chosen.device, chosen.out, rehearse=chosen.rehearse)
     if chosen.list:
-        print("\n".join(every))
+        print("\n".join(f"{name}: {NEEDED[name]} s" if name in NEEDED else name for name in every))
         return 0
     if chosen.only and chosen.only not in every:
         parser.error(f"unknown part {chosen.only}; the parts are {', '.join(every)}")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the running part ends, too
     chosen.out.mkdir(parents=True, exist_ok=True)
     status, end = 0, time.monotonic() + chosen.seconds
     for name in [chosen.only] if chosen.only else every:
         done, start = chosen.out / f"{name}.txt", time.monotonic()
-        if not done.exists() and start >= end:
-            print(f"{name}: not started, the time is over")
+        needed = 0 if chosen.rehearse else NEEDED.get(name, 0)
+        if not done.exists() and start + needed >= end:
+            print(f"{name}: not started, it needs {needed} s of {max(0, end - start):.0f} s", flush=True)
             continue
         training = name.removesuffix("-score")
         if training != name and not (chosen.out / f"{training}.txt").exists():

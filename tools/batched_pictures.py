@@ -30,13 +30,14 @@ from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.registry import parse_shifts
 
 if TYPE_CHECKING:
-    from magical_mj.batched.scenes import Arrays, BatchScenes
+    from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 
 ROOT: Final = Path(__file__).parent.parent
 ALL_VIEWS: Final = (*VIEWS, *SEGMENTATIONS)
 STEPS: Final = 2
 """The number of steps before the pictures, since shifts may change with the step."""
-Pictures = dict[str, "NDArray[np.uint8]"]
+Pictures = dict[str, Any]
+"""View -> the pictures of all scenes, uint8."""
 SIMULATED: Final = {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
 
 
@@ -75,7 +76,7 @@ def blank(count: int, size: int) -> Pictures:
     return {view: np.zeros((count, size, size, 3 if view in VIEWS else 1), np.uint8) for view in ALL_VIEWS}
 
 
-def _on_device(device: str, batch: BatchScenes, tables: Arrays, size: int) -> Pictures:
+def _on_device(device: str, batch: BatchScenes, tables: EpisodeArrays, size: int) -> Pictures:
     """The pictures that a device draws."""
     import torch
 
@@ -90,7 +91,7 @@ def _on_device(device: str, batch: BatchScenes, tables: Arrays, size: int) -> Pi
     return {view: out.cpu().numpy() for view, out in drawn.items()}
 
 
-def _simulated(batch: BatchScenes, tables: Arrays, size: int) -> Pictures:
+def _simulated(batch: BatchScenes, tables: EpisodeArrays, size: int) -> Pictures:
     """The pictures that numba-cuda's simulator draws in a process of its own."""
     from magical_mj.batched.tables import all_tables, most_corners
 

@@ -61,13 +61,13 @@ sys.exit(main(sys.argv[1:]))
 SAMPLER: Final = """
 import pathlib, sys
 from magical_mj.utils import files
-from magical_mj.batched.scenes import Capacity, SceneSampler
+from magical_mj.batched.scenes import Capacity, Sampler
 out, number = pathlib.Path(sys.argv[-1]), 0
 out.mkdir(parents=True, exist_ok=True)
-sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3), workers=2)
+sampler = Sampler([("FindDupe", "All")] * 256, Capacity(10, 3), lambda scenes, seeds: {}, workers=2)
 try:
     while number := number + 1:
-        files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
+        files.write(out / str(number), sampler.episodes(range(256))[1]["poses"].tobytes(), overwrite=True)
 except KeyboardInterrupt:
     pass
 """  # endless sampling of scenes for batched environments in workers; without a guard for `__main__`

@@ -19,7 +19,7 @@ from torch import Tensor
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.pictures import check_accelerator
-from magical_mj.batched.scenes import BatchScenes, Capacity, Episodes, Prepare, Sampler, sample
+from magical_mj.batched.scenes import BatchScenes, Capacity, EpisodeArrays, Prepare, Sampler, sample
 from magical_mj.batched.tables import constant_states, episode_tables
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
@@ -126,9 +126,10 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._sampler.seed(seed)
         self._seeds = [0] * self.num_envs
         kinds = {pair: row for row, pair in enumerate(dict.fromkeys(pairs))}
-        first, rows = sample(list(kinds), [0] * len(kinds), capacity), np.array([kinds[pair] for pair in pairs])
-        episodes = {name: values[rows] for name, values in self._prepare(first, [0] * len(kinds)).items()}
-        self._scenes = first[rows]
+        rows = [kinds[pair] for pair in pairs]
+        first = sample(list(kinds), capacity, self._prepare, [0] * len(kinds))
+        episodes = {name: values[rows] for name, values in first.items()}
+        self._scenes = BatchScenes.named(episodes)
         self.physics = Physics(self._scenes, self.device)
         self.observer: States | Frames = (
             States(observed, episodes, self.device)
@@ -169,18 +170,19 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _begin(self, envs: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(envs, dtype=torch.int64, device=self.device)
         if envs:
-            self._put(self._sampler.episodes(envs, seeds), where)
+            self._put(*self._sampler.episodes(envs, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
         return self.observer.observe_start(self.physics, where)
 
-    def _put(self, episodes: Episodes, envs: Tensor) -> None:
-        """Starts these episodes in these environments."""
-        for env, seed in zip(envs.tolist(), episodes.seeds, strict=True):
+    def _put(self, seeds: Sequence[int], episodes: EpisodeArrays, envs: Tensor) -> None:
+        """Starts the episodes of these seeds in these environments."""
+        scenes = BatchScenes.named(episodes)
+        for env, seed in zip(envs.tolist(), seeds, strict=True):
             self._seeds[env] = seed
-        self._scenes.write(episodes.scenes, envs.cpu().numpy())
-        self.physics.reset(episodes.scenes, envs)
-        self.observer.set_episodes(episodes.prepared, envs)
+        self._scenes.write(scenes, envs.cpu().numpy())
+        self.physics.reset(scenes, envs)
+        self.observer.set_episodes(episodes, envs)
 
     def get_state(self) -> dict[str, Any]:
         """The state of all environments, including the pictures in the stacks, as tensors, arrays and plain values."""
@@ -211,7 +213,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         check_state(state, self.get_state())
         scenes, seeds = BatchScenes(**state["scenes"]), state["seeds"]
         every = torch.arange(self.num_envs, device=self.device)
-        self._put(Episodes(scenes, seeds, self._prepare(scenes, seeds)), every)
+        self._put(seeds, {**vars(scenes), **self._prepare(scenes, seeds)}, every)
         self._sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]

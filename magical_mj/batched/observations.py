@@ -12,7 +12,7 @@ from torch import Tensor
 
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import Arrays, BatchScenes
+from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.envs.presets import Preset, observation_space
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 
@@ -26,11 +26,11 @@ _REGION: Final = STATE_NAMES.index("region0.present")
 class States:
     """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (envs, entries), float32."""
 
-    def __init__(self, preset: Preset, episodes: Arrays, device: str) -> None:
+    def __init__(self, preset: Preset, episodes: EpisodeArrays, device: str) -> None:
         self.space: spaces.Space[Any] = observation_space(preset, {})
         self._fixed = torch.from_numpy(episodes["fixed"]).to(device, copy=True)
 
-    def set_episodes(self, episodes: Arrays, envs: Tensor) -> None:
+    def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
         """Starts episodes in these environments, see `tables.constant_states`."""
         self._fixed[envs] = torch.from_numpy(episodes["fixed"]).to(self._fixed)
 
@@ -65,7 +65,7 @@ class Frames:
     them in order. For presets with finger angles, the dict also contains these, float32.
     """
 
-    def __init__(self, preset: Preset, size: int, scenes: BatchScenes, episodes: Arrays, device: str) -> None:
+    def __init__(self, preset: Preset, size: int, scenes: BatchScenes, episodes: EpisodeArrays, device: str) -> None:
         self._painter = Painter(scenes, episodes, device)
         self._preset, shape = preset, (len(scenes.shapes), size, size, preset.depth)
         self._rings = {
@@ -76,7 +76,7 @@ class Frames:
         shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self.get_state().items()}
         self.space = observation_space(preset, shapes)
 
-    def set_episodes(self, episodes: Arrays, envs: Tensor) -> None:
+    def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
         """Starts episodes in these environments, see `tables.episode_tables`."""
         self._painter.set_episodes(episodes, envs)
 

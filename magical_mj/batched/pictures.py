@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj.batched.frames import VISIBLE, frame_count, write_frames
-from magical_mj.batched.scenes import Arrays, BatchScenes
+from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.batched.tables import Faults, Tables, all_tables, most_corners
 from magical_mj.rendering.picture import Picture
 from magical_mj.rendering.scanlines import count_bare, draw_posed, segment_posed
@@ -41,14 +41,11 @@ class Painter:
         device: the device of all tensors.
     """
 
-    def __init__(self, scenes: BatchScenes, episodes: Arrays, device: str = "cpu") -> None:
-        count = len(scenes.shapes)
+    def __init__(self, scenes: BatchScenes, episodes: EpisodeArrays, device: str = "cpu") -> None:
         arrays = all_tables(scenes, episodes)
         self._named = {name: torch.tensor(table, device=device) for name, table in arrays.items()}
-        self._all, self._steps = (
-            torch.arange(count, device=device),
-            torch.zeros(count, dtype=torch.int64, device=device),
-        )
+        self._all = torch.arange(len(scenes.shapes), device=device)
+        self._steps = torch.zeros_like(self._all)
         self._tables = Tables(*(self._named[name] for name in Tables._fields))
         self._faults = Faults(*(self._named[name] for name in Faults._fields)) if "noises" in episodes else None
         self._canvas: Any = None
@@ -57,17 +54,15 @@ class Painter:
 
             self._canvas = Canvas(self._tables, self._faults, most_corners(scenes))
 
-    def set_episodes(self, episodes: Arrays, envs: Tensor) -> None:
-        """Starts episodes with these tables in some environments."""
+    def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
+        """Starts these episodes in some environments."""
         self._steps[envs] = 0
-        for name, rows in episodes.items():
+        for name in (self._named.keys() & episodes.keys()) - {"noises"}:
             table = self._named[name]
-            if name != "noises":
-                table[envs] = torch.from_numpy(rows).to(table)
-                continue
-            for env, noise in zip(envs.tolist(), rows, strict=True):
-                if noise is not None:
-                    table[env] = torch.from_numpy(noise).to(table)
+            table[envs] = torch.from_numpy(episodes[name]).to(table).reshape(len(envs), *table.shape[1:])
+        for env, noise in zip(envs.tolist(), episodes.get("noises", ()), strict=False):
+            if noise is not None:
+                self._named["noises"][env] = torch.from_numpy(noise).to(self._all.device)
 
     def set_steps(self, steps: Tensor) -> None:
         """Sets the number of steps of each environment's episode."""

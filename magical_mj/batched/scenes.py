@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
@@ -130,6 +130,11 @@ class BatchScenes:
                     arrays.quads[env, slot, first : first + count] = corners
         return arrays
 
+    @classmethod
+    def named(cls, arrays: EpisodeArrays) -> BatchScenes:
+        """The scenes whose fields are among these arrays."""
+        return cls(**{field.name: arrays[field.name] for field in fields(cls)})
+
     def __getitem__(self, envs: NDArray[np.int64]) -> BatchScenes:
         """The scenes of these environments, in this order."""
         return BatchScenes(**{name: values[envs] for name, values in vars(self).items()})
@@ -152,49 +157,19 @@ class BatchScenes:
             values[envs] = getattr(other, name)
 
 
-Arrays = dict[str, NDArray[Any]]
-"""Arrays by name, which have a row for each environment."""
-Prepare = Callable[[BatchScenes, Sequence[int]], Arrays]
+EpisodeArrays = dict[str, NDArray[Any]]
+"""Arrays by name, with a row for each environment: the fields of `BatchScenes`, and what observations need."""
+Prepare = Callable[[BatchScenes, Sequence[int]], EpisodeArrays]
 """Computes what observations need of episodes with these scenes and seeds."""
-
-
-Sampled = tuple[Arrays, Arrays]
-"""The fields of `BatchScenes`, and what observations need of their episodes."""
-
-
-class Episodes(NamedTuple):
-    """The episodes that start in some environments."""
-
-    scenes: BatchScenes
-    seeds: list[int]
-    prepared: Arrays
-    """What observations need of them."""
-
-
-def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> BatchScenes:
-    """The scenes `sample_scene(task, variant, seed)`."""
-    scenes = [sample_scene(task, variant, seed) for (task, variant), seed in zip(pairs, seeds, strict=True)]
-    return BatchScenes.of(scenes, *capacity)
-
-
-def _sampled(pairs: Sequence[Pair], capacity: Capacity, prepare: Prepare, seeds: Sequence[int]) -> Sampled:
-    """Samples these episodes."""
-    scenes = sample(pairs, seeds, capacity)
-    return vars(scenes), prepare(scenes, seeds)
-
-
-Row = tuple["Future[Sampled]", int]
+Row = tuple["Future[EpisodeArrays]", int]
 """Episodes that a worker samples, and the row of one of them."""
 
 
-def _joined(rows: Sequence[Row]) -> Sampled:
-    """The arrays with these rows."""
-    parts = [(future.result(), [row for _, row in group]) for future, group in groupby(rows, key=itemgetter(0))]
-    scenes, prepared = (
-        {name: np.concatenate([result[kind][name][chosen] for result, chosen in parts]) for name in parts[0][0][kind]}
-        for kind in (0, 1)
-    )
-    return scenes, prepared
+def sample(pairs: Sequence[Pair], capacity: Capacity, prepare: Prepare, seeds: Sequence[int]) -> EpisodeArrays:
+    """The episodes that start in `sample_scene(task, variant, seed)`."""
+    drawn = [sample_scene(task, variant, seed) for (task, variant), seed in zip(pairs, seeds, strict=True)]
+    scenes = BatchScenes.of(drawn, *capacity)
+    return {**vars(scenes), **prepare(scenes, seeds)}
 
 
 class Sampler:
@@ -227,25 +202,25 @@ class Sampler:
         self.seed(state["seed"])
         self._episodes = list(state["episodes"])
 
-    def episodes(self, envs: Sequence[int], seeds: Sequence[int] | None = None) -> Episodes:
-        """Episodes for these environments, in this order: those of the seeds, or each environment's next one.
+    def episodes(self, envs: Sequence[int], seeds: Sequence[int] | None = None) -> tuple[list[int], EpisodeArrays]:
+        """The seeds and arrays of episodes for these environments: of these seeds, or each environment's next one.
 
         With workers, starts to sample the following ones.
         """
         chosen = self._next_seeds(envs) if seeds is None else list(seeds)
         if not self._workers or (seeds is not None and len(envs) <= CHUNK):
-            sampled = _sampled([self._pairs[env] for env in envs], self._capacity, self._prepare, chosen)
+            arrays = sample([self._pairs[env] for env in envs], self._capacity, self._prepare, chosen)
         elif seeds is None:
             self._start(envs)
-            sampled = _joined([self._ahead.pop(env) for env in envs])
+            arrays = _joined([self._ahead.pop(env) for env in envs])
         else:
-            sampled = _joined(list(self._submitted(envs, chosen).values()))
+            arrays = _joined(list(self._submitted(envs, chosen).values()))
         if seeds is None:
             for env in envs:
                 self._episodes[env] += 1
         if self._workers:
             self._start(envs)
-        return Episodes(BatchScenes(**sampled[0]), chosen, sampled[1])
+        return chosen, arrays
 
     def _next_seeds(self, envs: Sequence[int]) -> list[int]:
         """The seeds of the next episodes of these environments."""
@@ -263,7 +238,7 @@ class Sampler:
         submitted: dict[int, Row] = {}
         for first in range(0, len(envs), CHUNK):
             chunk = envs[first : first + CHUNK]
-            work = partial(_sampled, [self._pairs[env] for env in chunk], self._capacity, self._prepare)
+            work = partial(sample, [self._pairs[env] for env in chunk], self._capacity, self._prepare)
             future = self._pool.submit(work, seeds[first : first + CHUNK])
             submitted |= {env: (future, row) for row, env in enumerate(chunk)}
         return submitted
@@ -272,3 +247,9 @@ class Sampler:
         """Stops the workers. May be called twice."""
         if self._pool:
             self._pool.close()
+
+
+def _joined(rows: Sequence[Row]) -> EpisodeArrays:
+    """The arrays with these rows."""
+    parts = [(future.result(), [row for _, row in group]) for future, group in groupby(rows, key=itemgetter(0))]
+    return {name: np.concatenate([arrays[name][chosen] for arrays, chosen in parts]) for name in parts[0][0]}

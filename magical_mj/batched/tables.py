@@ -24,7 +24,7 @@ from magical_mj.assets.region import DASHES
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.batched.frames import BLOCKS, COSINE, LEFT_FINGER, RIGHT_FINGER, SINE, VISIBLE, WORLD, X, Y
 from magical_mj.batched.frames import ROBOT as ROBOT_BODY
-from magical_mj.batched.scenes import Arrays, BatchScenes
+from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.rendering.scanlines import BODY, FIRST, IS_SKIN, LAST, SOURCE, packed_rgba
 from magical_mj.rendering.software import BLOCK, FINGER, REGION, ROBOT, WALL, polygons_of
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
@@ -133,14 +133,14 @@ class Faults(NamedTuple):
     """The random number of each view after each number of steps. Shape (envs, views, steps), float64."""
 
 
-def constant_states(scenes: BatchScenes, seeds: Sequence[int], *, start: bool) -> Arrays:
+def constant_states(scenes: BatchScenes, seeds: Sequence[int], *, start: bool) -> EpisodeArrays:
     """The array "fixed", the constant entries of the state vectors, see `StateEncoder`. Shape (envs, entries)."""
     del seeds
     encoders = (StateEncoder(scenes.scene(env), start=start) for env in range(len(scenes.poses)))
     return {"fixed": np.stack([encoder.fixed for encoder in encoders])}
 
 
-def all_tables(scenes: BatchScenes, episodes: Arrays) -> Arrays:
+def all_tables(scenes: BatchScenes, episodes: EpisodeArrays) -> EpisodeArrays:
     """All of `Tables`, and with the shift sensor all of `Faults`, for the first episodes, see `episode_tables`."""
     (envs, _), plain = scenes.shapes.shape, library()
     arrays = {
@@ -152,7 +152,8 @@ def all_tables(scenes: BatchScenes, episodes: Arrays) -> Arrays:
         "tones": np.zeros((0, 3, 256), np.int32),
         "slopes": np.zeros((0, 3)),
         "bars": np.zeros((0, 6)),
-        **episodes,
+        **{name: episodes[name] for name in (*Tables._fields, *Faults._fields) if name in episodes},
+        "quads": scenes.quads.reshape(envs, -1, 2),
     }
     if "noises" in episodes:
         silence = np.zeros(NOISE_SAMPLES, np.int8)
@@ -162,8 +163,8 @@ def all_tables(scenes: BatchScenes, episodes: Arrays) -> Arrays:
 
 def episode_tables(
     scenes: BatchScenes, seeds: Sequence[int] = (), shifts: Mapping[str, int] = MappingProxyType({}), steps: int = 1
-) -> Arrays:
-    """The tables that change when episodes start.
+) -> EpisodeArrays:
+    """The tables that change when episodes start, except `quads`, a field of the scenes.
 
     Args:
         scenes: the scenes of the episodes.
@@ -177,9 +178,8 @@ def episode_tables(
     """
     table = polygons(scenes)
     counts = table[..., LAST] - table[..., FIRST]
-    arrays: Arrays = {
+    arrays: EpisodeArrays = {
         "polygons": table,
-        "quads": scenes.quads.reshape(len(table), -1, 2),
         "places": counts.cumsum(axis=-1, dtype=np.int32) - counts,
     }
     if shifts:

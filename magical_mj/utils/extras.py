@@ -15,7 +15,7 @@ from magical_mj.utils.errors import MissingExtraError
 MODULES: Final = {
     "dask": ("distributed",),
     "eval": ("matplotlib", "pandas", "scipy"),
-    "gpu": ("mujoco_warp", "numba_cuda", "torch", "warp"),
+    "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
     "minari": ("h5py", "minari"),
     "onnx": ("onnxruntime", "onnxscript"),
@@ -24,7 +24,7 @@ MODULES: Final = {
     "web": ("websockets",),
     "window": ("pygame",),
 }
-"""Extra -> the imported modules of its packages; see pyproject.toml."""
+"""Extra -> the imported modules of its packages; see pyproject.toml. Without those that only some platforms have."""
 
 
 def check_extra(what: str, *extras: str) -> None:

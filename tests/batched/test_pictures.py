@@ -81,7 +81,8 @@ def test_other_scenes_in_the_same_slots() -> None:
     first, second = ([magical_mj.sample_scene("FindDupe", "All", seed) for seed in seeds] for seeds in ((0, 1), (2, 3)))
     before, after = (BatchScenes.of(scenes, 10, 3) for scenes in (first, second))
     painter = painted(before)
-    painter.set_episodes(episode_tables(after[np.array([1])]), torch.tensor([1]))
+    second_after = after[np.array([1])]
+    painter.set_episodes({**vars(second_after), **episode_tables(second_after)}, torch.tensor([1]))
     both = after[np.array([0, 1])]
     both.write(before[np.array([0])], np.array([0]))
     for scene, picture in zip((first[0], second[1]), drawn(painter, both, "allo", 61), strict=True):

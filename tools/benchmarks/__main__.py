@@ -114,17 +114,22 @@ def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> I
     """The lines of a measurement, with the launches of each part, or with `profile` those of each kernel."""
     from tools.benchmarks.batched import by_part
 
-    times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
+    rest = speed.step_seconds - speed.physics_seconds - speed.observation_seconds
+    parts = speed.step_seconds, speed.physics_seconds, speed.observation_seconds, rest, speed.reset_seconds
+    times = [1000 * seconds for seconds in parts]
     yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.num_envs} environments: {speed.rate:,.0f} steps/s"
     yield f"  {speed.rate / single:.3g} times as many as single environments on all cores of this machine"
     yield f"  {speed.env_bytes / 1000:.0f} kB an environment"
-    yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of the batch {:.2f} ms".format(*times)
+    line = "  a step {:.2f} ms: physics {:.2f}, observations {:.2f}, the rest {:.2f}; a reset of the batch {:.2f} ms"
+    yield line.format(*times)
     launches = sum(kernel.launches for kernel in speed.kernels)
     yield f"  a step, on average: {launches:,.0f} kernel launches, {speed.bytes / 1e6:.2f} MB an environment"
     for kernel in speed.kernels if profile else by_part(speed.kernels):
         called = f"{kernel.part} {kernel.name}".strip()
         took = f"{1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
         yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
+    if profile:
+        yield speed.profile
 
 
 def _milliseconds(speed: Measurement, cause: Cause) -> str:

@@ -3,7 +3,7 @@
 Times are wall clock, since an accelerator does the work. The profile of a step is the duration of each kernel launch,
 and the size of its arrays. On an accelerator, durations are those between events on the stream. On the CPU device, a
 launch returns when it is finished, so they are wall clock. Launches from a captured graph and launches of PyTorch do
-not count.
+not count; PyTorch's own profile has them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
+from torch.profiler import ProfilerActivity, profile
 
 from magical_mj import batched
 from magical_mj.batched.environment import BatchedEnv
@@ -33,6 +34,10 @@ WARM_UP: Final = 3
 """Steps before the measurement. In them, kernels are compiled and the graph is captured."""
 WATCHED: Final = 20
 """The number of steps with recorded launches. The solver's launches differ from step to step."""
+PROFILED: Final = 5
+"""The number of steps of PyTorch's profile, and of those that are timed."""
+ROWS: Final = 15
+"""The number of lines of its table."""
 SINGLE_EPISODES: Final = 3
 """The number of episodes of the single environment on each core."""
 
@@ -131,10 +136,12 @@ class BatchedMeasurement:
 
     Attributes:
         rate: environment steps per second in total, with observations and resets.
-        physics_seconds: time of one control step of the batch.
-        observation_seconds: time of their observations.
+        step_seconds: time of one step of the batch in which no episode ends.
+        physics_seconds: the part of it that the simulation takes.
+        observation_seconds: the part of it that observations take. The rest is checks, scores and infos.
         reset_seconds: time of a reset of the batch.
         kernels: the launches of one control step with its observations, without a graph: the mean of some steps.
+        profile: PyTorch's table of all operations and kernels of some steps, graphs included, the longest first.
         bytes: the size of all arrays of these launches, per environment.
         env_bytes: the memory of the simulation, per environment.
     """
@@ -144,10 +151,12 @@ class BatchedMeasurement:
     preset: str
     num_envs: int
     rate: float
+    step_seconds: float
     physics_seconds: float
     observation_seconds: float
     reset_seconds: float
     kernels: list[Kernel]
+    profile: str
     bytes: float
     env_bytes: int
 
@@ -164,6 +173,9 @@ def measure_batched(task: str, variant: str, num_envs: int, preset: str, device:
             env.step(actions[step])
         kernels = _kernels(env, actions[WARM_UP : WARM_UP + WATCHED])
         env.reset()
+        step_seconds = _seconds(device, lambda: env.step(actions[0]), PROFILED)
+        table = _profile(env, actions[:PROFILED])
+        env.reset()
 
         def play() -> None:
             for row in actions:
@@ -176,10 +188,12 @@ def measure_batched(task: str, variant: str, num_envs: int, preset: str, device:
             preset=preset,
             num_envs=num_envs,
             rate=num_envs * len(actions) / seconds,
-            physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
-            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics, steps)),
+            step_seconds=step_seconds,
+            physics_seconds=_seconds(device, lambda: env.physics.step(actions[0]), PROFILED),
+            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics, steps), PROFILED),
             reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
             kernels=kernels,
+            profile=table,
             bytes=sum(kernel.bytes for kernel in kernels) / num_envs,
             env_bytes=sum(map(size, vars(env.physics.data).values())) // num_envs,
         )
@@ -198,16 +212,30 @@ def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
     ]
 
 
+def _profile(env: BatchedEnv, actions: Tensor) -> str:
+    """The longest operations and kernels of these steps, in a table."""
+    cuda = wp.get_device(env.device).is_cuda
+    kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if cuda else [])]
+    with profile(activities=kinds) as watched:
+        for row in actions:
+            env.step(row)
+        wp.synchronize_device(env.device)
+    order = "self_cuda_time_total" if cuda else "self_cpu_time_total"
+    return watched.key_averages().table(sort_by=order, row_limit=ROWS, max_name_column_width=60)
+
+
 def _workers(num_envs: int) -> int:
     return min(8, max(1, cores() - 1)) if num_envs > 64 else 0
 
 
-def _seconds(device: str, work: Callable[[], object]) -> float:
+def _seconds(device: str, work: Callable[[], object], times: int = 1) -> float:
+    """The mean time of some calls."""
     wp.synchronize_device(device)
     start = perf_counter()
-    work()
+    for _ in range(times):
+        work()
     wp.synchronize_device(device)
-    return perf_counter() - start
+    return (perf_counter() - start) / times
 
 
 def single_rate(task: str, variant: str, preset: str) -> float:

@@ -52,11 +52,14 @@ def test_parts_are_sums_of_kernels() -> None:
 
 def test_the_command_prints_parts_or_kernels() -> None:
     kernels = [Kernel("solver", "a", 2, 1.0, 10_000_000), Kernel("solver", "b", 1, 0.5, 0)]
-    speed = BatchedMeasurement("FindDupe", "All", "State", 8, 50.0, 0.1, 0.2, 0.3, kernels, 2e6, 95_000)
+    speed = BatchedMeasurement(
+        "FindDupe", "All", "State", 8, 50.0, 0.35, 0.1, 0.2, 0.3, kernels, "aten::add", 2e6, 95_000
+    )
     parts, every = list(_batched_lines(speed, 25.0, profile=False)), list(_batched_lines(speed, 25.0, profile=True))
     assert parts[0] == "FindDupe All, State, 8 environments: 50 steps/s"
     assert "2 times" in parts[1]
-    assert "physics 100.00 ms a step, observations 200.00 ms, a reset of the batch 300.00 ms" in parts[3]
+    assert "350.00 ms: physics 100.00, observations 200.00, the rest 50.00; a reset of the batch 300.00 ms" in parts[3]
     assert "3 kernel launches, 2.00 MB an environment" in parts[4]
     assert parts[5:] == ["  solver: 3 launches, 1500.00 ms, 10.0 MB"]
-    assert every[5:] == ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]
+    each = ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]
+    assert every[5:] == [*each, "aten::add"]
