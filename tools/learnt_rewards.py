@@ -5,7 +5,8 @@
     python -m tools.tables
 
 The second command writes docs/learnt-rewards.csv: for each method and environment the two figures of
-`magical_mj.learners.rewards`, and the mean score of the method's own policy in the same scenes.
+`magical_mj.learners.rewards`, the rank correlation without the expert's episodes, and the mean score of the method's
+own policy in the same scenes.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, number, table
 
 FILE: Final = ROOT / "docs" / "learnt-rewards.csv"
+FIGURES: Final = ("correlation", "others", "auc", "policy")
 NAMES: Final = {"iq-learn": "IQ-Learn", "gail": "GAIL", "airl": "AIRL", "wgail-gp": "WGAIL-GP"}
 
 
@@ -31,18 +33,23 @@ def collect(files: list[Path]) -> None:
     where = ["method", "task", "variant"]
     own = sums[(sums["kind"] == "policy") & (sums["player"] == sums["method"])]
     policies = own.groupby(where, sort=False)["score"].mean().rename("policy").reset_index()
-    agreements(sums).merge(policies, on=where).to_csv(FILE, index=False, float_format="%.4f")
+    others = agreements(sums[sums["kind"] != "expert"]).drop(columns="auc").rename(columns={"correlation": "others"})
+    agreements(sums).merge(others, on=where).merge(policies, on=where).to_csv(FILE, index=False, float_format="%.4f")
+
+
+def means() -> pd.DataFrame:
+    """The means over the tasks: a row for each method, and a column for each figure and variant."""
+    return pd.read_csv(FILE).groupby(["method", "variant"])[list(FIGURES)].mean().unstack().reindex(NAMES)
 
 
 def tables() -> dict[str, str]:
     """The table by name."""
-    found = pd.read_csv(FILE)
-    variants = [variant for variant in VARIANTS if variant in set(found["variant"])]
-    rows = []
-    for method, name in NAMES.items():
-        means = found[found["method"] == method].groupby("variant")[["correlation", "auc", "policy"]].mean()
-        figures = ("correlation", "auc", "policy")
-        rows.append((name, *(", ".join(number(means.loc[one, figure]) for figure in figures) for one in variants)))
+    found = means()
+    variants = [variant for variant in VARIANTS if ("auc", variant) in found]
+    rows = [
+        (name, *(", ".join(number(found.loc[method, (figure, one)]) for figure in FIGURES) for one in variants))
+        for method, name in NAMES.items()
+    ]
     return {"learnt": table(("Method", *variants), rows)}
 
 

@@ -4,7 +4,8 @@
     python -m tools.pretraining runs/pretraining
     python -m tools.tables
 
-The second command writes docs/pretraining.csv from the scores of the first.
+The first command takes about an hour on one core that is half busy with other work. The second writes
+docs/pretraining.csv from its scores.
 """
 
 from __future__ import annotations

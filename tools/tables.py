@@ -15,7 +15,7 @@ from magical_mj.scene import constants as c
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
-from tools import demonstration_sets, learnt_rewards, scores
+from tools import demonstration_sets, learnt_rewards, pretraining, scores
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
@@ -87,7 +87,7 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/benchmark-card.md": scores.card,
     "docs/demonstrations.md": demonstration_sets.tables,
     "docs/environments.md": lambda: {"presets": presets()},
-    "docs/learners.md": learnt_rewards.tables,
+    "docs/learners.md": lambda: learnt_rewards.tables() | pretraining.tables(),
     "docs/results.md": scores.results,
     "docs/shifts.md": shifts,
 }

@@ -6,10 +6,12 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
+from tools import learnt_rewards, pretraining
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLE = DOCS.parent / "examples" / "own_learner.py"
@@ -41,3 +43,23 @@ def test_the_experiment_can_be_read(tmp_path: Path) -> None:
         "GAIL (ST), ours, quick, ppo.clip 0.2",
     }
     assert {run.settings.ppo.clip for run in planned} == {0.2}
+
+
+def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
+    text = " ".join((DOCS / "learners.md").read_text().split())
+    others = learnt_rewards.means()["others"]
+    ranges = {variant: f"{others[variant].min():.2f} to {others[variant].max():.2f}" for variant in others}
+    assert f"{ranges['Demo']} in Demo and {ranges['Colour']} in Colour, but" in text
+    assert f"but {ranges['Layout']} in Layout and {ranges['All']} in All." in text
+    chosen = pd.read_csv(learnt_rewards.FILE).query("method == 'wgail-gp' and task == 'MatchRegions'")
+    assert f"WGAIL-GP's AUC is {chosen.set_index('variant')['auc']['Layout']:.2f}." in text
+
+
+def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
+    text = " ".join((DOCS / "learners.md").read_text().split())
+    found = ", ".join(
+        f"{mean:+.2f} [{low:+.2f}, {high:+.2f}] in {variant}"
+        for variant in ("Demo", "Layout", "Colour", "All")
+        for mean, low, high in [pretraining.gain(7, variant)]
+    )
+    assert f"seven other tasks change the mean score by {found}" in text.replace(" and ", ", ")
