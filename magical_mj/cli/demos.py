@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 import typer
@@ -18,17 +17,16 @@ from rich.table import Table
 import magical_mj
 from magical_mj.cli import option
 from magical_mj.cli.console import (
-    check_fits,
     check_suffix,
     check_writable,
     complain,
     console,
-    counting,
-    how_to_continue,
     make_writable_folder,
     with_bar,
 )
+from magical_mj.cli.demos_export import export_demos, make_intents
 from magical_mj.cli.film import film
+from magical_mj.cli.stored_demos import Paths, Set, asked_for, read_asked, read_chosen, sources_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
@@ -39,20 +37,11 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Verdict
-    from magical_mj.demos.shipped import DemonstrationSet
     from magical_mj.evaluation.worker import Player
 
 Key = tuple[str, str, int]
 """Task, variant and number."""
 
-Paths = Annotated[
-    list[Path] | None,
-    typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
-]
-Set = Annotated[
-    Literal["1", "2", "graded"],
-    typer.Option("--set", help="Of those that come with the tasks: 1, 2 (more varied) or graded (all scores)."),
-]
 Recordings = Annotated[
     list[Path],
     typer.Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.", show_default=False),
@@ -74,48 +63,7 @@ Least = Annotated[float, typer.Option(min=0, max=1, help="The lowest score of a 
 Filmed = Annotated[int, typer.Option("--count", min=1, help="The largest number of demonstrations in the video.")]
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
-Target = Annotated[
-    Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
-    typer.Option(
-        metavar="FORMAT",  # the list of names is wider than narrow terminals
-        help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
-    ),
-]
-Name = Annotated[
-    str | None,
-    typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
-]
-ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
 Shifts = Annotated[str, typer.Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
-DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
-AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
-Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
-
-Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; several with commas.")]
-PerIntent = Annotated[
-    int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
-]
-Scenes = Annotated[
-    int | None,
-    typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
-]
-IntentTarget = Annotated[
-    Literal["npz", "lerobot", "webdataset"] | None,
-    typer.Option(
-        metavar="FORMAT",
-        help="npz (a numpy archive), lerobot or webdataset (an archive).",
-        show_default="only the actions are stored",
-    ),
-]
-IntentFile = Annotated[
-    Path | None, typer.Option("--out", help="The file or the folder.", show_default="by intents and preset")
-]
-IntentPreset = Annotated[str, typer.Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
-Actions = Annotated[
-    Path | None,
-    typer.Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
-]
-
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
 
@@ -418,180 +366,5 @@ def video(
     console().print(out, soft_wrap=True)
 
 
-@app.command()
-def export(
-    context: typer.Context,
-    paths: Paths = None,
-    tasks: option.Tasks = "all",
-    variants: option.Variants = "all",
-    which: Set = "1",
-    to: Target = "npz",
-    out: Name = None,
-    preset: ExportPreset = None,
-    drop_noop: DropNoop = True,
-    video: AsVideo = False,
-    fingers: Fingers = False,
-    force: option.Force = False,
-) -> None:
-    """Export demonstrations for other tools."""
-    from magical_mj.demos.export import default_target, make_data_set
-    from magical_mj.demos.export.minari import dataset_path
-    from magical_mj.demos.shipped import set_suffix
-
-    check_fits(context, to == "npz", "with --to npz", "drop_noop")
-    check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
-    check_fits(context, to != "lerobot", "with other formats: LeRobot data sets need a new folder", "force")
-    check_fits(context, to != "xirl", "with other formats: XIRL has pictures of its own", "preset")
-    demos = read_chosen(paths, tasks, variants, which)
-    if preset is None:
-        preset = "State" if to == "minari" else "LoRes4E"
-    groups: dict[str, list[Demonstration]] = defaultdict(list)
-    for demo in demos:
-        groups[demo.name].append(demo)
-    if to in ("npz", "xirl"):  # these can hold several environments
-        groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
-    if suffix := set_suffix(_set_named(which)):
-        groups = {f"{name}{suffix}": group for name, group in groups.items()}
-    elif out is not None and len(groups) > 1:
-        raise typer.BadParameter(
-            f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
-        )
-    targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
-    sources = sources_of(paths, tasks, variants) if paths else ()
-    folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
-    for target in targets.values():  # all, before the first one is made
-        _check_target(to, target, folders, force)
-    for name, target in targets.items():
-        options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
-        make_data_set(to, groups[name], target, preset, **options)
-        console().print(target, soft_wrap=True)
-        if to == "minari":
-            console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
-
-
-@app.command(name="intents")
-def make_intents(
-    context: typer.Context,
-    intents: Intents = "train",
-    per_intent: PerIntent = 5,
-    scenes: Scenes = None,
-    variants: option.Variants = "Demo",
-    to: IntentTarget = None,
-    out: IntentFile = None,
-    preset: IntentPreset = "State",
-    folder: Actions = None,
-    jobs: option.Jobs = None,
-    force: option.Force = False,
-) -> None:
-    """Make demonstrations of intents by the expert; --to exports them. Called again, the command continues."""
-    from magical_mj.demos.export import default_target, make_data_set
-    from magical_mj.intents.expert_data import dataset
-
-    check_fits(context, to is not None, "with --to", "out", "preset", "force")
-    screen, start = console(), time.monotonic()
-    target = "" if to is None else str(out or default_target(to, f"intents-{intents}", [], preset))
-    if to is not None:
-        _check_target(to, target, set(), force and to != "lerobot")
-    with how_to_continue(screen, "the same command continues"), counting(screen, "demonstrating") as watch:
-        data = dataset(
-            intents, per_intent, preset, scenes=scenes, variants=variants, folder=folder, jobs=jobs, watch=watch
-        )
-    number = len({stored.task for stored in data.stored})
-    screen.print(
-        f"{counted(len(data), 'demonstration')} of {counted(number, 'intent')} in {data.path}, "
-        f"{time.monotonic() - start:.0f} s",
-        soft_wrap=True,
-    )
-    if to is not None:
-        replayed = map(data.demonstration, range(len(data)))
-        demos = list(with_bar(screen, "replaying", replayed, len(data)))
-        make_data_set(to, demos, target, preset, overwrite=force)
-        screen.print(target, soft_wrap=True)
-
-
-def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
-    """Raises an error unless a data set can be made at `target`. `sources` are the folders of its demonstrations."""
-    from magical_mj.demos.export import SUFFIXES
-    from magical_mj.demos.export.minari import dataset_path
-
-    if to in SUFFIXES:
-        path = Path(target)
-        check_suffix(path, SUFFIXES[to])
-        if to == "npz" and path.resolve().parent in sources:
-            raise typer.BadParameter(
-                f"{path} would be in the folder of the demonstrations; give --out in another folder."
-            )
-        check_writable(path, force)
-        return
-    path = dataset_path(target) if to == "minari" else Path(target)
-    if path.exists() and not force:
-        other = "another id, or replace it with --force" if to == "minari" else "a new folder"
-        raise FileExistsError(f"the data set {path} exists already; give {other}")
-
-
-def _set_named(which: Set) -> DemonstrationSet:
-    """The set with this name on the command line."""
-    from magical_mj.demos.shipped import SETS
-
-    return next(number for number in SETS if str(number) == which)
-
-
-def sources_of(
-    paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "1"
-) -> Sequence[Path | Demonstration]:
-    """The demonstration files without repetitions, even if a file has several paths. Default: the shipped ones."""
-    pairs = environments(tasks, variants)
-    if paths and which != "1":
-        raise typer.BadParameter("--set chooses among those that come with the tasks: leave out the files.")
-    if not paths:
-        specs = {task: task_spec(task) for task, _ in pairs}
-        bodies = {task: spec.bodies if spec.speeds else (GRIPPER,) for task, spec in specs.items()}
-        number = _set_named(which)
-        shipped = [(task, body) for task in specs for body in bodies[task]]
-        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body, set=number)]
-    chosen: dict[Path, Path] = {}
-    for path in paths:
-        if path.is_dir():
-            inside = magical_mj.demos.files_in(path)
-            if not inside:
-                raise DemonstrationError(f"there are no demonstrations in {path}")
-            chosen |= {file.resolve(): file for file in inside}
-        elif path.exists():
-            chosen[path.resolve()] = path
-        else:
-            raise DemonstrationError(
-                f"{path} does not exist; for the demonstrations that come with a task: --tasks TASK"
-            )
-    return list(chosen.values())
-
-
-def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str, which: Set = "1") -> list[Demonstration]:
-    """The demonstrations of these tasks and variants in files and folders, or by default the shipped ones."""
-    wanted = asked_for(tasks, variants)
-    demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants, which)]
-    chosen = [demo for demo in demos_and_names if not isinstance(demo, str)]
-    if not chosen:
-        others = sorted({name for name in demos_and_names if isinstance(name, str)})
-        raise DemonstrationError(f"no demonstrations of these tasks and variants; the files hold {', '.join(others)}")
-    return chosen
-
-
-def asked_for(tasks: str, variants: str) -> list[Pair] | None:
-    """The requested environments. None if tasks and variants are both "all", so that nothing is filtered."""
-    return None if (tasks, variants) == ("all", "all") else environments(tasks, variants)
-
-
-def read_asked(source: Path | Demonstration, wanted: Collection[Pair] | None) -> Demonstration | str:
-    """The demonstration, read if it is a file. If it is not wanted, the name of its environment or task instead.
-
-    Only the code of the wanted tasks may run. With None, a file that needs a task's code is an error.
-    """
-    demo = source
-    if isinstance(demo, Path):
-        try:
-            demo = magical_mj.demos.read(demo, trusted=[task for task, _ in wanted or ()])
-        except UntrustedNameError as error:
-            if wanted is None:
-                raise
-            return error.reference
-    return demo if wanted is None or (demo.task, demo.variant) in wanted else demo.name
+app.command(name="export")(export_demos)
+app.command(name="intents")(make_intents)

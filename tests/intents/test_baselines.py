@@ -100,8 +100,10 @@ def statements() -> list[str]:
         f"with demonstrations in one scene scores {score(SHOWN):.2f},",
         f"in four random scenes {score(SHOWN_RANDOM):.2f} and in four contrasting ones {score(SHOWN_CONTRASTING):.2f}.",
         f"One scene gains {varied[0]:.2f} ({varied[1]:.2f} to {varied[2]:.2f}) over four random ones",
-        f"the trainings with the sentence score {by_training(SENTENCE)}, "
-        f"and those with one scene {by_training(SHOWN)}.",
+        (
+            f"the trainings with the sentence score {by_training(SENTENCE)}, "
+            f"and those with one scene {by_training(SHOWN)}."
+        ),
         *checks(),
     ]
 

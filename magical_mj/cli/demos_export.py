@@ -1,0 +1,177 @@
+"""`magical-mj demos export` and `magical-mj demos intents`: data sets for other tools."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from magical_mj.cli import option
+from magical_mj.cli.console import (
+    check_fits,
+    check_suffix,
+    check_writable,
+    console,
+    counting,
+    how_to_continue,
+    with_bar,
+)
+from magical_mj.cli.stored_demos import Paths, Set, read_chosen, set_named, sources_of
+from magical_mj.utils.errors import counted
+from magical_mj.utils.settings import LARGEST_SETTING
+
+if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
+    from magical_mj.demos import Demonstration
+
+Target = Annotated[
+    Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
+    typer.Option(
+        metavar="FORMAT",  # the list of names is wider than narrow terminals
+        help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
+    ),
+]
+Name = Annotated[
+    str | None,
+    typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
+]
+ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
+DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
+AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
+Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
+
+Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; several with commas.")]
+PerIntent = Annotated[
+    int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
+]
+Scenes = Annotated[
+    int | None,
+    typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
+]
+IntentTarget = Annotated[
+    Literal["npz", "lerobot", "webdataset"] | None,
+    typer.Option(
+        metavar="FORMAT",
+        help="npz (a numpy archive), lerobot or webdataset (an archive).",
+        show_default="only the actions are stored",
+    ),
+]
+IntentFile = Annotated[
+    Path | None, typer.Option("--out", help="The file or the folder.", show_default="by intents and preset")
+]
+IntentPreset = Annotated[str, typer.Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
+Actions = Annotated[
+    Path | None,
+    typer.Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
+]
+
+
+def export_demos(
+    context: typer.Context,
+    paths: Paths = None,
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "all",
+    which: Set = "1",
+    to: Target = "npz",
+    out: Name = None,
+    preset: ExportPreset = None,
+    drop_noop: DropNoop = True,
+    video: AsVideo = False,
+    fingers: Fingers = False,
+    force: option.Force = False,
+) -> None:
+    """Export demonstrations for other tools."""
+    from magical_mj.demos.export import default_target, make_data_set
+    from magical_mj.demos.export.minari import dataset_path
+    from magical_mj.demos.shipped import set_suffix
+
+    check_fits(context, to == "npz", "with --to npz", "drop_noop")
+    check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
+    check_fits(context, to != "lerobot", "with other formats: LeRobot data sets need a new folder", "force")
+    check_fits(context, to != "xirl", "with other formats: XIRL has pictures of its own", "preset")
+    demos = read_chosen(paths, tasks, variants, which)
+    if preset is None:
+        preset = "State" if to == "minari" else "LoRes4E"
+    groups: dict[str, list[Demonstration]] = defaultdict(list)
+    for demo in demos:
+        groups[demo.name].append(demo)
+    if to in ("npz", "xirl"):  # these can hold several environments
+        groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
+    if suffix := set_suffix(set_named(which)):
+        groups = {f"{name}{suffix}": group for name, group in groups.items()}
+    elif out is not None and len(groups) > 1:
+        raise typer.BadParameter(
+            f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
+        )
+    targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
+    sources = sources_of(paths, tasks, variants) if paths else ()
+    folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
+    for target in targets.values():  # all, before the first one is made
+        _check_target(to, target, folders, force)
+    for name, target in targets.items():
+        options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
+        make_data_set(to, groups[name], target, preset, **options)
+        console().print(target, soft_wrap=True)
+        if to == "minari":
+            console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
+
+
+def make_intents(
+    context: typer.Context,
+    intents: Intents = "train",
+    per_intent: PerIntent = 5,
+    scenes: Scenes = None,
+    variants: option.Variants = "Demo",
+    to: IntentTarget = None,
+    out: IntentFile = None,
+    preset: IntentPreset = "State",
+    folder: Actions = None,
+    jobs: option.Jobs = None,
+    force: option.Force = False,
+) -> None:
+    """Make demonstrations of intents by the expert; --to exports them. Called again, the command continues."""
+    from magical_mj.demos.export import default_target, make_data_set
+    from magical_mj.intents.expert_data import dataset
+
+    check_fits(context, to is not None, "with --to", "out", "preset", "force")
+    screen, start = console(), time.monotonic()
+    target = "" if to is None else str(out or default_target(to, f"intents-{intents}", [], preset))
+    if to is not None:
+        _check_target(to, target, set(), force and to != "lerobot")
+    with how_to_continue(screen, "the same command continues"), counting(screen, "demonstrating") as watch:
+        data = dataset(
+            intents, per_intent, preset, scenes=scenes, variants=variants, folder=folder, jobs=jobs, watch=watch
+        )
+    number = len({stored.task for stored in data.stored})
+    screen.print(
+        f"{counted(len(data), 'demonstration')} of {counted(number, 'intent')} in {data.path}, "
+        f"{time.monotonic() - start:.0f} s",
+        soft_wrap=True,
+    )
+    if to is not None:
+        replayed = map(data.demonstration, range(len(data)))
+        demos = list(with_bar(screen, "replaying", replayed, len(data)))
+        make_data_set(to, demos, target, preset, overwrite=force)
+        screen.print(target, soft_wrap=True)
+
+
+def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
+    """Raises an error unless a data set can be made at `target`. `sources` are the folders of its demonstrations."""
+    from magical_mj.demos.export import SUFFIXES
+    from magical_mj.demos.export.minari import dataset_path
+
+    if to in SUFFIXES:
+        path = Path(target)
+        check_suffix(path, SUFFIXES[to])
+        if to == "npz" and path.resolve().parent in sources:
+            raise typer.BadParameter(
+                f"{path} would be in the folder of the demonstrations; give --out in another folder."
+            )
+        check_writable(path, force)
+        return
+    path = dataset_path(target) if to == "minari" else Path(target)
+    if path.exists() and not force:
+        other = "another id, or replace it with --force" if to == "minari" else "a new folder"
+        raise FileExistsError(f"the data set {path} exists already; give {other}")
