@@ -1,6 +1,6 @@
 """Leaderboard entries: the evaluations of one method in one file, with a descriptive card and a hash of everything.
 
-`submit` makes entries from the folders of evaluations. `read_entry` reads them, and trusts nothing in the file.
+`magical_mj.evaluation.submission` makes entries. `read_entry` reads them, and trusts nothing in the file.
 """
 
 from __future__ import annotations
@@ -20,24 +20,15 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.scores import (
     EpisodeResult,
-    check_runs,
-    folders_of,
-    read,
-    recorded_policies,
-    recorded_sets,
-    recorded_settings,
-    recorded_variants,
 )
 from magical_mj.protocol import PROTOCOL
-from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, short_repr
+from magical_mj.utils.errors import EvaluationError, short_repr
 
 FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
@@ -51,12 +42,6 @@ GIVEN: Final = "demonstrations at test"
 """The privilege of methods whose policies receive demonstrations."""
 OTHER_SCENES: Final = "other scenes"
 """The privilege of methods that learn in other scenes than the demo scene."""
-PLAIN: Final = {
-    "split": ("test", "on the split {}, but entries must be played on test"),
-    "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
-    "other": ("", "as a control, with what belongs to {}"),
-}
-"""Field -> the value that all episodes of an entry must have, and the error for other values."""
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
 SHIFT_SEEDS: Final = 50
@@ -206,7 +191,7 @@ class Entry(EntryFields, frozen=True):
     @property
     def undeclared(self) -> str:
         """The problem that its card lacks a privilege. Empty if it lacks none, as far as is known."""
-        return _undeclared(self.card, self.played_in)
+        return undeclared(self.card, self.played_in)
 
     @property
     def counted(self) -> list[EpisodeResult]:
@@ -228,61 +213,6 @@ def track(task: str) -> tuple[str, ...]:
     return tuple(map(shift_label, expand_shifts("all", task)))
 
 
-def submit(
-    folders: Iterable[Path | str],
-    out: Path | str,
-    *,
-    card: Path | str | None = None,
-    policy: str | None = None,
-) -> Entry:
-    """Makes an entry from one or several evaluations, and writes it.
-
-    Args:
-        folders: evaluations of one method, such as one for each run. Shifted episodes outside the `track` are left out.
-        out: the file. Its name must end in .json.xz. An existing file is not replaced.
-        card: a TOML file with fields of `Card`, all optional. By default, the method is named as in the evaluations.
-        policy: the name of the method in the folders, if they hold several.
-
-    Raises:
-        SettingsError: if the card has unknown fields or values of the wrong kind, or the choice of a method is
-            ambiguous.
-        UnknownNameError: if `policy` is not in the folders.
-        EvaluationError: if a folder is not an evaluation, or the folders cannot be combined.
-        OSError: if the file exists or cannot be written.
-    """
-    out, folders = files.to_path(out), folders_of(folders)
-    if not out.name.endswith(SUFFIX):
-        raise SettingsError(f"{out} must end in {SUFFIX}")
-    if not folders:
-        raise SettingsError("give at least one folder of an evaluation")
-    described = {} if card is None else files.read_toml(files.to_path(card))
-    read_all = ((episode, folder) for folder in folders for episode in read(folder))
-    sources = [source for source in read_all if has_place(source[0].task, source[0].variant, source[0].shift)]
-    names = list(dict.fromkeys(episode.policy for episode, _ in sources))
-    if not names:
-        raise EvaluationError("all episodes have shifts outside the shift track: an entry cannot hold them")
-    if policy is not None:
-        check_name("policy", policy, names)
-    elif len(names) > 1:
-        raise SettingsError(
-            f"the folders hold {', '.join(names)}: choose one with --policy NAME; if they are runs of one "
-            "method, evaluate them again under its name, as in evaluate --policy BC=runs/a,BC=runs/b"
-        )
-    name = policy or names[0]
-    try:
-        new_card = msgspec.convert({"method": name, **described}, Card)
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
-    check_trainings(folders, name)
-    check_declared(folders, new_card, name)
-    entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
-    content = packed(entry)
-    unpacked(content, "the choice of folders")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    files.write(out, content)
-    return entry
-
-
 def has_place(task: str, variant: str, shift: str) -> bool:
     """Whether an entry can hold an episode: without a shift, or with one of the shift track.
 
@@ -291,79 +221,14 @@ def has_place(task: str, variant: str, shift: str) -> bool:
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
-def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
-    """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
-
-    Only the policy `method` is checked; with None, all are.
-    """
-    check_runs(
-        (name, run, digest)
-        for settings in map(recorded_settings, folders)
-        for policy, name, run, digest in recorded_policies(settings)
-        if policy == (method or policy)
-    )
-
-
-def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
-    """Raises a `SettingsError` if the card does not declare what the policies learnt from.
-
-    This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
-    package only, and record set 1 and no play for other policies. So a card may declare another set for these.
-    """
-    known = map(recorded_settings, folders)
-    learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
-    if len(learnt) > 1 or learnt - {1, card.demonstrations.loaded_set}:
-        numbers = ", ".join(map(str, sorted(learnt)))
-        raise SettingsError(
-            f"{method} learnt from demonstrations of set {numbers}, but the card has [demonstrations] loaded_set = "
-            f"{card.demonstrations.loaded_set}: declare the set, and submit policies of one set only"
-        )
-    if problem := _undeclared(card, _played_in(folders, method)):
-        raise SettingsError(f"{method} {problem}")
-
-
-def _played_in(folders: Sequence[Path], method: str) -> list[str]:
-    """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
-    known = map(recorded_settings, folders)
-    return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
-
-
-def _undeclared(card: Card, played_in: Sequence[str]) -> str:
+def undeclared(card: Card, played_in: Sequence[str]) -> str:
     """The problem that a card does not declare play in these variants; empty if it does, or there are none."""
     if not played_in or OTHER_SCENES in (card.privileges or ()):
         return ""
     return f'played in scenes of {", ".join(played_in)} while it learnt: add "{OTHER_SCENES}" to the card\'s privileges'
 
 
-def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
-    """The entry of one method's episodes, each given with its folder.
-
-    Raises:
-        EvaluationError: if they differ in observations, rules or protocol, or cannot be part of an entry.
-    """
-    for episode, folder in sources:
-        for name, (usual, problem) in PLAIN.items():
-            if (value := getattr(episode, name)) != usual:
-                raise EvaluationError(f"{folder} was played {problem.format(value)}")
-        if episode.demonstrations and GIVEN not in (card.privileges or ()):
-            raise EvaluationError(f'{folder} was played with {episode.given}: add "{GIVEN}" to the card\'s privileges')
-        if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
-            raise EvaluationError(
-                f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}"
-            )
-    episodes = [episode for episode, _ in sources]
-    return Entry(
-        card,
-        _common("preset", ((episode.preset, folder) for episode, folder in sources)),
-        _common("rules", ((episode.rules, folder) for episode, folder in sources)),
-        _common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
-        Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
-        episodes,
-        _played_in(folders, episodes[0].policy),
-    )
-
-
-def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
+def common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
     """The value of a setting, which must be the same in all files or folders. `values` are pairs (value, source)."""
     (first, folder), *others = values
     for value, other in others:
@@ -428,7 +293,7 @@ def read_entry(path: Path | str) -> Entry:
         if holders.setdefault(row.title, part) != part:
             raise EvaluationError(f"{part} and another file of {path} hold the same episode: {row.title}")
     observations, rules, protocol = (
-        _common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
+        common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
     )
     known = [[getattr(entry.versions, name) for entry in parts.values()] for name in Versions.__struct_fields__]
     versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
