@@ -32,14 +32,17 @@ Scores = Mapping[tuple[int, str, str], Sequence[Floats]]
 
 def collect(folder: Path, file: Path = FILE) -> None:
     """Writes the file from a folder of tools.research.pretraining."""
+    runs = [json.loads(line) for line in (folder / "scores.jsonl").read_text("utf-8").splitlines()]
+    if len({(run["scenes"], run["pretraining"], run["batches"], run["episodes"]) for run in runs}) > 1:
+        raise ValueError(f"{folder} has runs with several budgets, which one table cannot show")
     rows = [
         {
-            **{name: row[name] for name in ("held_out", "tasks", "seed")},
+            **{name: run[name] for name in ("held_out", "tasks", "seed")},
             "variant": variant,
             "scores": " ".join(f"{score:g}" for score in scores),
         }
-        for row in map(json.loads, (folder / "scores.jsonl").read_text("utf-8").splitlines())
-        for variant, scores in row["scores"].items()
+        for run in runs
+        for variant, scores in run["scores"].items()
     ]
     pd.DataFrame(rows).sort_values(["held_out", "tasks", "seed"], kind="stable").to_csv(file, index=False)
 
