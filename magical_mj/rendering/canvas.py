@@ -20,13 +20,12 @@ from typing import Any, Final, TypeVar
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.backend import REMEDY, STARTING, new_context, opengl
+from magical_mj.rendering.backend import NO_OPENGL, STARTING, new_context, opengl
 from magical_mj.utils.errors import RenderingError
 
 T = TypeVar("T")
 PAINTER: Final = "magical_mj OpenGL"
 """The thread that draws where contexts cannot take turns."""
-NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"
 FORKED: Final = (
     "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
     "Start workers with the 'spawn' or 'forkserver' method."
@@ -38,7 +37,7 @@ class Canvas:
 
     def __init__(self) -> None:
         self.context = new_context(opengl().name)
-        self.drawings: dict[bytes, mujoco.MjrContext] = {}  # the last one used at the end
+        self.drawings: dict[int, mujoco.MjrContext] = {}  # the last one used at the end
         self.pixels = np.empty((0, 0, 4), np.uint8)
 
     def free(self) -> None:
