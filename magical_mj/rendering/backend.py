@@ -7,15 +7,14 @@ come from mujoco's module for the chosen backend, so the order of imports does n
 from __future__ import annotations
 
 import atexit
-import ctypes
-import importlib.util
+import importlib
 import os
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import RLock
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
 from magical_mj.utils.errors import check_name
@@ -33,7 +32,8 @@ REMEDY: Final = (
     f"Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: "
     f"{PACKAGES['egl']}), osmesa (package: {PACKAGES['osmesa']}) or, with a display, glfw."
 )
-STARTING: Final = threading.RLock()
+NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"
+STARTING: Final = RLock()
 """Held while OpenGL starts: drivers have crashed when two threads drew their first frames at once."""
 
 
@@ -79,43 +79,37 @@ def has_display() -> bool:
 
 @cache
 def opengl() -> Backend:
-    """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL or, if that does not start, GLFW."""
-    with STARTING:
-        return _chosen()
+    """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL or, if that does not start, GLFW.
 
-
-@cache
-def _chosen() -> Backend:
+    EGL does not start if other code has loaded PyOpenGL for windows.
+    """
     wanted = wanted_backend()
     if wanted or sys.platform != "linux":
-        return _started(wanted)
-    egl = _started("egl")
-    return _started("glfw") if egl.problem and has_display() else egl
+        return _tried(wanted)
+    egl = _tried("egl")
+    return _tried("glfw") if egl.problem and has_display() else egl
 
 
-def _started(name: str) -> Backend:
-    """The backend of this name, after a test whether it can make a context."""
-    load_triton()
+def _tried(name: str) -> Backend:
     try:
-        with ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
+        with STARTING, ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
             thread.submit(lambda: new_context(name).free()).result()
         return Backend(name)
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
-        problem = " ".join(str(error).split()).rstrip(".")
-    device = os.environ.get("MUJOCO_EGL_DEVICE_ID")
-    source = f"MUJOCO_GL is {name}, which does not start" if wanted_backend() else name
-    suffix = f" (MUJOCO_EGL_DEVICE_ID is {device!r})" if device is not None else ""
-    return Backend(name, f"{source}: {problem}{suffix}")
+        variables = [variable for variable in ("MUJOCO_GL", "MUJOCO_EGL_DEVICE_ID") if variable in os.environ]
+        cause = ", ".join([name, *(f"{variable} is {os.environ[variable]!r}" for variable in variables)])
+        return Backend(name, f"{cause}: {' '.join(str(error).split()).rstrip('.')}")
 
 
 def new_context(name: str) -> Any:
     """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so."""
+    load_triton()
     missing = {"LP_NUM_THREADS", "PYOPENGL_PLATFORM"} - os.environ.keys()
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL draws small pictures faster without threads
     try:
         with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
             context = thread.submit(_context_class(name), 64, 64).result()  # our pictures are drawn into other buffers
-    finally:
+    finally:  # other code and child processes look at these variables
         for variable in missing:
             os.environ.pop(variable, None)
     if name == "egl":
@@ -129,13 +123,11 @@ def new_context(name: str) -> Any:
 @cache
 def _context_class(name: str) -> type[Any]:
     """MuJoCo's class of contexts. Freeing one never fails: at exit, other code may have closed EGL before."""
-    module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
-    if not hasattr(module, "GLContext"):
-        raise RuntimeError("it switches OpenGL off, or mujoco does not know it")
     if name not in HEADLESS and sys.platform == "linux" and not has_display():
         raise RuntimeError("GLFW needs a display")
     if name == "glfw" and sys.platform == "darwin":
         raise RuntimeError("on macOS it draws in the main thread only")
+    module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
 
     class Context(module.GLContext):
         def free(self) -> None:
@@ -147,18 +139,12 @@ def _context_class(name: str) -> type[Any]:
 
 @cache
 def load_triton() -> None:
-    """Loads Triton's library, if it is installed, before an OpenGL driver is loaded. It takes 0.05 s.
+    """Imports Triton, if it is installed, before an OpenGL driver is loaded. It takes 0.15 s.
 
     PyTorch's CUDA builds include Triton, and their optimisers import it. It contains LLVM, as Mesa's drivers do. If
     Mesa's LLVM is loaded first, Triton calls functions of that one, and the process crashes. If other code, such as
     mujoco's renderer, has already loaded a driver, this does nothing.
     """
-    if sys.platform != "linux" or (package := importlib.util.find_spec("triton")) is None:
-        return
-    with suppress(OSError):
-        if "libLLVM" in Path("/proc/self/maps").read_text():
-            return
-    for folder in package.submodule_search_locations or ():
-        for library in Path(folder).glob("_C/libtriton*.so"):
-            with suppress(OSError):
-                ctypes.CDLL(str(library), os.RTLD_NOW | os.RTLD_LOCAL)
+    with suppress(Exception):  # no Triton, a broken one, or a system without /proc
+        if "libLLVM" not in Path("/proc/self/maps").read_text():
+            importlib.import_module("triton")

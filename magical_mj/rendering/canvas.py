@@ -4,6 +4,9 @@ Other code may rely on its own context staying current, and may free its objects
 after each picture the previous context becomes current again, which takes 10 us. There are two exceptions, in which a
 separate thread draws the pictures: a window's context can keep a context of EGL from becoming current in its thread,
 and backends other than EGL cannot tell which context is current.
+
+Drawing every picture in a separate thread needs less code, but on a busy machine it takes two to three times as long:
+the processor changes to another process in between, and its caches are cold afterwards.
 """
 
 from __future__ import annotations
@@ -20,13 +23,12 @@ from typing import Any, Final, TypeVar
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.backend import REMEDY, STARTING, new_context, opengl
+from magical_mj.rendering.backend import NO_OPENGL, STARTING, new_context, opengl
 from magical_mj.utils.errors import RenderingError
 
 T = TypeVar("T")
 PAINTER: Final = "magical_mj OpenGL"
 """The thread that draws where contexts cannot take turns."""
-NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"
 FORKED: Final = (
     "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
     "Start workers with the 'spawn' or 'forkserver' method."
@@ -38,7 +40,7 @@ class Canvas:
 
     def __init__(self) -> None:
         self.context = new_context(opengl().name)
-        self.drawings: dict[bytes, mujoco.MjrContext] = {}  # the last one used at the end
+        self.drawings: dict[int, mujoco.MjrContext] = {}  # the last one used at the end
         self.pixels = np.empty((0, 0, 4), np.uint8)
 
     def free(self) -> None:

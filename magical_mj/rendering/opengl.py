@@ -15,19 +15,15 @@ same ones. Most models of this package differ only in the number of regions, so 
 from __future__ import annotations
 
 from copy import copy
-from hashlib import blake2b
 from typing import Final
 
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.canvas import CANVASES, NO_OPENGL, Canvas
-from magical_mj.rendering.picture import IS_DRAWN, Picture
-from magical_mj.scene.state_vector import SOLID_VIEW
+from magical_mj.rendering.canvas import CANVASES, Canvas
+from magical_mj.rendering.picture import Picture, drawn
 from magical_mj.utils.errors import RenderingError
 
-OVERSAMPLING: Final = 2
-"""Drawn pixels per side of a picture's pixel; in the view "scene" twice as many, for smooth slanted edges."""
 KEPT: Final = 8
 """Drawing contexts of a canvas, of 4 MB each without shadows."""
 TRANSLUCENT: Final = (
@@ -37,7 +33,7 @@ TRANSLUCENT: Final = (
 _OFFSCREEN: Final = mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 _ALL: Final = mujoco.mjtCatBit.mjCAT_ALL.value
-_GEOM: Final = mujoco.mjtObj.mjOBJ_GEOM.value
+_GEOM, _CAMERA = mujoco.mjtObj.mjOBJ_GEOM.value, mujoco.mjtObj.mjOBJ_CAMERA.value
 _ASSETS: Final = (
     *("mesh_vertnum", "mesh_facenum", "mesh_vert", "mesh_normal", "mesh_face", "mesh_facenormal", "mesh_graph"),
     *("mesh_texcoord", "mesh_facetexcoord", "tex_type", "tex_height", "tex_width", "tex_nchannel", "tex_data"),
@@ -45,9 +41,6 @@ _ASSETS: Final = (
     *("flex_dim", "flex_vertnum", "flex_edge", "flex_elem", "flex_shell", "flex_texcoord", "mat_texrepeat"),
 )
 """What a drawing context copies from a model."""
-_EACH: Final = np.uint64(0x0001_0001_0001_0001)
-"""One in each quarter of a word: red, green, blue, alpha, lowest first."""
-_EACH_COLOUR: Final = np.uint64(0x0000_0001_0001_0001)
 
 
 class OpenGLRenderer:
@@ -60,44 +53,64 @@ class OpenGLRenderer:
     """
 
     def __init__(self, model: mujoco.MjModel, *, lit: bool = False) -> None:
-        self._model, self._lit, self._kind = model, lit, b""
-        self._option, self._perturbation = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._model, self._lit, self._kind = model, lit, _kind(model, lit)
+        self._option, self._perturbation, self._camera = mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.MjvCamera()
         room = 2 * (model.ngeom + model.nsite + model.nskin + model.nflex + model.nwrap + model.nsensor)
         self._scene = mujoco.MjvScene(model, room)
-        self._cameras = {SOLID_VIEW: mujoco.MjvCamera()}
-        mujoco.mjv_defaultFreeCamera(model, self._cameras[SOLID_VIEW])
-        if not lit:
-            self._option.geomgroup[:] = self._option.skingroup[:] = IS_DRAWN
-            self._option.sitegroup[:] = self._option.tendongroup[:] = 0
-            self._scene.flags[:] = 0
+        if lit:
+            mujoco.mjv_defaultFreeCamera(model, self._camera)
+            return
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._option.geomgroup[:] = self._option.skingroup[:] = drawn(np.arange(mujoco.mjNGROUP))
+        self._option.sitegroup[:] = self._option.tendongroup[:] = 0
+        self._scene.flags[:] = 0
 
     def draw(
         self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
     ) -> Picture:
         """A picture from a camera of the model or of the view "scene", as `rendering.renderer.Views.draw`."""
+        self._update(data, camera)
+        picture = np.empty((size, size, 3), np.uint8) if out is None else out
 
-        def paint(canvas: Canvas) -> Picture:
-            if self._lit:
-                twice = on_white(self._pixels(canvas, data, camera, 2 * OVERSAMPLING * size))
-                picture = np.empty((size, size, 3), np.uint8) if out is None else out
+        def paint(canvas: Canvas) -> None:
+            if self._lit:  # averaged twice, for smooth slanted edges
+                twice = np.empty((2 * size, 2 * size, 3), np.uint8)
+                on_white(self._pixels(canvas, 4 * size), twice)
                 picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
-                return picture
-            pixels = self._pixels(canvas, data, camera, OVERSAMPLING * size)
+                return
+            pixels = self._pixels(canvas, 2 * size)
+            on_white(pixels, picture)
             if bare is not None:
-                empty = (pixels[::-1, :, 3] == 0).reshape(size, OVERSAMPLING, size, OVERSAMPLING)
-                empty.sum(axis=(1, 3), dtype=np.uint8, out=bare)
-            return on_white(pixels, out)
+                empty = pixels[::-1, :, 3] == 0
+                empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=bare)
 
-        return CANVASES.draw(paint)
+        CANVASES.draw(paint)
+        return picture
 
-    def _pixels(self, canvas: Canvas, data: mujoco.MjData, camera: str, side: int) -> Picture:
+    def _update(self, data: mujoco.MjData, name: str) -> None:
+        """Writes what a camera sees into the scene."""
+        model, scene, settings = self._model, self._scene, (self._option, self._perturbation)
+        first = scene.ngeom == 0
+        self._camera.fixedcamid = mujoco.mj_name2id(model, _CAMERA, name)  # which the view "scene" ignores
+        mujoco.mjv_updateScene(model, data, *settings, self._camera, _ALL if self._lit else _STILL, scene)
+        if self._lit:
+            return
+        mujoco.mjv_addGeoms(model, data, *settings, _MOVING, scene)
+        scene.nlight, light = 1, scene.lights[0]
+        light.ambient, light.diffuse, light.specular = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if first:
+            geoms = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] < 1 and geom.objtype == _GEOM]
+            if names := ", ".join(model.geom(geom.objid).name or f"geom {geom.objid}" for geom in geoms):
+                scene.ngeom = 0
+                raise RenderingError(TRANSLUCENT.format(names=names))
+
+    def _pixels(self, canvas: Canvas, side: int) -> Picture:
         """Red, green, blue, alpha; bottom row first. Shape (side, side, 4).
 
         Alpha is 0, like the colours, where nothing was drawn. The canvas's next picture overwrites the array.
         """
         from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0  # the whole `OpenGL.GL` takes 85 ms and 6 MB
 
-        self._set_up(data, camera)
         context = self._context(canvas)
         resized = context.offWidth != side
         if resized:  # the whole buffer, which is cleared for each picture
@@ -116,79 +129,47 @@ class OpenGLRenderer:
             alpha[alpha > 0] = 255  # of translucent geoms
         return canvas.pixels
 
-    def _set_up(self, data: mujoco.MjData, name: str) -> None:
-        """Writes what a camera sees into the scene."""
-        if (camera := self._cameras.get(name)) is None:
-            camera = self._cameras[name] = mujoco.MjvCamera()
-            camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera(name).id
-        model, scene, option, perturbation = self._model, self._scene, self._option, self._perturbation
-        mujoco.mjv_updateScene(model, data, option, perturbation, camera, _ALL if self._lit else _STILL, scene)
-        if self._lit:
-            return
-        mujoco.mjv_addGeoms(model, data, option, perturbation, _MOVING, scene)
-        scene.nlight, light = 1, scene.lights[0]
-        light.ambient, light.diffuse, light.specular = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        if not self._kind:  # the first picture
-            geoms = [geom for geom in scene.geoms[: scene.ngeom] if geom.rgba[3] < 1 and geom.objtype == _GEOM]
-            if names := ", ".join(model.geom(geom.objid).name or f"geom {geom.objid}" for geom in geoms):
-                raise RenderingError(TRANSLUCENT.format(names=names))
-
     def _context(self, canvas: Canvas) -> mujoco.MjrContext:
         """The canvas's drawing context for models of this kind."""
-        self._kind = self._kind or self._kind_of()
         context = canvas.drawings.pop(self._kind, None)
         if context is None:
-            if len(canvas.drawings) >= KEPT:
+            if len(canvas.drawings) == KEPT:
                 canvas.drawings.pop(next(iter(canvas.drawings))).free()
             model = copy(self._model)
             model.vis.quality.offsamples = 0
             model.vis.global_.offwidth = model.vis.global_.offheight = 1  # the first picture gives it its size
             if not self._lit:
                 model.vis.quality.shadowsize = 0
-            try:
-                context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
-            except Exception as error:
-                raise RenderingError(NO_OPENGL.format(error=error)) from error
+            context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
         canvas.drawings[self._kind] = context
         return context
 
-    def _kind_of(self) -> bytes:
-        """A digest that is the same for all models that one drawing context can draw."""
-        planes = self._model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
-        if not self._lit:
-            planes &= IS_DRAWN.take(self._model.geom_group, mode="clip")
-        arrays = [getattr(self._model, name) for name in _ASSETS]
-        digest = blake2b(bytes([self._lit]), digest_size=16)
-        for array in (*arrays, self._model.geom_size[planes], self._model.geom_matid[planes]):
-            digest.update(f"{array.shape}".encode())
-            digest.update(array.tobytes())
-        return digest.digest()
+
+def _kind(model: mujoco.MjModel, lit: bool) -> int:
+    """A number that is the same for all models that one drawing context can draw."""
+    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    if not lit:
+        planes &= drawn(model.geom_group)
+    arrays = *(getattr(model, name) for name in _ASSETS), model.geom_size[planes], model.geom_matid[planes]
+    return hash((lit, *(array.tobytes() for array in arrays)))
 
 
-def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
-    """The finished picture of drawn pixels: averaged 2 x 2, on a white background, top row first.
+def on_white(pixels: Picture, out: Picture) -> None:
+    """Finishes a picture: averages its pixels 2 x 2, on a white background, and turns it top row first.
 
     The four numbers of a pixel are added as one 64-bit word: each has 16 bits, which the sum of four cannot exceed.
 
     Args:
         pixels: red, green, blue (all 0 where nothing was drawn) and alpha (0 there, else 255), bottom row first.
             Shape (2 * height, 2 * width, 4).
-        out: where to write it, shape (height, width, 3); None: into a fresh array.
+        out: where to write it, shape (height, width, 3).
     """
-    height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
-    rows = pixels.reshape(height, OVERSAMPLING, -1)[::-1]
-    columns = np.add(rows[:, 0], rows[:, 1], dtype=np.uint16).view(np.uint64)
-    average = columns[:, ::2] + columns[:, 1::2]
-    del columns  # freed together with the rest, it would go back to the system, which slows down large pictures
-    average += 2 * _EACH  # to round
-    average >>= np.uint64(2)
-    average &= 0xFF * _EACH
-    paper = average >> np.uint64(48)  # alpha
-    paper ^= np.uint64(0xFF)  # 255 - alpha; colour + paper is at most 255
-    paper *= _EACH_COLOUR
-    average += paper
-    levels = average.view(np.uint8).reshape(height, width, -1)
-    picture = np.empty((height, width, 3), np.uint8) if out is None else out
+    rows = np.add(pixels[::2], pixels[1::2], dtype=np.uint16).view(np.uint64)[..., 0]
+    words = rows[:, ::2] + rows[:, 1::2]
+    del rows  # freed together with the rest, it would go back to the system, which slows down large pictures
+    levels = words.view(np.uint16).reshape(*words.shape, 4)
+    levels += 2  # to round
+    levels >>= 2
+    words += (255 - (words >> 48)) * 0x0001_0001_0001  # white where alpha is 0; colour + 255 - alpha is at most 255
     for channel in range(3):  # three strided copies are faster than one of triples
-        picture[..., channel] = levels[..., 2 * channel]
-    return picture
+        out[::-1, :, channel] = levels[..., channel]

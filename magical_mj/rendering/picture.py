@@ -18,13 +18,11 @@ LARGEST: Final = 2048
 """Side of the largest picture, in pixels."""
 DRAWN_GROUPS: Final = (0, DRAWN_GROUP, TASK_GROUP)
 """Geom and skin groups that the cameras ego and allo see: MuJoCo's default (for users' additions) and ours."""
-IS_DRAWN: Final = np.isin(np.arange(mujoco.mjNGROUP), DRAWN_GROUPS)
-"""For each group, whether these cameras see it."""
 
 
-def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
+def drawn(groups: NDArray[np.integer]) -> NDArray[np.bool_]:
     """For each of these geom or skin groups, whether the cameras ego and allo see it."""
-    return IS_DRAWN.take(groups, mode="clip")  # as MuJoCo does
+    return np.isin(np.clip(groups, 0, mujoco.mjNGROUP - 1), DRAWN_GROUPS)  # clipped as by MuJoCo
 
 
 def check_size(value: Any, name: str = "image_size") -> int:
@@ -51,10 +49,7 @@ def check_picture(view: str, size: Any, out: Any) -> int:
     if out is None:
         return size
     shape = (size, size) if view in SEGMENTATIONS else (size, size, 3)
-    if not isinstance(out, np.ndarray):
-        raise SettingsError(f"out must be an array of shape {shape}, uint8, not {short_repr(out)}")
-    if out.shape != shape or out.dtype != np.uint8:
-        raise SettingsError(f"out must be of shape {shape}, uint8, not {out.shape}, {out.dtype}")
-    if not out.flags.writeable:
-        raise SettingsError("out is a read-only array; give one that can be written to, or a copy")
+    fits = isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.uint8
+    if not (fits and out.flags.writeable):
+        raise SettingsError(f"out must be a writable array of shape {shape}, uint8, not {short_repr(out)}")
     return size

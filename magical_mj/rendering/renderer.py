@@ -7,19 +7,15 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import mujoco
 
-from magical_mj.rendering.backend import check_renderer, opengl
-from magical_mj.rendering.canvas import NO_OPENGL
+from magical_mj.rendering.backend import NO_OPENGL, check_renderer, drawn_by, opengl
 from magical_mj.rendering.opengl import OpenGLRenderer
 from magical_mj.rendering.picture import Picture
+from magical_mj.rendering.software import SoftwareRenderer
 from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
 from magical_mj.utils.errors import RenderingError
-
-if TYPE_CHECKING:
-    from magical_mj.rendering.software import SoftwareRenderer
 
 
 class Views:
@@ -61,25 +57,21 @@ class Views:
 
     def _choose(self, kind: str) -> OpenGLRenderer | SoftwareRenderer:
         if kind == "segments":
-            return _software(self.model)
-        problem = opengl().problem if self._wanted is None else ""
-        if kind == "flat" and (problem or self._wanted == "software"):
+            return SoftwareRenderer(self.model)
+        if kind == "flat" and drawn_by(self._wanted) == "software":
             with contextlib.suppress(RenderingError):  # if users have changed the model
-                renderer = _software(self.model)
-                if problem:
-                    _warn(NO_OPENGL.format(error=problem))
+                renderer = SoftwareRenderer(self.model)
+                if self._wanted is None:
+                    _warn()
                 return renderer
         return OpenGLRenderer(self.model, lit=kind == SOLID_VIEW)
 
 
-def _software(model: mujoco.MjModel) -> SoftwareRenderer:
-    from magical_mj.rendering.software import SoftwareRenderer  # imported late: it compiles
-
-    return SoftwareRenderer(model)
-
-
 @cache
-def _warn(error: str) -> None:
+def _warn() -> None:
     """Warns once that the software renderer draws the pictures."""
-    text = f'{error} Until then the software renderer draws the flat views; renderer="software" says that you want it'
-    warnings.warn(text, stacklevel=5)
+    warnings.warn(
+        f"{NO_OPENGL.format(error=opengl().problem)} Until then the software renderer draws the flat views; "
+        'renderer="software" says that you want it',
+        stacklevel=5,
+    )

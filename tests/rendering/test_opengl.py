@@ -146,7 +146,7 @@ class TestWithoutOpenGL:
         result = python(program, MUJOCO_GL=backend, **NO_DRIVER)
         assert result.returncode == 1
         self.check_message(result.stderr)
-        assert f"MUJOCO_GL is {backend}" in result.stderr
+        assert f"MUJOCO_GL is {backend!r}" in result.stderr
 
     def check_message(self, error: str) -> None:
         """One error, which names the variable and the packages."""
@@ -249,9 +249,11 @@ def test_first_frames_of_threads_come_one_after_another() -> None:
 @pytest.mark.parametrize("backend", ["", "glfw"])
 def test_tritons_library_is_loaded_before_any_driver(backend: str, tmp_path: Path) -> None:
     """Behind Mesa's LLVM, that of Triton ends the process; here another library has Triton's name."""
-    library = tmp_path / "triton" / "_C" / "libtriton.so"
-    library.parent.mkdir(parents=True)
-    (tmp_path / "triton" / "__init__.py").touch()
+    library = tmp_path / "triton" / "libtriton.so"
+    library.parent.mkdir()
+    library.with_name("__init__.py").write_text(
+        "import ctypes\nctypes.CDLL(__file__.replace('__init__.py', 'libtriton.so'))"
+    )
     shutil.copy(_ctypes.__file__, library)
     program = (
         "import magical_mj\ntry: magical_mj.Engine('MoveToRegion').render()\n"
