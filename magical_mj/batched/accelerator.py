@@ -65,7 +65,7 @@ def placed(tables: Any, room: int, poses: Any, fingers: Any, view: int, env: int
     Returns:
         The polygons and what `fill_row` needs of them, in shared memory: the corners x and y, and for each polygon its
         first corner, its first row of samples and the row after its last. Then the camera's frame, and the memory that
-        the thread has for itself, 2 * size bytes.
+        the thread has for itself, 2 * side bytes.
     """
     polygons, corners, quads, _, cameras, places, _, _, _, _, _ = tables
     thread, threads = cuda.threadIdx.x, cuda.blockDim.x
