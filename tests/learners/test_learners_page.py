@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from magical_mj.evaluation.entry import read_entry
 from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
-from tools import learnt_rewards, pretraining
+from tools import demonstration_sets, learnt_rewards, pretraining
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLE = DOCS.parent / "examples" / "own_learner.py"
@@ -63,3 +65,6 @@ def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
         for mean, low, high in [pretraining.gain(7, variant)]
     )
     assert f"seven other tasks change the mean score by {found}" in text.replace(" and ", ", ")
+    longer = demonstration_sets.scores_of(read_entry(demonstration_sets.ENTRY).episodes)
+    means = [np.mean([run.mean() for run in longer[task, "Demo"].values()]) for task in ("FixColour", "MatchRegions")]
+    assert f"6,000 batches score {np.mean(means):.2f} in Demo." in text
