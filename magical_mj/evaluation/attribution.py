@@ -23,7 +23,7 @@ from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
 from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import planned
-from magical_mj.intents.readings import READINGS, Shown, ending, moved_blocks
+from magical_mj.intents.readings import READINGS, Shown, ending, intended_blocks, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, Gripper
@@ -244,8 +244,10 @@ def _failure(attribution: Attribution, engine: Engine, last: State) -> str:
     if kinds.keys() & {*READINGS, "another block"}:
         return ANOTHER_GOAL
     if "nothing" in kinds:
-        closes = any(ACTIONS[action][0] is Gripper.CLOSE for action in actions_of(attribution.episode.actions))
-        return MISSED if closes else NOTHING
+        episode = attribution.episode
+        closes = any(ACTIONS[action][0] is Gripper.CLOSE for action in actions_of(episode.actions))
+        grips = closes and intended_blocks(task_intent(episode.task), attribution.initial)
+        return MISSED if grips else NOTHING
     return OUT_OF_TIME if _solves(engine, replace(last, steps=0)) else UNSOLVABLE
 
 

@@ -174,6 +174,7 @@ def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:
     assert turning(attributed(played("MoveToRegion", "Layout", 7, actions))).failure == "pursued another goal"
     closed = played("MoveToCorner", "Demo", 0, [CLOSE_GRIPPER] * 5)
     assert attributed(closed).ending == {"nothing": 1.0}
+    assert turning(attributed(played("MoveToRegion", "Demo", 0, [CLOSE_GRIPPER] * 5))).failure == "did nothing"
 
 
 def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> None:
