@@ -49,7 +49,9 @@ def check_picture(view: str, size: Any, out: Any) -> int:
     if out is None:
         return size
     shape = (size, size) if view in SEGMENTATIONS else (size, size, 3)
-    fits = isinstance(out, np.ndarray) and out.shape == shape and out.dtype == np.uint8
-    if not (fits and out.flags.writeable):
-        raise SettingsError(f"out must be a writable array of shape {shape}, uint8, not {short_repr(out)}")
+    if not isinstance(out, np.ndarray):
+        raise SettingsError(f"out must be an array of shape {shape}, uint8, not {short_repr(out)}")
+    if out.shape != shape or out.dtype != np.uint8 or not out.flags.writeable:
+        given = f"{'an' if out.flags.writeable else 'a read-only'} array of shape {out.shape}, {out.dtype}"
+        raise SettingsError(f"out must be a writable array of shape {shape}, uint8, not {given}")
     return size
