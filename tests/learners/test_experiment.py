@@ -221,6 +221,7 @@ seeds = [0]
 device = "cpu"
 renderer = "software"
 evaluations = 0
+checkpoints = 2
 demonstrations = 2
 network.first_stride = 4
 network.first_channels = 4
