@@ -125,6 +125,10 @@ def _restorer() -> Callable[[], Any]:
 
 def opengl_name() -> str:
     """OpenGL's renderer and version."""
-    from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString
+    return CANVASES.draw(lambda _: _name_of_current())
 
-    return CANVASES.draw(lambda _: " / ".join(glGetString(key).decode() for key in (GL_RENDERER, GL_VERSION)))
+
+def _name_of_current() -> str:
+    from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString  # not before a context exists: it chooses the platform
+
+    return " / ".join(glGetString(key).decode() for key in (GL_RENDERER, GL_VERSION))
