@@ -15,6 +15,8 @@ from typing import Final
 ROOT: Final = Path(__file__).parent.parent
 MOST_BYTES: Final = {"*.whl": 4_300_000, "*.tar.gz": 5_100_000}
 """The limit of each file. Each has 3.3 MB of demonstrations."""
+UNPUBLISHED: Final = "unpublished"
+"""What CHANGELOG.md has instead of a date before a release."""
 
 
 def problems(tag: str | None) -> list[str]:
@@ -31,8 +33,10 @@ def problems(tag: str | None) -> list[str]:
         problems.append(f'CHANGELOG.md has no line "## [{version}] - DATE"')
     elif not heading[2].strip():
         problems.append(f"CHANGELOG.md lists no changes for {version}")
-    elif cited.get("date-released") != heading[1]:
+    elif cited.get("date-released", UNPUBLISHED) != heading[1]:
         problems.append(f"CITATION.cff has the date {cited.get('date-released')}, but CHANGELOG.md {heading[1]}")
+    elif tag is not None and heading[1] == UNPUBLISHED:
+        problems.append("CHANGELOG.md says unpublished: write the date there and into CITATION.cff")
     if cited.get("version") != version:
         problems.append(f"CITATION.cff has the version {cited.get('version')}, but the package {version}")
     if tag is not None and re.search(

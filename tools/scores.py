@@ -7,11 +7,12 @@ from dataclasses import replace
 from functools import cache
 from typing import Final
 
-from magical_mj import ENVIRONMENTS, TASKS
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.leaderboard.page import label, shown
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
+    COLUMNS,
     GROUPS,
     Standing,
     floor,
@@ -21,7 +22,7 @@ from magical_mj.leaderboard.standings import (
 )
 from tools import released
 from tools.claims import claims
-from tools.pages import ROOT, table
+from tools.pages import ROOT, number, table
 
 RESULTS: Final = ROOT / "results"
 AGENTS: Final = {
@@ -38,7 +39,9 @@ HEADLINES: Final = (
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the table of docs/results.md."""
+"""The learners in the tables of docs/results.md."""
+PUBLISHED: Final = ("BC (ST)", "GAIL (ST)")
+"""The paper's methods in the table of scores in each variant."""
 SATURATED: Final = 0.95
 """From this score of the best learnt method on, an environment does not tell methods apart."""
 HOPELESS: Final = 0.1
@@ -56,6 +59,16 @@ def groups(methods: Iterable[Standing]) -> str:
         rows += [(f"**{heading}**", *[""] * len(columns))] if group else []
         rows += [(_label(method), *(shown(method, column) for column in columns)) for method in group]
     return table(("Method", *columns), rows)
+
+
+def compared(methods: Iterable[Standing]) -> str:
+    """The mean score over tasks in each variant."""
+    tasks = (f"{variant} ({len(COLUMNS[variant])})" for variant in VARIANTS)
+    rows = [
+        (_label(method), *(number(method.scores[variant].value) for variant in VARIANTS))
+        for method in sorted(methods, key=lambda method: method.rank)
+    ]
+    return table(("Method", *tasks), rows)
 
 
 def _label(method: Standing) -> str:
@@ -82,9 +95,12 @@ def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     chosen = {*HEADLINES, *AGENTS}
     own = [method for method in own_methods().values() if method.name in chosen and method.everywhere]
+    rescored = by_released_rules()
+    in_paper = [method for method in published() if method.name in PUBLISHED]
     return {
         "methods": groups(own),
-        "claims": claims({method.name: method for method in by_released_rules()}, published()),
+        "compared": compared([*(method for method in rescored if method.name in chosen), *in_paper]),
+        "claims": claims({method.name: method for method in rescored}, published()),
     }
 
 

@@ -19,7 +19,7 @@ from tools import demonstration_sets, learnt_rewards, pretraining, scores
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
-    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad, "
+    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} per axis (the arena is 2 wide), ±{c.JITTER_ANGLE:.3f} rad, "
     f"and ±{c.JITTER_REGION_SIZE} of the regions' sides",
     "layout": "all poses, and the sizes of goal regions",
     "colour": "colours",

@@ -151,7 +151,7 @@ def train(
         learners.train(settings, out, resume=resume, watch=TrainingView(progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     tasks = shlex.quote(",".join(settings.tasks))
-    again = f"magical-mj evaluate --policy {folder} --tasks {tasks} --preset {settings.preset}"
+    again = f"magical-mj evaluate --policy {folder} --tasks {tasks}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
 
 
