@@ -19,8 +19,8 @@ from tools import demonstration_sets, learnt_rewards, pretraining, scores
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
-    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} per axis (the arena is 2 wide), ±{c.JITTER_ANGLE:.3f} rad, "
-    f"and ±{c.JITTER_REGION_SIZE} of the regions' sides",
+    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} per axis (the arena is 2 wide), "
+    f"±{c.JITTER_ANGLE:.3f} rad, and ±{c.JITTER_REGION_SIZE} of the regions' sides",
     "layout": "all poses, and the sizes of goal regions",
     "colour": "colours",
     "shape": "shapes",

@@ -207,7 +207,8 @@ def playable(
     """
     loaded = [(source, source.load()) for source in sources(policies, first_run, trust)]
     if preset is None:
-        known = {_own_preset(policy) for _, policy in loaded if not uses_simulation(policy)}
+        named = (policy for _, policy in loaded if hasattr(policy, "preset") or not uses_simulation(policy))
+        known = {_own_preset(policy) for policy in named}
         preset = known.pop() if len(known) == 1 else DEFAULT_PRESET
     checked = []
     for source, policy in loaded:

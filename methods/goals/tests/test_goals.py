@@ -143,7 +143,7 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     (tmp_path / "run" / GOALS).unlink()
     train(settings, tmp_path / "run", resume=True)  # with what the checkpoint holds
     assert (tmp_path / "run" / GOALS).read_bytes() == before
-    asked = {"tasks": "MoveToRegion,MakeLine", "variants": "Layout", "episodes": 2, "preset": "State", "jobs": 1}
+    asked = {"tasks": "MoveToRegion,MakeLine", "variants": "Layout", "episodes": 2, "jobs": 1}
     first = magical_mj.evaluate(str(tmp_path / "run"), **asked)
     assert (first["score"] == 1.0).all()
     assert set(first["preset"]) == {"State"}
@@ -182,7 +182,7 @@ def test_whoever_installs_the_package_has_the_method(tmp_path: Path) -> None:
 
     for command in (
         "train goals --tasks MoveToRegion --preset State --set evaluations=0 --out run",
-        "evaluate --policy run --tasks MoveToRegion --variants Demo --episodes 1 --jobs 1 --preset State --out scores",
+        "evaluate --policy run --tasks MoveToRegion --variants Demo --episodes 1 --jobs 1 --out scores",
     ):
         assert main(command.split()) == 0, command
     """
