@@ -4,7 +4,8 @@
 
 Records random episodes in Layout, trains the library's LeWM with a small convolutional encoder
 on them, and plans to the goal's picture by the cross-entropy method, in the scenes of seeds 0 and on. A second call
-with the same folder plays with the trained model again.
+with the same folder plays with the trained model again. It is a loop to start from, not yet a baseline: after 400
+episodes and 600 batches it solved none of 5 episodes in Demo, where random actions solve one in 20.
 """
 
 from __future__ import annotations
