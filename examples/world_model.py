@@ -4,7 +4,22 @@
 
 Records random episodes in Layout, trains the library's LeWM with a small convolutional encoder
 on them, and plans to the goal's picture by the cross-entropy method, in the scenes of seeds 0 and on. A second call
-with the same folder plays with the trained model again.
+with the same folder plays with the trained model again. It is a loop to start from, not yet a baseline: after 400
+episodes and 600 batches it solved none of 5 episodes in Demo, where random actions solve one in 20.
+
+Variations name shifts or their factors, "scene" or "all". Factors of a scene can be set, but are only drawn together:
+
+    options = {"variation": ["camera", "slip"], "variation_values": {"scene.robot": [0.3, 0.2, 1.0]}}
+    world.reset(seed=5, options=options)
+    print(world.infos["variation.camera"])
+
+To continue episodes of a recording, pass these callables to
+`world.evaluate(dataset=..., episodes_idx=..., start_steps=..., goal_offset=..., eval_budget=..., callables=callables)`:
+
+    names = ("scene_seed", "steps", "simulation")
+    callables = [{"method": "restore", "args": {name: {"value": name} for name in names}}]
+
+stable-worldmodel 0.1.1 records each step after its action, so a recording lacks the first picture.
 """
 
 from __future__ import annotations

@@ -147,15 +147,17 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
 
 
 def endings() -> str:
-    """What some policies did, over all environments of the tasks in the file."""
+    """What some policies did, over all environments of the tasks in the file. All wrong blocks are one column."""
     rows = []
     every = measured()
+    kinds = {"intended": ["intended"], "wrong blocks": [*READINGS, "another block"]}
+    kinds |= {name: [name] for name in ("incompetent", "nothing")}
     for name in COMPARED:
         group = [row for row in every if row["entry"] == name]
         total = sum(int(row["episodes"]) for row in group)
-        parts = [sum(float(row[ending]) for row in group) / total for ending in ENDINGS]
+        parts = [sum(float(row[ending]) for row in group for ending in of_kind) / total for of_kind in kinds.values()]
         rows.append((read_entry(RESULTS / name).method, str(total), *map(_percent, parts)))
-    return table(("Method", "Episodes", *ENDINGS), rows)
+    return table(("Method", "Episodes", *kinds), rows)
 
 
 def measured() -> list[dict[str, str]]:

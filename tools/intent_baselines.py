@@ -100,8 +100,8 @@ def rows_of(name: str, method: str, policy: str, intents: int = INTENTS) -> dict
 
 
 BASELINES: Final = {
-    "noop": Baseline("Doing nothing", "", "noop"),
-    "random": Baseline("Random actions", "", "random"),
+    "noop": Baseline("Doing nothing", "nothing", "noop"),
+    "random": Baseline("Random actions", "nothing", "random"),
     "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1), FEW),
     "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures", intents=FEW),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),

@@ -112,7 +112,7 @@ def stored() -> list[Loss]:
 
 def losses(rows: Sequence[Loss]) -> str:
     """The table: shares of failures by task, and the median of the last solvable step."""
-    return table(("Task", "Entries", "Failed episodes", *FAILURES, "last solvable step"), _rows(rows))
+    return table(("Task", "Entries", "Unsolved", *FAILURES, "last solvable step"), _rows(rows))
 
 
 def _rows(rows: Sequence[Loss]) -> Iterator[tuple[str, ...]]:

@@ -125,7 +125,7 @@ def make_report(
     if found is not None:
         names = zip(file_names(episodes), episodes, strict=True)
         write_explanation(found, out / FOLDER, {episode.key: f"../{name}" for name, (_, episode) in names})
-        links = {"What the policies were after": f"{FOLDER}/{EXPLAINED}", **links}
+        links = {"Which goal did a policy pursue?": f"{FOLDER}/{EXPLAINED}", **links}
     page = write_report(data, out, links)
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 

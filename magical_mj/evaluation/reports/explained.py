@@ -135,13 +135,13 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     """
     out.mkdir(parents=True, exist_ok=True)
     parts = [
-        "# What the policies were after",
+        "# Which goal did a policy pursue?",
         "docs/explain.md says what the words mean. Episodes are replayed from their actions.",
         *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
         *([markdown(_lost(found.turnings))] if found.turnings else []),
-        "## Rivals that failed episodes reached",
+        "## Rivals that unsolved episodes reached",
     ]
     for (policy, task), group in _grouped(_failed(found.attributions), "policy", "task").items():
         parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
@@ -189,9 +189,9 @@ def _lost(results: Sequence[Turning]) -> Table:
             middle = f"{np.median(last):.2f}" if last else ""
             rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in FAILURES), middle))
         groups.append((policy, tuple(rows)))
-    header = ("Task", "failed episodes", *FAILURES, "last solvable")
+    header = ("Task", "unsolved episodes", *FAILURES, "last solvable")
     caption = (
-        "Failed episodes by what went wrong (per cent), and the last step from which the expert still solves them "
+        "Unsolved episodes by what went wrong (per cent), and the last step from which the expert still solves them "
         "(median, as a share of the horizon)"
     )
     return Table("lost", caption, header, tuple(groups))
@@ -217,8 +217,8 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
         files.write(out / name, _png([_pair(result.episode) for result in examples]), overwrite=True)
         pictures += [f"![{sentence}]({quote(name)})", _about(sentence, examples, films)]
     header = ("Rival", "all", *(variant for (variant,) in variants), "reached by")
-    caption = f"Shares of {counted(len(group), 'failed episode')} (per cent)"
-    notes = ["Shares: an episode counts once, divided among the rivals that it reached by their bits."]
+    caption = f"Shares of {counted(len(group), 'unsolved episode')} (per cent)"
+    notes = ["Shares: an episode counts once, shared among the rivals that it reached with weights 2^-bits."]
     left = [result.remaining for result in group if not result.rivals]
     if left:
         notes.append(
@@ -341,9 +341,9 @@ def _mean_share(results: Sequence[Attribution], rivals: Sequence[int]) -> float:
 
 
 def _sentence(task: str, rivals: Sequence[int]) -> str:
-    """The simplest of these rivals in English, and how many others there are."""
+    """The simplest of these rivals in English, and how many others there are; without any, that none was reached."""
     if not rivals:
-        return "None of the rivals."
+        return "None of the rivals." if task_rivals(task) else "This task has no rivals."
     others = counted(len(rivals) - 1, "other")
     alike = f" (and {others}, reached by the same episodes)" if len(rivals) > 1 else ""
     return f"{task_rivals(task)[rivals[0]].sentence[:-1]}{alike}."
