@@ -26,10 +26,11 @@ from magical_mj.evaluation.attribution import (
     turnings,
     unfit,
 )
+from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key, recorded_settings
+from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
