@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj import ENVIRONMENTS, TASKS, sample_scene
-from magical_mj.evaluation.attribution import BITS, Attribution, attribute, task_ends, task_rivals, task_shown
+from magical_mj.evaluation.attribution import BITS, Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
 from magical_mj.evaluation.entry import Entry, read_entry
 from magical_mj.evaluation.reports.explained import shares
 from magical_mj.evaluation.scores import EpisodeResult
@@ -95,7 +95,7 @@ def identifiability() -> str:
 def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]:
     """The shares of the scenes of these seeds that refute each reading. None if it does not apply to the task."""
     scenes = [sample_scene(task, variant, seed) for seed in seeds]
-    intent, shown = EIGHT[task], task_shown(task)
+    intent, demonstrated = EIGHT[task], demonstrated_blocks(task)
 
     def share(blocks: Callable[[Scene], frozenset[int]]) -> float | None:
         return float(np.mean([refutes(intent, blocks(scene), scene) for scene in scenes])) if chosen(task) else None
@@ -103,8 +103,8 @@ def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]
     finals = [final for _, final in task_ends(task)]
     solved = [np.mean([intent.holds(scene, same_places(final, scene)) for final in finals]) for scene in scenes]
     return [
-        share(lambda _: frozenset(shown.moved)),
-        *(share(lambda scene, name=name: readings(shown, scene)[name]) for name in READINGS),
+        share(lambda _: frozenset(demonstrated.moved)),
+        *(share(lambda scene, name=name: readings(demonstrated, scene)[name]) for name in READINGS),
         float(np.mean([part < 0.5 for part in solved])),
     ]
 
@@ -129,7 +129,7 @@ def place_or_colour() -> str:
 
 def disagree(initial: Scene) -> bool:
     """Whether position and colour select different blocks in a scene of FixColour, and the position a wrong one."""
-    named, wanted = readings(task_shown("FixColour"), initial), intended_blocks(EIGHT["FixColour"], initial)
+    named, wanted = readings(demonstrated_blocks("FixColour"), initial), intended_blocks(EIGHT["FixColour"], initial)
     place, colour = named["same place"], named["same colour"]
     return bool(place and colour) and not place & (colour | wanted)
 
@@ -139,7 +139,10 @@ def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
     flags = []
     for result in results:
         task, moved = result.episode.task, set(result.moved)
-        named, wanted = readings(task_shown(task), result.initial), intended_blocks(EIGHT[task], result.initial)
+        named, wanted = (
+            readings(demonstrated_blocks(task), result.initial),
+            intended_blocks(EIGHT[task], result.initial),
+        )
         place, colour = named["same place"], named["same colour"]
         flags.append((bool(moved & place), bool(moved & (colour - place - wanted)), bool(moved & wanted)))
     at_place, of_colour, intended = np.mean(flags, axis=0)

@@ -106,8 +106,8 @@ def conjunct(rng: Rng, relations: Sequence[str], selectors: Sequence[str]) -> Co
     kinds = {kind: SELECTORS[kind][0] for kind in selectors if relation.each or kind not in ONE}
     selector = SELECTORS[weighted(rng, kinds)][1](rng)
     number = uniform_integer(rng, 1, 3) if name == "exactly" else 0
-    some = relation.quantified and not names_one(selector) and rng.random() < 0.2
-    return Conjunct(name, selector, argument, number, some)
+    any_of = relation.quantified and not names_one(selector) and rng.random() < 0.2
+    return Conjunct(name, selector, argument, number, any_of)
 
 
 def proposals(rng: Rng, number: int, relations: Sequence[str], selectors: Sequence[str]) -> Iterator[Intent]:

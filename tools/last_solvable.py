@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj import TASKS
-from magical_mj.evaluation.attribution import FAILURES, turning
+from magical_mj.evaluation.attribution import FAILURES, last_solvable_step
 from magical_mj.evaluation.scores import EpisodeResult
 from tools.attribution import LONG, RESULTS, entries, replayed
 from tools.pages import ROOT, filled, table
@@ -36,7 +36,7 @@ EACH: Final = 3
 
 @dataclass(frozen=True)
 class Loss:
-    """Where a failed episode was lost: the fields of `Turning`, with the number of its steps."""
+    """Where a failed episode was lost: the fields of `LastSolvable`, with the number of its steps."""
 
     entry: str
     task: str
@@ -80,7 +80,7 @@ def _failed(name: str) -> dict[tuple[str, str], list[EpisodeResult]]:
 def loss_of(name: str, episode: EpisodeResult) -> Loss:
     """Where a failed episode of an entry was lost."""
     (attribution,) = replayed([episode])
-    found = turning(attribution)
+    found = last_solvable_step(attribution)
     place = (name, episode.task, episode.variant, episode.run, episode.seed)
     return Loss(*place, found.failure, found.last, len(episode.actions))
 

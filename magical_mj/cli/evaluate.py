@@ -33,9 +33,10 @@ from magical_mj.cli.console import (
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.envs.presets import DEFAULT_PRESET
+from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores, read_settings
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources

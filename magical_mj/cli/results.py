@@ -15,6 +15,7 @@ from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
+from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.explained import (
     FOLDER,
@@ -26,7 +27,7 @@ from magical_mj.evaluation.reports.explained import (
 from magical_mj.evaluation.reports.explained import PAGE as EXPLAINED
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
-from magical_mj.evaluation.scores import EpisodeResult, recorded_settings
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.page import check_free, write_pages

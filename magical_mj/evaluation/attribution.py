@@ -1,8 +1,8 @@
 """Attribution: what stored episodes were after, from their initial and final scenes, and where failed ones were lost.
 
-Episodes are replayed in worker processes. Of each the ending is classified, and of each that failed, the rivals of the
-task's intent that it reached are found: intents of which the demonstrations cannot say that they were not meant. A
-turning is the last step of a failed episode from which the expert still solves it.
+Episodes are replayed in worker processes. The ending of each is classified. For each that failed, the rivals of the
+task's intent that it reached are found: other intents that the demonstrations also reach. Its last solvable step is
+found on request: the last one from which the expert still solves the task.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
 from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import planned
-from magical_mj.intents.readings import READINGS, Shown, ending, intended_blocks, moved_blocks
+from magical_mj.intents.readings import READINGS, DemonstratedBlocks, ending, intended_blocks, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, Gripper
@@ -88,10 +88,10 @@ def task_ends(task: str) -> tuple[Ends, ...]:
 
 
 @lru_cache(maxsize=RECENT)
-def task_shown(task: str) -> Shown:
-    """What the demonstrations in the first demo scene of a task show."""
+def demonstrated_blocks(task: str) -> DemonstratedBlocks:
+    """The blocks that the demonstrations in the first demo scene of a task move."""
     ends = task_ends(task)
-    return Shown.of([pair for pair in ends if pair[0] == ends[0][0]])
+    return DemonstratedBlocks.of([pair for pair in ends if pair[0] == ends[0][0]])
 
 
 @lru_cache(maxsize=RECENT)
@@ -108,7 +108,7 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
         jobs: the number of processes; None: one per core.
     """
     chunks = [[episode for _, episode in chunk] for chunk in in_chunks(("", episode) for episode in episodes)]
-    work = [(chunk, task_shown(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
+    work = [(chunk, demonstrated_blocks(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
     results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
     for result in results:
         yield from result
@@ -135,26 +135,28 @@ def unfit(
 
 
 def _attribute(
-    work: tuple[Sequence[EpisodeResult], Shown, tuple[Intent, ...]],
+    work: tuple[Sequence[EpisodeResult], DemonstratedBlocks, tuple[Intent, ...]],
 ) -> list[Attribution | Unexplained]:
-    """The work of one process: some episodes of one environment, what demonstrations show, and the rivals."""
-    chunk, shown, intents = work
+    """The work of one process: some episodes of one environment, the demonstrated blocks, and the rivals."""
+    chunk, demonstrated, intents = work
     judge, results = Judge(intents), []
     with closing(engine_for(chunk[0])) as engine:
         for episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)
             problem = replay_problem(episode, engine)
-            results.append(Unexplained(episode, problem) if problem else _attributed(episode, engine, judge, shown))
+            results.append(
+                Unexplained(episode, problem) if problem else _attributed(episode, engine, judge, demonstrated)
+            )
     return results
 
 
-def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, shown: Shown) -> Attribution:
+def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, demonstrated: DemonstratedBlocks) -> Attribution:
     initial, final, success = engine.initial_scene, engine.scene, episode.score == 1.0
     return Attribution(
         episode,
         initial,
         final,
-        ending(task_intent(episode.task), shown, initial, final, solved=success),
+        ending(task_intent(episode.task), demonstrated, initial, final, solved=success),
         moved_blocks(initial, final),
         {} if success else _shares(judge, initial, final),
         0.0 if success else remaining(episode, (initial, final)),
@@ -185,7 +187,7 @@ FAILURES: Final = (ANOTHER_GOAL, MISSED, NOTHING, OUT_OF_TIME, UNSOLVABLE)
 
 
 @dataclass(frozen=True)
-class Turning:
+class LastSolvable:
     """Where a failed episode was lost.
 
     Attributes:
@@ -205,13 +207,17 @@ class Turning:
         return self.attribution.episode
 
 
-def turnings(attributions: Iterable[Attribution], *, jobs: int | None = None) -> Iterator[Turning]:
+def last_solvable_steps(attributions: Iterable[Attribution], *, jobs: int | None = None) -> Iterator[LastSolvable]:
     """Where failed episodes were lost, as they come. Each takes seconds, or half a minute."""
     pieces = list(attributions)
-    return map(turning, pieces) if jobs == 1 or len(pieces) < 2 else map_unordered(turning, pieces, jobs)
+    return (
+        map(last_solvable_step, pieces)
+        if jobs == 1 or len(pieces) < 2
+        else map_unordered(last_solvable_step, pieces, jobs)
+    )
 
 
-def turning(attribution: Attribution) -> Turning:
+def last_solvable_step(attribution: Attribution) -> LastSolvable:
     """Where a failed episode was lost.
 
     The last step is found by bisection, which assumes that a lost episode stays lost: if the expert solves it again
@@ -231,12 +237,12 @@ def turning(attribution: Attribution) -> Turning:
             engine.step(action)
             states.append(engine.get_state())
         if not _solves(engine, states[0]):
-            return Turning(attribution, None, _failure(attribution, engine, states[-1]))
+            return LastSolvable(attribution, None, _failure(attribution, engine, states[-1]))
         low, high = 0, len(states) - 1
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (middle, high) if _solves(engine, states[middle]) else (low, middle)
-        return Turning(attribution, low, _failure(attribution, engine, states[-1]))
+        return LastSolvable(attribution, low, _failure(attribution, engine, states[-1]))
 
 
 def _failure(attribution: Attribution, engine: Engine, last: State) -> str:

@@ -14,8 +14,9 @@ import cloudpickle
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
+from magical_mj.evaluation.folder import EvaluationFolder, check_runs
 from magical_mj.evaluation.given import Watch
-from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, check_runs, frame
+from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
 from magical_mj.policies.interface import reason

@@ -20,17 +20,16 @@ from magical_mj.evaluation.entry import (
     undeclared,
     unpacked,
 )
-from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.scores import (
-    EpisodeResult,
+from magical_mj.evaluation.folder import (
     check_runs,
     folders_of,
-    read,
     recorded_policies,
     recorded_sets,
     recorded_settings,
     recorded_variants,
 )
+from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils import files

@@ -37,8 +37,8 @@ MOST_IN_REGION: Final = 3
 Masks = NDArray[np.bool_]
 
 
-class Shown(Protocol):
-    """A demonstration, or anything else with its scenes."""
+class HasScenes(Protocol):
+    """A demonstration, or another object with the scenes of its steps."""
 
     def scenes(self) -> Sequence[Scene]:
         """The scenes of all steps."""
@@ -49,7 +49,7 @@ Ends = tuple[Scene, Scene]
 """The initial and the final scene of an episode."""
 
 
-def rivals(demonstrations: Iterable[Shown | Ends], bits: float = 24.0) -> list[Intent]:
+def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> list[Intent]:
     """The intents of one or two conjuncts that all demonstrations have reached at their end and none at its start.
 
     Every conjunct of a rival is about something in each demonstration, and none follows from the other.
@@ -64,7 +64,7 @@ def rivals(demonstrations: Iterable[Shown | Ends], bits: float = 24.0) -> list[I
     Raises:
         SettingsError: if there are no demonstrations, or other objects.
     """
-    ends = [] if isinstance(demonstrations, str) else [ends_of(shown) for shown in demonstrations]
+    ends = [] if isinstance(demonstrations, str) else [ends_of(demonstration) for demonstration in demonstrations]
     if not ends:
         raise SettingsError(
             'rivals are of demonstrations, such as magical_mj.demos.load("FindDupe"), or of pairs of scenes: give at '
@@ -82,13 +82,13 @@ def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
     return rivals([(initial, final)], bits)
 
 
-def ends_of(shown: Shown | Ends) -> Ends:
+def ends_of(demonstration: HasScenes | Ends) -> Ends:
     """The initial and the final scene of a demonstration."""
-    if isinstance(shown, tuple):
-        for scene in shown:
+    if isinstance(demonstration, tuple):
+        for scene in demonstration:
             check_scene_type(scene)
-        return shown
-    scenes = shown.scenes()
+        return demonstration
+    scenes = demonstration.scenes()
     return scenes[0], scenes[-1]
 
 
@@ -188,9 +188,9 @@ def all_conjuncts() -> Iterable[Conjunct]:
             else:
                 numbers = range(1, MOST_IN_REGION + 1) if name == "exactly" else (0,)
                 quantifiers = (False, True) if relation.quantified else (False,)
-                for selector, number, some in itertools.product(_selectors(), numbers, quantifiers):
-                    if not names_one(selector) or (relation.each is not None and not some):
-                        yield Conjunct(name, selector, argument, number, some)
+                for selector, number, any_of in itertools.product(_selectors(), numbers, quantifiers):
+                    if not names_one(selector) or (relation.each is not None and not any_of):
+                        yield Conjunct(name, selector, argument, number, any_of)
                 if relation.least == 0:
                     yield Conjunct(name, REST, argument)
 
@@ -212,7 +212,7 @@ def _truths(table: _Table, initial: Scene, final: Scene) -> _Truths:
         if conjunct.selector == REST and each is not None:
             rest[conjunct] = _of_each(conjunct, each, ~masks, valid, initial, final)
             continue
-        key = (conjunct.relation, conjunct.argument, conjunct.number, conjunct.some)
+        key = (conjunct.relation, conjunct.argument, conjunct.number, conjunct.any_of)
         if key not in cache:
             cache[key] = _of_selectors(conjunct, masks, valid, initial, final)
         holds[number] = cache[key][max(table.selector[number], 0)]
@@ -259,7 +259,7 @@ def _of_each(
     about = np.array([flag is not None for flag in flags], np.bool_)
     true = np.array([bool(flag) for flag in flags], np.bool_)
     concerned = masks & about
-    holds = (concerned & true).any(axis=1) if conjunct.some else (true | ~concerned).all(axis=1)
+    holds = (concerned & true).any(axis=1) if conjunct.any_of else (true | ~concerned).all(axis=1)
     return holds & valid & concerned.any(axis=1)
 
 

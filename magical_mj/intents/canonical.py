@@ -28,7 +28,7 @@ def implies(one: Conjunct, other: Conjunct) -> bool:
     """Whether the form of two different conjuncts shows that the other holds where one does and both say something."""
     relation = RELATIONS[one.relation]
     if (one.relation, other.relation) == ("exactly", "in"):
-        return other.some and other.argument == REGION and narrower(one.selector, other.selector)
+        return other.any_of and other.argument == REGION and narrower(one.selector, other.selector)
     if one.relation != other.relation or one.number != other.number or REST in (one.selector, other.selector):
         return False
     if one.argument != other.argument and (
@@ -37,9 +37,9 @@ def implies(one: Conjunct, other: Conjunct) -> bool:
         return False
     if relation.each is None:
         return relation.robot is not None
-    if other.some:
+    if other.any_of:
         return narrower(one.selector, other.selector)
-    return not one.some and narrower(other.selector, one.selector)
+    return not one.any_of and narrower(other.selector, one.selector)
 
 
 def narrower(one: Selector, other: Selector) -> bool:
@@ -71,7 +71,7 @@ def _passes(test: Test, wider: Test) -> bool:
 
 def _means_something_where(conjunct: Conjunct, other: Conjunct) -> bool:
     """Whether a conjunct that follows from another says something in every scene in which the other does."""
-    if conjunct.selector == other.selector or conjunct.some:
+    if conjunct.selector == other.selector or conjunct.any_of:
         return True
     plain = all(test.name in ("colour", "shape") and test.value != REGION for test in conjunct.selector)
     return plain and RELATIONS[conjunct.relation].least == 0

@@ -61,7 +61,7 @@ def _joined(parts: Sequence[str]) -> str:
 def _clauses(conjunct: Conjunct) -> list[str]:
     """What asks for one conjunct, in different words."""
     argument = conjunct.argument
-    one = conjunct.some or names_one(conjunct.selector) or conjunct.number == 1
+    one = conjunct.any_of or names_one(conjunct.selector) or conjunct.number == 1
     blocks = _blocks(conjunct) if RELATIONS[conjunct.relation].of_blocks else ""
     words = {
         "argument": argument,
@@ -95,12 +95,12 @@ def _blocks(conjunct: Conjunct) -> str:
         return f"exactly {NUMBERS[conjunct.number]} {noun(selector, plural=conjunct.number > 1)}"
     if names_one(selector):
         return f"the {noun(selector)}"
-    kind = noun(selector, plural=not conjunct.some)
+    kind = noun(selector, plural=not conjunct.any_of)
     words = conjunct.argument.split()
     plain = all(test.name in ("colour", "shape") and test.equal == (test.value in words) for test in selector)
     if conjunct.relation == "near" and plain:
         kind = f"other {kind}"
-    return f"at least one {kind}" if conjunct.some else f"all {kind}"
+    return f"at least one {kind}" if conjunct.any_of else f"all {kind}"
 
 
 def _side(name: str, kind: str) -> str:

@@ -194,7 +194,7 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
         IntentError: if there are too many, or `others` are named and no other conjunct, or one with all blocks.
     """
     order = list(RELATIONS)
-    single = [replace(one, some=one.some and not names_one(one.selector)) for one in conjuncts]
+    single = [replace(one, any_of=one.any_of and not names_one(one.selector)) for one in conjuncts]
     kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
     if len(kept) > MOST_CONJUNCTS:
         raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
@@ -228,7 +228,7 @@ def _conjunct(text: str, found: re.Match[str]) -> Conjunct:
             _fail(text, at, "a number from 1 to 9")
         conjunct = replace(conjunct, number=int(parts.pop(0)[0]))
     if relation.quantified and parts and parts[0][0] == ANY and len(parts) > 1:
-        conjunct, parts = replace(conjunct, some=True), parts[1:]
+        conjunct, parts = replace(conjunct, any_of=True), parts[1:]
     if relation.arguments != ("",):
         word, place = parts.pop() if parts else ("", found.end(2))
         value = word.removeprefix(relation.prefix).strip()

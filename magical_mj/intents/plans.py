@@ -121,10 +121,10 @@ class _Attempt:
     def subgoals(self) -> list[Subgoal]:
         """The subgoals of all blocks that move."""
         for conjunct, blocks in self._conjuncts:
-            if not (conjunct.some or conjunct.relation in ("exactly", *ARRANGED)):
+            if not (conjunct.any_of or conjunct.relation in ("exactly", *ARRANGED)):
                 self._want(conjunct, self._about(conjunct, blocks))
         for conjunct, blocks in self._conjuncts:
-            if conjunct.some:
+            if conjunct.any_of:
                 self._want(conjunct, self._cheapest(conjunct, self._about(conjunct, blocks), 1))
         for conjunct, blocks in self._of("exactly"):
             inner = self._cheapest(conjunct, blocks, conjunct.number)

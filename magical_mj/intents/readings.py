@@ -23,8 +23,8 @@ ENDINGS: Final = ("intended", *READINGS, "another block", "incompetent", "nothin
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What the demonstrations of a task show.
+class DemonstratedBlocks:
+    """The blocks that the demonstrations of a task move.
 
     Attributes:
         scene: in which they start.
@@ -35,8 +35,8 @@ class Shown:
     moved: tuple[int, ...]
 
     @classmethod
-    def of(cls, ends: Sequence[tuple[Scene, Scene]]) -> Shown:
-        """What demonstrations with these initial and final scenes show. They start in one scene."""
+    def of(cls, ends: Sequence[tuple[Scene, Scene]]) -> DemonstratedBlocks:
+        """The blocks of demonstrations with these initial and final scenes. They start in one scene."""
         moves = [set(moved_blocks(*pair)) for pair in ends]
         blocks = range(len(ends[0][0].blocks))
         return cls(
@@ -63,14 +63,14 @@ def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
     return frozenset(wanted)
 
 
-def readings(shown: Shown, initial: Scene) -> dict[str, frozenset[int]]:
+def readings(demonstrated: DemonstratedBlocks, initial: Scene) -> dict[str, frozenset[int]]:
     """For each reading the blocks in a scene that it takes for the intended ones; none where it does not apply.
 
     - same place: of the blocks that start within `SAME_PLACE` of where a demonstrated one started, the nearest.
     - same colour, same shape: all blocks with the colour, or the shape, of a demonstrated one.
     - nearest: the block nearest to where the robot starts.
     """
-    models = [shown.scene.blocks[index] for index in shown.moved]
+    models = [demonstrated.scene.blocks[index] for index in demonstrated.moved]
     if not models or not initial.blocks:
         return dict.fromkeys(READINGS, frozenset())
     points = [(block.x, block.y) for block in initial.blocks]
@@ -89,7 +89,9 @@ def readings(shown: Shown, initial: Scene) -> dict[str, frozenset[int]]:
     }
 
 
-def ending(intent: Intent, shown: Shown, initial: Scene, final: Scene, *, solved: bool) -> Mapping[str, float]:
+def ending(
+    intent: Intent, demonstrated: DemonstratedBlocks, initial: Scene, final: Scene, *, solved: bool
+) -> Mapping[str, float]:
     """What an episode did, as shares of `ENDINGS` that sum to 1.
 
     - intended: it was solved.
@@ -105,20 +107,20 @@ def ending(intent: Intent, shown: Shown, initial: Scene, final: Scene, *, solved
         return {"intended": 1.0}
     moved, wanted = set(moved_blocks(initial, final)), intended_blocks(intent, initial)
     if not any(RELATIONS[conjunct.relation].of_blocks for conjunct in intent.conjuncts):
-        return {_robot_ending(shown, initial, final): 1.0}
+        return {_robot_ending(demonstrated, initial, final): 1.0}
     if not moved:
         return {"nothing": 1.0}
     if moved & wanted:
         return {"incompetent": 1.0}
-    named = [name for name, blocks in readings(shown, initial).items() if blocks & moved] or ["another block"]
+    named = [name for name, blocks in readings(demonstrated, initial).items() if blocks & moved] or ["another block"]
     return {name: 1.0 / len(named) for name in named}
 
 
-def _robot_ending(shown: Shown, initial: Scene, final: Scene) -> str:
+def _robot_ending(demonstrated: DemonstratedBlocks, initial: Scene, final: Scene) -> str:
     here, there = initial.robot, final.robot
     if math.hypot(here.x - there.x, here.y - there.y) <= STAYED:
         return "nothing"
-    return "same place" if any(region.contains(there) for region in shown.scene.regions) else "incompetent"
+    return "same place" if any(region.contains(there) for region in demonstrated.scene.regions) else "incompetent"
 
 
 def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
@@ -127,7 +129,7 @@ def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
     Where one of several blocks is enough, any of them is right. To move none is wrong where one has to be moved.
     """
     wanted = intended_blocks(intent, initial)
-    if any(conjunct.some for conjunct in intent.conjuncts):
+    if any(conjunct.any_of for conjunct in intent.conjuncts):
         return bool(wanted) and not (blocks and blocks <= wanted)
     return blocks != wanted
 

@@ -53,18 +53,18 @@ class Conjunct:
         selector: the blocks; not used by relations of the robot.
         argument: the region, wall, corner, reference or attribute, as the relation takes it.
         number: for "exactly", how many.
-        some: whether one of the blocks is enough.
+        any_of: whether one of the blocks is enough.
     """
 
     relation: str
     selector: Selector = ALL
     argument: str = ""
     number: int = 0
-    some: bool = False
+    any_of: bool = False
 
     def __str__(self) -> str:
         parts = [str(self.number)] if self.relation == "exactly" else []
-        parts += [ANY] if self.some else []
+        parts += [ANY] if self.any_of else []
         parts += [text_of(self.selector)] if RELATIONS[self.relation].of_blocks else []
         if argument := RELATIONS[self.relation].written(self.argument):
             parts.append(argument)
@@ -91,7 +91,7 @@ class Conjunct:
             parts = [flag for flag in (flags[index] for index in blocks) if flag is not None]
             if not parts and relation.least:
                 raise UngroundedError(f"{self} is about no block")
-            return [any(parts)] if self.some else parts
+            return [any(parts)] if self.any_of else parts
         if len(blocks) < max(relation.least, self.number):
             raise UngroundedError(f"{self} is about {len(blocks)} blocks")
         return relation.together(self, blocks, initial, final)
@@ -120,9 +120,9 @@ class Relation:
 
     Attributes:
         arguments: the values that it takes; ("",) if it takes none.
-        each: judges each block by itself.
-        together: judges the selected blocks together.
-        robot: judges the robot.
+        each: judges each block by itself, such as whether it is in the region.
+        together: judges the selected blocks together, such as whether they form a line.
+        robot: judges the robot, such as whether it is in the region.
         prefix: what stands before an argument in texts, such as "to=".
         least: the fewest blocks about which it says something; 0: it also holds if there are none.
     """

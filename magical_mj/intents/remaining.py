@@ -46,7 +46,7 @@ def _way(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Sce
     flags = each(conjunct.argument, initial, final) if each else _apart(conjunct, blocks, initial, final)
     about = [index for index in blocks if flags[index] is not None]
     ways = [0.0 if flags[index] else _of_object(conjunct, index, blocks, initial, final) for index in about]
-    return min(ways) if conjunct.some else sum(ways)
+    return min(ways) if conjunct.any_of else sum(ways)
 
 
 def _apart(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool | None]:

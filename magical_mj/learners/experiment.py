@@ -11,11 +11,12 @@ from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
+from magical_mj.evaluation.folder import SETTINGS, check_continues
 from magical_mj.evaluation.reports.report import check_free, report
 from magical_mj.evaluation.reports.results import gather, published_results
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
 from magical_mj.evaluation.run import evaluate
-from magical_mj.evaluation.scores import SCORES, SETTINGS, check_continues
+from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import METHODS, check_changes, flattened, load_settings, uses
 from magical_mj.learners.learner import device, keep_freed_memory

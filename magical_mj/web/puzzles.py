@@ -119,7 +119,7 @@ def _conjunct_data(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene) 
         "blocks": blocks,
         "argument": block_of(argument, initial) if conjunct.relation in ("near", "robot near") else argument,
         "number": conjunct.number,
-        "some": conjunct.some,
+        "some": conjunct.any_of,
     }
 
 

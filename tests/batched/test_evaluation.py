@@ -15,8 +15,9 @@ import magical_mj
 from magical_mj import batched
 from magical_mj.batched.environment import Arrays
 from magical_mj.evaluation import Episode, rollouts
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.report import report
-from magical_mj.evaluation.scores import SETTINGS, read
+from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import submit, verify
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.entries import rewrite

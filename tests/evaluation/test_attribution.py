@@ -20,9 +20,9 @@ from magical_mj.evaluation.attribution import (
     Attribution,
     Unexplained,
     attribute,
+    last_solvable_step,
     remaining,
     task_rivals,
-    turning,
     unfit,
 )
 from magical_mj.evaluation.entry import read_entry
@@ -160,16 +160,20 @@ def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:
 def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:
     demonstration = demos.load("MoveToRegion")[0]
     actions = demonstration.actions.tolist()
-    assert turning(attributed(played("MoveToRegion", "Demo", 0, []))).failure == "did nothing"
-    there = turning(attributed(played("MoveToRegion", "Demo", 0, actions[:8])))
+    assert last_solvable_step(attributed(played("MoveToRegion", "Demo", 0, []))).failure == "did nothing"
+    there = last_solvable_step(attributed(played("MoveToRegion", "Demo", 0, actions[:8])))
     assert there.failure == "ran out of time"
     horizon = len(there.attribution.episode.actions)
     assert there.last is not None
     assert 0 < there.last < horizon
-    assert turning(attributed(played("MoveToRegion", "Layout", 7, actions))).failure == "pursued another goal"
+    assert (
+        last_solvable_step(attributed(played("MoveToRegion", "Layout", 7, actions))).failure == "pursued another goal"
+    )
     closed = played("MoveToCorner", "Demo", 0, [CLOSE_GRIPPER] * 5)
     assert attributed(closed).ending == {"nothing": 1.0}
-    assert turning(attributed(played("MoveToRegion", "Demo", 0, [CLOSE_GRIPPER] * 5))).failure == "did nothing"
+    assert (
+        last_solvable_step(attributed(played("MoveToRegion", "Demo", 0, [CLOSE_GRIPPER] * 5))).failure == "did nothing"
+    )
 
 
 def test_a_report_explains_what_policies_did(tmp_path: Path, shell: Shell) -> None:

@@ -18,8 +18,9 @@ import pytest
 
 import magical_mj
 from magical_mj.evaluation import Episode, EpisodeResult
+from magical_mj.evaluation.folder import SETTINGS, read_settings
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS, open_scores, read, read_settings
+from magical_mj.evaluation.scores import SCORES, open_scores, read
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers import agents

@@ -12,9 +12,10 @@ import pytest
 
 import magical_mj
 from magical_mj.evaluation import Episode, rollouts
+from magical_mj.evaluation.folder import SETTINGS, read_settings
 from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.report import report
-from magical_mj.evaluation.scores import SETTINGS, read, read_settings
+from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import submit, verify
 from magical_mj.policies.interface import RandomAgent
 from magical_mj.utils.errors import EvaluationError, UntrustedNameError

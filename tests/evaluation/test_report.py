@@ -19,11 +19,12 @@ from matplotlib.text import Text
 from PIL import Image
 
 import magical_mj
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports import report as page
 from magical_mj.evaluation.reports import results, tables
 from magical_mj.evaluation.reports.report import bars, extremes, heat_map, report
 from magical_mj.evaluation.reports.results import choose, compare, published_results
-from magical_mj.evaluation.scores import SCORES, SETTINGS, EpisodeResult
+from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError

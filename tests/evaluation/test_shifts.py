@@ -11,10 +11,11 @@ import pandas as pd
 import pytest
 
 import magical_mj
+from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare, gather
 from magical_mj.evaluation.reports.statistics import area, by_shift, curve, half_lost
-from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
+from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.leaderboard import submit, verify
 from magical_mj.tasks.registry import ENVIRONMENTS, SPLITS, environment_axes, sample_scene
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError

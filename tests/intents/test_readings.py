@@ -8,7 +8,7 @@ import pytest
 
 from magical_mj import ENVIRONMENTS
 from magical_mj.intents import EIGHT, parse
-from magical_mj.intents.readings import Shown, ending, intended_blocks, moved_blocks, readings, same_places
+from magical_mj.intents.readings import DemonstratedBlocks, ending, intended_blocks, moved_blocks, readings, same_places
 from magical_mj.scene import Scene
 from tests.intents.test_language import START, moved
 from tools.attribution import refuted
@@ -18,14 +18,16 @@ INTENT = parse("in(colour=blue, region) & out(colour!=blue)")
 OUTSIDE, INSIDE = (-0.8, -0.3), (0.1, 0.2)
 
 
-def shown(*blocks: int) -> Shown:
+def shown(*blocks: int) -> DemonstratedBlocks:
     """What three demonstrations show, two of which move these blocks."""
-    return Shown.of([(START, moved(**{f"b{block}": (0.7, 0.0) for block in blocks}))] * 2 + [(START, START)])
+    return DemonstratedBlocks.of(
+        [(START, moved(**{f"b{block}": (0.7, 0.0) for block in blocks}))] * 2 + [(START, START)]
+    )
 
 
 def test_demonstrated_blocks_are_those_that_most_demonstrations_move() -> None:
     assert shown(1, 3).moved == (1, 3)
-    assert Shown.of([(START, moved(b0=INSIDE)), (START, START), (START, START)]).moved == ()
+    assert DemonstratedBlocks.of([(START, moved(b0=INSIDE)), (START, START), (START, START)]).moved == ()
     assert moved_blocks(START, moved(b0=(0.8, 0.7), b1=(-0.6, 0.8))) == (1,)
 
 

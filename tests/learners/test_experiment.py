@@ -19,8 +19,9 @@ import pytest
 import magical_mj
 from magical_mj.cli import console
 from magical_mj.cli.app import run
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.results import published_results
-from magical_mj.evaluation.scores import SCORES, SETTINGS
+from magical_mj.evaluation.scores import SCORES
 from magical_mj.learners import checkpoint, plan_experiment, run_experiment
 from magical_mj.learners.experiment import agreement
 from magical_mj.learners.policy import POLICY

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from magical_mj import demos
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.scores import SETTINGS, episodes_in
+from magical_mj.evaluation.scores import episodes_in
 from magical_mj.learners import plan_experiment
 from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec

@@ -19,17 +19,18 @@ from PIL import Image
 from magical_mj.evaluation.attribution import (
     FAILURES,
     Attribution,
-    Turning,
+    LastSolvable,
     Unexplained,
     attribute,
+    last_solvable_steps,
     task_rivals,
-    turnings,
     unfit,
 )
+from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key, recorded_settings
+from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
@@ -53,7 +54,7 @@ NONE: Final = "none of the rivals"
 ENVIRONMENT: Final = ("policy", "task", "variant")
 """The fields of episodes by which most tables group them."""
 
-Result = TypeVar("Result", Attribution, Turning)
+Result = TypeVar("Result", Attribution, LastSolvable)
 
 
 @dataclass
@@ -62,12 +63,12 @@ class Explanation:
 
     Attributes:
         attributions: of each episode.
-        turnings: where some of the failed episodes were lost, if that was wanted.
+        last_solvable: where some of the failed episodes were lost, if that was wanted.
         problems: why other episodes are not explained, and how many.
     """
 
     attributions: list[Attribution] = field(default_factory=list[Attribution])
-    turnings: list[Turning] = field(default_factory=list[Turning])
+    last_solvable: list[LastSolvable] = field(default_factory=list[LastSolvable])
     problems: Counter[str] = field(default_factory=Counter[str])
 
 
@@ -117,8 +118,8 @@ def explain_episodes(
     found.attributions.sort(key=lambda result: _order(result.episode))
     if lost:
         wanted = [group[:lost] for group in _grouped(_failed(found.attributions), *ENVIRONMENT).values()]
-        found.turnings = list(turnings([result for group in wanted for result in group], jobs=jobs))
-        found.turnings.sort(key=lambda result: _order(result.episode))
+        found.last_solvable = list(last_solvable_steps([result for group in wanted for result in group], jobs=jobs))
+        found.last_solvable.sort(key=lambda result: _order(result.episode))
     return found
 
 
@@ -140,7 +141,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
         *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
-        *([markdown(_lost(found.turnings))] if found.turnings else []),
+        *([markdown(_lost(found.last_solvable))] if found.last_solvable else []),
         "## Rivals that unsolved episodes reached",
     ]
     for (policy, task), group in _grouped(_failed(found.attributions), "policy", "task").items():
@@ -179,7 +180,7 @@ def _endings(results: Sequence[Attribution]) -> Table:
     return Table("endings", caption, ("Environment", "episodes", *ENDINGS), tuple(groups))
 
 
-def _lost(results: Sequence[Turning]) -> Table:
+def _lost(results: Sequence[LastSolvable]) -> Table:
     groups = []
     for (policy,), of_policy in _grouped(results, "policy").items():
         rows = []

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, is_entry
-from magical_mj.evaluation.scores import recorded_policies, recorded_settings
+from magical_mj.evaluation.folder import recorded_policies, recorded_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts

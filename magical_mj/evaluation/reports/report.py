@@ -17,6 +17,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from magical_mj.evaluation.folder import folders_of
 from magical_mj.evaluation.reports.provenance import played_shifts
 from magical_mj.evaluation.reports.results import Results, results
 from magical_mj.evaluation.reports.statistics import by_shift, curve
@@ -31,7 +32,7 @@ from magical_mj.evaluation.reports.tables import (
     share,
     shift_tables,
 )
-from magical_mj.evaluation.scores import EpisodeResult, folders_of
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.tasks.spec import Rules

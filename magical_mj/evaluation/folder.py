@@ -1,0 +1,232 @@
+"""The folder of an evaluation: ``run.json`` with its settings, and the scores (see `magical_mj.evaluation.scores`).
+
+An evaluation that is resumed may grow, but keeps its other settings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any, Final, NotRequired, TypedDict
+
+import msgspec
+
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, StoredInt, method_name, open_scores, read
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
+from magical_mj.utils.settings import check_unchanged
+
+SETTINGS: Final = "run.json"
+MOST_SETTINGS: Final = 10_000_000
+"""The largest size of a settings file in bytes."""
+EXTENDABLE: Final = ("policies", "environments", "shifts")
+"""The settings that a resumed evaluation may extend. It may add seeds as well."""
+OLD_DEFAULTS: Final = {
+    "worlds": "single",
+    "split": "test",
+    "first_seed": 0,
+    "shifts": [""],
+    "shift_protocol": 1,
+    "wrap": "",
+    "like": "",
+    "body": GRIPPER,
+}
+"""The values of settings that older versions did not write."""
+
+
+class PlayedPolicy(TypedDict):
+    """A policy in the settings of an evaluation."""
+
+    name: str
+    run: StoredInt
+    sha256: NotRequired[str]
+    code: NotRequired[str]
+    given: NotRequired[str]
+    demonstration_set: NotRequired[StoredInt]
+    played_in: NotRequired[str]
+
+
+class Played(TypedDict):
+    """The settings in every ``run.json``. `OLD_DEFAULTS` completes those of older versions."""
+
+    policies: list[PlayedPolicy]
+    environments: list[str]
+    shifts: list[str]
+    first_seed: StoredInt
+    episodes: StoredInt
+
+
+class EvaluationFolder:
+    """The folder of an evaluation. It is new, or with `resume`, an evaluation that these settings continue.
+
+    If it has no finished episodes, the evaluation is started anew.
+
+    Raises:
+        EvaluationError: if the folder cannot be written to, holds other files, or holds an evaluation but `resume` is
+            false.
+        SettingsError: if the evaluation was started with other settings.
+
+    Attributes:
+        done: the finished episodes in it.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any], *, resume: bool) -> None:
+        self._path, self._settings = path, settings
+        scores = path / SCORES
+        if scores.exists() and not scores.is_file():
+            raise EvaluationError(f"{scores} is not a plain file; choose another folder")
+        if scores.exists() and scores.stat().st_size and not resume:
+            raise EvaluationError(f"{path} holds an evaluation already; --resume continues it (resume=True)")
+        if (path / SETTINGS).exists():
+            read_settings(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with open_scores(path):
+                self._read()
+                if not self.done:
+                    self._write_settings()
+        except OSError as error:
+            raise EvaluationError(f"cannot write into {path}: {error.strerror}") from error
+
+    @contextmanager
+    def open(self) -> Iterator[IO[bytes]]:
+        """Opens the score file as `open_scores` does, then updates `done` and writes the settings.
+
+        Raises:
+            EvaluationError: if another process is writing.
+            SettingsError: if another process has started an evaluation with other settings.
+        """
+        with open_scores(self._path) as file:
+            self._read()
+            self._write_settings()
+            yield file
+
+    def _read(self) -> None:
+        self.done: list[EpisodeResult] = []
+        if (self._path / SCORES).stat().st_size:
+            check_continues(self._path, self._settings)
+            self.done = read(self._path)
+
+    def _write_settings(self) -> None:
+        """Replaces the settings of a smaller evaluation."""
+        files.write(self._path / SETTINGS, json.dumps(self._settings, indent=2) + "\n", overwrite=True)
+
+
+def check_continues(folder: Path, settings: dict[str, Any]) -> None:
+    """Raises a `SettingsError` unless an evaluation with these settings continues, or adds to, the one in a folder."""
+    before = read_settings(folder)
+    for name in (name for name in EXTENDABLE if name in settings):
+        now = [_identity(item) for item in settings[name]]
+        if absent := [item for item in before[name] if _identity(item) not in now]:
+            listed = ", ".join(map(_named, absent))
+            raise SettingsError(
+                f"{folder} holds {name} that are left out here, or have changed: {listed}. A resumed evaluation may "
+                f"have more {name}, but must keep all of these"
+            )
+    (first, last), (least, most) = (
+        (known["first_seed"], known["first_seed"] + known["episodes"] - 1) for known in (before, settings)
+    )
+    if not (least <= first and last <= most):
+        raise SettingsError(
+            f"{folder} holds the scenes {first} to {last} of its split, but {least} to {most} are requested: a "
+            "resumed evaluation may have more scenes, but must keep all of these"
+        )
+    free = (*EXTENDABLE, "episodes", "first_seed")
+    new = {name for name in settings if name.startswith(("code of ", "demonstrations of ")) and name not in before}
+    others = settings.keys() - new - set(free)
+    check_unchanged(folder, before, {name: value for name, value in settings.items() if name in others})
+
+
+def _named(item: Any) -> str:
+    """The name of a missing item for an error. A policy is shown with its hash, since its file may have changed."""
+    if not isinstance(item, dict):
+        return str(item)
+    hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if name in item]
+    facts = [*hashes[:1], *([item["given"]] if item.get("given") else [])]
+    return f"{item['name']} ({', '.join(facts)})" if facts else item["name"]
+
+
+def _identity(item: Any) -> Any:
+    """The item, without its path if it is a policy with a hash: its folder may have been moved."""
+    return {**item, "origin": None} if isinstance(item, dict) and "sha256" in item else item
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """The recorded settings of the evaluation in a folder.
+
+    Raises:
+        EvaluationError: if there are none, or they lack a field of `Played`.
+    """
+    path = folder / SETTINGS
+    try:
+        content = files.read_foreign(path, most=MOST_SETTINGS, error=EvaluationError)
+        known = {**OLD_DEFAULTS, **msgspec.json.decode(content, type=dict[str, Any])}
+        msgspec.convert(known, Played)
+    except (OSError, msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise EvaluationError(f"{path} does not belong to an evaluation ({error}); choose another folder") from error
+    return known
+
+
+def recorded_settings(folder: Path) -> dict[str, Any]:
+    """The settings in an evaluation's ``run.json``. Empty if there are none, as in entries, or they are invalid."""
+    try:
+        return read_settings(folder)
+    except EvaluationError:
+        return {}
+
+
+def recorded_policies(settings: Mapping[str, Any]) -> list[tuple[str, str, int, str]]:
+    """Name, method, run and SHA-256 (empty without a file) of an evaluation's policies."""
+    return [
+        (
+            row["name"],
+            method_name(row["name"], settings["body"], settings["wrap"], row.get("given", "")),
+            row["run"],
+            row.get("sha256", ""),
+        )
+        for row in settings.get("policies", ())
+    ]
+
+
+def recorded_sets(settings: Mapping[str, Any]) -> dict[str, set[int]]:
+    """Name -> the sets of the package's demonstrations from which the policies of an evaluation learnt."""
+    return _recorded(settings, "demonstration_set", 1)
+
+
+def recorded_variants(settings: Mapping[str, Any]) -> dict[str, set[str]]:
+    """Name -> the variants whose scenes the policies of an evaluation played in their training."""
+    return _recorded(settings, "played_in", "Demo")
+
+
+def _recorded(settings: Mapping[str, Any], fact: str, usual: Any) -> dict[str, set[Any]]:
+    """Name -> the values of a recorded fact about the policies with this name. The usual value is not recorded."""
+    values: dict[str, set[Any]] = defaultdict(set)
+    for row in settings.get("policies", ()):
+        values[row["name"]].add(row.get(fact, usual))
+    return values
+
+
+def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
+    """Raises an `EvaluationError` if two runs of a method have equal policies, given as (name, run, SHA-256 or "")."""
+    runs: dict[tuple[str, str], set[int]] = defaultdict(set)
+    for name, run, digest in policies:
+        if digest:
+            runs[name, digest].add(run)
+    for (name, digest), same in runs.items():
+        if len(same) > 1:
+            raise EvaluationError(
+                f"the runs {', '.join(map(str, sorted(same)))} of {name} have equal policies (sha256 "
+                f"{digest[:12]}...), which count as one run: leave the others out"
+            )
+
+
+def folders_of(folders: Iterable[Path | str]) -> list[Path]:
+    """The folders as a list. A single path is a `SettingsError`, since its letters would be taken as paths."""
+    if isinstance(folders, str | bytes | PathLike):
+        raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
+    return [files.to_path(folder) for folder in folders]
