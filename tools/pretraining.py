@@ -25,6 +25,7 @@ from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, table
 
 FILE: Final = ROOT / "docs" / "pretraining.csv"
+BUDGET: Final = ("scenes", "pretraining", "batches", "variants", "episodes")
 Floats = NDArray[np.float64]
 Scores = Mapping[tuple[int, str, str], Sequence[Floats]]
 """Number of tasks in the pretraining, held-out task, variant -> for each run the scores of its episodes."""
@@ -33,8 +34,10 @@ Scores = Mapping[tuple[int, str, str], Sequence[Floats]]
 def collect(folder: Path, file: Path = FILE) -> None:
     """Writes the file from a folder of tools.research.pretraining."""
     runs = [json.loads(line) for line in (folder / "scores.jsonl").read_text("utf-8").splitlines()]
-    if len({(run["scenes"], run["pretraining"], run["batches"], run["episodes"]) for run in runs}) > 1:
+    if len({tuple(run[name] for name in BUDGET) for run in runs}) > 1:
         raise ValueError(f"{folder} has runs with several budgets, which one table cannot show")
+    if len({(run["held_out"], run["tasks"], run["seed"]) for run in runs}) < len(runs):
+        raise ValueError(f"{folder} has a run twice")
     rows = [
         {
             **{name: run[name] for name in ("held_out", "tasks", "seed")},

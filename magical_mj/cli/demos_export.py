@@ -17,6 +17,7 @@ from magical_mj.cli.console import (
     console,
     counting,
     how_to_continue,
+    make_writable_folder,
     with_bar,
 )
 from magical_mj.cli.stored_demos import Paths, Set, read_chosen, set_named, sources_of
@@ -101,7 +102,7 @@ def export_demos(
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
     if suffix := set_suffix(set_named(which)):
         groups = {f"{name}{suffix}": group for name, group in groups.items()}
-    elif out is not None and len(groups) > 1:
+    if out is not None and len(groups) > 1:
         raise typer.BadParameter(
             f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
         )
@@ -160,6 +161,7 @@ def make_intents(
 def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
     """Raises an error unless a data set can be made at `target`. `sources` are the folders of its demonstrations."""
     from magical_mj.demos.export import SUFFIXES
+    from magical_mj.demos.export.lerobot import require_lerobot
     from magical_mj.demos.export.minari import dataset_path
 
     if to in SUFFIXES:
@@ -175,3 +177,6 @@ def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None
     if path.exists() and not force:
         other = "another id, or replace it with --force" if to == "minari" else "a new folder"
         raise FileExistsError(f"the data set {path} exists already; give {other}")
+    make_writable_folder(path.parent)
+    if to == "lerobot":
+        require_lerobot()

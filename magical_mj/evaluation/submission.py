@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -21,11 +21,12 @@ from magical_mj.evaluation.entry import (
     unpacked,
 )
 from magical_mj.evaluation.folder import (
+    SETTINGS,
     check_runs,
     folders_of,
+    read_settings,
     recorded_policies,
     recorded_sets,
-    recorded_settings,
     recorded_variants,
 )
 from magical_mj.evaluation.replay import obstacle
@@ -98,6 +99,11 @@ def submit(
     return entry
 
 
+def _settings(folder: Path) -> dict[str, Any]:
+    """The settings in an evaluation's ``run.json``. Empty if it has none; an `EvaluationError` if they are invalid."""
+    return read_settings(folder) if (folder / SETTINGS).exists() else {}
+
+
 def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
     """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
 
@@ -105,7 +111,7 @@ def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
     """
     check_runs(
         (name, run, digest)
-        for settings in map(recorded_settings, folders)
+        for settings in map(_settings, folders)
         for policy, name, run, digest in recorded_policies(settings)
         if policy == (method or policy)
     )
@@ -117,7 +123,7 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
     This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
     package only, and record set 1 and no play for other policies. So a card may declare another set for these.
     """
-    known = map(recorded_settings, folders)
+    known = map(_settings, folders)
     learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
     if len(learnt) > 1 or learnt - {1, card.demonstrations.loaded_set}:
         numbers = ", ".join(map(str, sorted(learnt)))
@@ -131,7 +137,7 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
 
 def _played_in(folders: Sequence[Path], method: str) -> list[str]:
     """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
-    known = map(recorded_settings, folders)
+    known = map(_settings, folders)
     return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
 
 
@@ -156,7 +162,7 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         card,
         common("preset", ((episode.preset, folder) for episode, folder in sources)),
         common("rules", ((episode.rules, folder) for episode, folder in sources)),
-        common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
+        common("protocol", ((_settings(folder).get("protocol"), folder) for folder in folders)),
         Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
         episodes,
         _played_in(folders, episodes[0].policy),

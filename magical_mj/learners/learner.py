@@ -141,7 +141,9 @@ class Learner(Method):
 
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the network's probabilities."""
-        return TrainedPolicy(self.actor, self.settings.tasks, self.settings.preset)
+        settings = self.settings
+        learnt: dict[str, Any] = {"demonstration_set": settings.demos.set, "played_in": settings.reward.variant}
+        return TrainedPolicy(self.actor, settings.tasks, settings.preset, **learnt)
 
     def save_policy(self, folder: Path) -> None:
         """Writes the network."""

@@ -40,10 +40,21 @@ class TrainedPolicy(Model):
         actor: the network. It returns logits (n, 18) for observations and tasks, like `networks.Actor`.
         tasks: the tasks of the training, in the order of the network's heads.
         preset: the preset of the training's observations.
+        demonstration_set: the set of the package's demonstrations from which it learnt.
+        played_in: the variant whose scenes it played in its training.
     """
 
-    def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str) -> None:
+    def __init__(
+        self,
+        actor: nn.Module,
+        tasks: Sequence[str],
+        preset: str,
+        *,
+        demonstration_set: int = 1,
+        played_in: str = "Demo",
+    ) -> None:
         super().__init__(self._drawn, remembers=preset == STATE)
+        self.demonstration_set, self.played_in = demonstration_set, played_in
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
 
@@ -102,7 +113,8 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    return TrainedPolicy(actor, tasks, preset)
+    learnt = {"demonstration_set": demonstration_set(path.parent), "played_in": played_in(path.parent)}
+    return TrainedPolicy(actor, tasks, preset, **learnt)
 
 
 class _Logits(nn.Module):

@@ -280,6 +280,12 @@ class OnLearntReward(RewardLearner):
                 f"the reward in {settings.reward.run} is for {', '.join(learnt.tasks)} with the preset "
                 f"{learnt.preset}, not for {', '.join(settings.tasks)} with {settings.preset}"
             )
+        if learnt.demos != settings.demos:
+            number = learnt.demos.set
+            raise SettingsError(
+                f"the reward in {settings.reward.run} was learnt from demonstrations of set {number}: add --set "
+                f"demos.set={number}, so that evaluations of the policy record it"
+            )
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Does nothing."""

@@ -223,28 +223,46 @@ def playable(
             )
         facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
         facts["needs_plan"] = getattr(policy, "needs_plan", False)
-        facts["demonstration_set"] = getattr(policy, "demonstration_set", None) or demonstration_set(source.origin)
-        facts["played_in"] = getattr(policy, "played_in", "") or played_in(source.origin)
+        facts["demonstration_set"] = demonstration_set(source.origin, policy)
+        facts["played_in"] = played_in(source.origin, policy)
         batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
         checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
     return checked
 
 
-def demonstration_set(origin: object) -> int:
-    """The set of the package's demonstrations of the training in a folder, according to its settings; otherwise 1."""
-    value = _setting(origin, "demos", "set", 1)
+def demonstration_set(origin: object, policy: object = None) -> int:
+    """The set of the package's demonstrations from which a policy learnt; 1 if nothing says which.
+
+    Args:
+        origin: if it is the folder of a training, its settings say which.
+        policy: otherwise its attribute `demonstration_set` does.
+    """
+    value = _setting(origin, "demos", "set", getattr(policy, "demonstration_set", 1))
     number = as_integer(value, 1)
     if number is None:
-        raise SettingsError(f"demos.set in {origin}/{CONFIG} must be a number of a set, not {short_repr(value)}")
+        where = _place(origin, "demos.set", "demonstration_set")
+        raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
     return number
 
 
-def played_in(origin: object) -> str:
-    """The variant whose scenes the training in a folder played, according to its settings; otherwise "Demo"."""
-    value = _setting(origin, "reward", "variant", "Demo")
+def played_in(origin: object, policy: object = None) -> str:
+    """The variant whose scenes a policy played in its training; "Demo" if nothing says which.
+
+    Args:
+        origin: if it is the folder of a training, its settings say which.
+        policy: otherwise its attribute `played_in` does.
+    """
+    value = _setting(origin, "reward", "variant", getattr(policy, "played_in", "Demo"))
     if not isinstance(value, str) or value not in EVERY_VARIANT:
-        raise SettingsError(f"reward.variant in {origin}/{CONFIG} must be a variant, not {short_repr(value)}")
+        where = _place(origin, "reward.variant", "played_in")
+        raise SettingsError(f"{where} must be a variant, not {short_repr(value)}")
     return value
+
+
+def _place(origin: object, setting: str, attribute: str) -> str:
+    """Where a fact about a policy's training comes from."""
+    folder = isinstance(origin, str | os.PathLike) and Path(origin).is_dir()
+    return f"{setting} in {origin}/{CONFIG}" if folder else f"the policy's attribute {attribute}"
 
 
 def _setting(origin: object, part: str, name: str, usual: Any) -> Any:

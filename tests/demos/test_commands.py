@@ -193,3 +193,12 @@ def test_two_tasks_of_one_name_take_two_folders(broken: str, shell: Shell) -> No
     tasks = f"{broken}:ONE,{broken}:OTHER"
     assert "same name" in shell.fails(2, "demos", "generate", "--tasks", tasks, "--count", 1, "--out", "made")
     assert not Path("made").exists()
+
+
+@pytest.mark.parametrize("which", ["1", "2", "graded"])
+def test_a_data_set_of_several_environments_is_refused(shell: Shell, tmp_path: Path, which: str) -> None:
+    where = ("--tasks", "MoveToCorner,MoveToRegion", "--to", "webdataset", "--preset", "State", "--force")
+    code, _, error = shell("demos", "export", "--set", which, *where, "--out", str(tmp_path / "data"))
+    assert code == 2
+    assert "a data set holds one environment" in " ".join(error.replace("│", " ").split())
+    assert not (tmp_path / "data").exists()

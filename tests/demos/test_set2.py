@@ -19,7 +19,7 @@ from magical_mj.leaderboard import submit, verify
 from magical_mj.leaderboard.standings import gaps
 from magical_mj.learners import train
 from magical_mj.learners.data import chosen
-from magical_mj.learners.policy import export_policy
+from magical_mj.learners.policy import export_policy, load_policy
 from magical_mj.policies.interface import actions_of
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
@@ -96,7 +96,7 @@ def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> Non
     settings = from_states(**{"demos.set": 2})
     seeds = {row.seed for row in stored_rows(FILES[2]) if row.task == "MoveToRegion"}
     assert {demo.scene_seed for demo in chosen(settings, "MoveToRegion")} <= seeds
-    train(settings, tmp_path / "run")
+    trained = train(settings, tmp_path / "run")
     assert tomllib.loads((tmp_path / "run" / "config.toml").read_text())["demos"] == {"set": 2}
     with pytest.raises(SettingsError, match=r"demos\.set was 2 and is 1"):
         train(from_states(), tmp_path / "run", resume=True)
@@ -104,8 +104,10 @@ def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> Non
     evaluate({"BC": tmp_path / "run"}, out=tmp_path / "scores", **where)
     assert json.loads((tmp_path / "scores" / "run.json").read_text())["policies"][0]["demonstration_set"] == 2
     exported = export_policy(tmp_path / "run", tmp_path / "bc.onnx")
-    evaluate({"BC": exported}, out=tmp_path / "exported", **where)
-    assert json.loads((tmp_path / "exported" / "run.json").read_text())["policies"][0]["demonstration_set"] == 2
+    for number, policy in enumerate([exported, trained, load_policy(tmp_path / "run")]):
+        evaluate({"BC": policy}, out=tmp_path / f"other{number}", **where)
+        recorded = json.loads((tmp_path / f"other{number}" / "run.json").read_text())["policies"][0]
+        assert recorded["demonstration_set"] == 2
     assert any("BC learnt from demonstrations of set 2" in text for text in verify(tmp_path / "scores", jobs=1).unfit)
     (tmp_path / "card.toml").write_text("privileges = []\n[demonstrations]\nset = 2\n")
     with pytest.raises(SettingsError, match=r"learnt from demonstrations of set 2, but the card has .*loaded_set = 1"):

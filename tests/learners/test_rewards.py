@@ -29,7 +29,7 @@ from magical_mj.learners.rewards import (
 )
 from magical_mj.learners.vector_envs import OBSERVATION
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError
+from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
 from tests.helpers.learners import check_resumes, from_states, playing, stopped
 
@@ -162,6 +162,30 @@ def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: 
     problem = 'it played in scenes of Layout while it learnt: add "other scenes" to the card\'s privileges'
     assert check_entries({"": read_entry(tmp_path / "entry")}, jobs=1)[""].unfit == [problem]
     assert verify(tmp_path / "entry", jobs=1).unfit == [problem]
+
+
+@pytest.mark.parametrize("variants", [["All", "Layout"], "all of them"])
+def test_what_a_policy_says_about_its_training_is_checked(variants: object, tmp_path: Path) -> None:
+    def policy(_: object) -> int:
+        return 0
+
+    policy.played_in = variants  # pyright: ignore[reportFunctionMemberAccess]
+    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
+    with pytest.raises(SettingsError, match="the policy's attribute played_in must be a variant, not"):
+        evaluate({"X": policy}, out=tmp_path / "scores", **where)
+
+
+def test_an_entry_is_not_made_from_damaged_settings(tmp_path: Path) -> None:
+    evaluate("noop", tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, out=tmp_path)
+    (tmp_path / "run.json").write_text((tmp_path / "run.json").read_text().replace('"policies": [', '"policies": [1, '))
+    with pytest.raises(EvaluationError, match=r"run\.json"):
+        submit([tmp_path], tmp_path / "entry.json.xz")
+
+
+def test_ppo_records_the_demonstrations_of_its_reward(tmp_path: Path) -> None:
+    train(from_states(method="iq-learn", **{"demos.set": 2}), tmp_path / "iq")
+    with pytest.raises(SettingsError, match=r"was learnt from demonstrations of set 2: add --set demos\.set=2"):
+        train(playing("ppo", preset="State", **{"reward.run": tmp_path / "iq"}), tmp_path / "ppo")
 
 
 def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ from magical_mj.learners import load_settings
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.tasks.registry import SPLITS
 from magical_mj.variants import VARIANTS
+from tools.pretraining import BUDGET
 
 TRAINED_IN: Final = 1_000
 """The first dev scene of the pretraining. Earlier ones serve other purposes."""
@@ -97,9 +98,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     path = options.out / "scores.jsonl"
-    budget = {name: getattr(options, name) for name in ("scenes", "pretraining", "batches", "variants", "episodes")}
+    budget = {name: getattr(options, name) for name in BUDGET}
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     numbers = [int(text) for text in options.tasks.split(",")]
+    if not set(numbers) <= set(range(len(TASKS))):
+        parser.error(f"--tasks must be numbers from 0 to {len(TASKS) - 1}, separated by commas, not {options.tasks}")
     tasks: list[str] = options.held_out.split(",")
     for seed, held_out, count in [(s, task, k) for s in range(options.seeds) for task in tasks for k in numbers]:
         key: dict[str, Any] = {"held_out": held_out, "tasks": count, "seed": seed, **budget}

@@ -51,6 +51,14 @@ def missing_lerobot() -> MagicalError:
     )
 
 
+def require_lerobot() -> None:
+    """Raises a `MagicalError` if data sets of lerobot cannot be made here."""
+    try:
+        import lerobot.datasets.lerobot_dataset  # pyright: ignore[reportMissingImports]  # noqa: F401
+    except ImportError:
+        raise missing_lerobot() from None
+
+
 def image_keys(views: str) -> dict[str, str]:
     """View -> the key of its pictures in LeRobot's data: ``observation.image``, or with both views a key for each."""
     check_name("choice of views", views, VIEWS)
@@ -85,10 +93,9 @@ def to_lerobot(
         DemonstrationError: if the demonstrations are not of one environment.
         FileExistsError: if the folder exists.
     """
-    try:
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise missing_lerobot() from None
+    require_lerobot()
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+
     keys = image_keys(views)
     facts, folder = about(demos), files.to_path(folder)
     makers, observed = "-".join(facts["demonstrators"]), f"{views}{'-fingers' if fingers else ''}"

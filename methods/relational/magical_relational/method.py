@@ -161,7 +161,8 @@ class Relational(Method):
 
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the networks' probabilities."""
-        return TrainedPolicy(self._actor, self.settings.tasks, self.settings.preset)
+        settings = self.settings
+        return TrainedPolicy(self._actor, settings.tasks, settings.preset, demonstration_set=settings.demos.set)
 
     def save_policy(self, folder: Path) -> None:
         """Writes the networks, and the report on assumptions."""
