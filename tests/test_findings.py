@@ -186,9 +186,7 @@ def test_comparisons_hold() -> None:
         "in neither",
         "in both",
     ]
-    assert {verdict for claim, verdict in verdicts.items() if claim.startswith("GAIL scores more than BC")} == {
-        "only in the paper"
-    }
+    assert {verdict for claim, verdict in verdicts.items() if claim.startswith("GAIL > BC")} == {"only in the paper"}
     assert sum(verdict == "in both" for verdict in verdicts.values()) > len(verdicts) / 2
 
 

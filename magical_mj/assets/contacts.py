@@ -23,7 +23,7 @@ Floats = TypeVar("Floats", float, NDArray[np.float64])
 SUBSTEPS: Final = 10
 """Physics steps per action."""
 TIMESTEP: Final = 1 / c.CONTROL_RATE / SUBSTEPS
-"""Seconds per physics step."""
+"""Seconds per substep."""
 
 DEBRIS_MASS: Final = 0.05
 """Blocks below this mass overlap with objects that they touch; those of x-magical have 0.01."""

@@ -202,7 +202,7 @@ OWNED = {
     ),
     "pose": (lambda arena: assign(mjcf.get_attachment_frame(arena.robot.mjcf_model), pos=[0, 0, 0]), "the poses"),
     "region": (lambda arena: assign(arena.mjcf_model.deformable.skin[0], rgba=[1, 1, 1, 1]), "the colours"),
-    "timestep": (lambda arena: assign(arena.mjcf_model.option, timestep=0.005), "ten physics steps"),
+    "timestep": (lambda arena: assign(arena.mjcf_model.option, timestep=0.005), "ten substeps"),
     "detached": (lambda arena: arena.blocks[0].detach(), "do not remove"),
     "removed": (lambda arena: arena.mjcf_model.deformable.skin[0].remove(), "do not remove"),
 }

@@ -36,7 +36,7 @@ CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """View -> the name of its camera in the compiled tree, if the two differ."""
 
 FIXED_TIMESTEPS: Final = (
-    f"the timesteps cannot be changed: motors, friction and contacts are fitted for {SUBSTEPS} physics steps of "
+    f"the timesteps cannot be changed: motors, friction and contacts are fitted for {SUBSTEPS} substeps of "
     f"{TIMESTEP} s per action. To act less often, repeat actions"
 )
 
@@ -78,7 +78,7 @@ class Settings:
 class SceneTask(composer.Task):
     """Executes actions and provides observations. With a benchmark task, it also ends and scores episodes.
 
-    If a hook or an observable needs every physics step, the ten steps of an action are ten substeps of composer.
+    If a hook or an observable needs every substep, the ten substeps of an action are substeps of composer.
     Otherwise they are one substep, because composer's own loop takes longer than the physics.
 
     Args:

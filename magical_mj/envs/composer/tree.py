@@ -18,7 +18,7 @@ OWNERS: Final[Mapping[str, str]] = {
     "rgba": f"the colours in the scene: {_SCENE}, {_HOOK.format('physics.model.geom_rgba')}",
     "friction": f"Scene.dynamics: {_SCENE}, {_HOOK.format('physics.model.pair_friction')}",
     "frictionloss": f"Scene.dynamics: {_SCENE}, {_HOOK.format('the compiled model')}",
-    "timestep": "the protocol: an action is ten physics steps of 12.5 ms, for which motors and contacts are fitted",
+    "timestep": "the protocol: an action is ten substeps of 12.5 ms, for which motors and contacts are fitted",
 }
 """Attribute -> the part of the scene that determines it, and what users can change instead."""
 
