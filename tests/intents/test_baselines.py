@@ -91,7 +91,7 @@ def statements() -> list[str]:
         f"The policy with the sentence scores {score(SENTENCE):.2f},",
         f"Random actions score {score('random'):.2f},",
         f"so it gains {learnt[0]:.2f} ({learnt[1]:.2f} to {learnt[2]:.2f}).",
-        f"Its trainings score {by_training(SENTENCE)}.",
+        f"Its trainings with three seeds score {by_training(SENTENCE)}.",
         *checks(),
     ]
 
