@@ -98,7 +98,9 @@ def _simulated(batch: BatchScenes, tables: EpisodeArrays, size: int) -> Pictures
     arrays: dict[str, Any] = {name: np.ascontiguousarray(table) for name, table in all_tables(batch, tables).items()}
     with tempfile.TemporaryDirectory() as folder:
         given, result = Path(folder, "tables.npz"), Path(folder, "pictures.npz")
-        np.savez(given, **arrays, room=most_corners(batch), size=size, poses=batch.poses, fingers=batch.fingers)
+        np.savez(
+            given, **arrays, corner_capacity=most_corners(batch), size=size, poses=batch.poses, fingers=batch.fingers
+        )
         subprocess.run([sys.executable, __file__, "--simulate", given, result], env=os.environ | SIMULATED, check=True)
         return dict(np.load(result))
 
@@ -111,10 +113,10 @@ def simulate(given: Path, result: Path) -> None:
     arrays = np.load(given)
     tables = Tables(*(arrays[name] for name in Tables._fields))
     faults = Faults(*(arrays[name] for name in Faults._fields)) if "sensors" in arrays else None
-    count, room = len(tables.polygons), int(arrays["room"])
+    count, corner_capacity = len(tables.polygons), int(arrays["corner_capacity"])
     posed, pictures = (arrays["poses"], arrays["fingers"], np.full(count, STEPS)), blank(count, int(arrays["size"]))
     for view, out in pictures.items():
-        launch(tables, faults, room, posed, view, np.arange(count), out)
+        launch(tables, faults, corner_capacity, posed, view, np.arange(count), out)
     np.savez(result, allow_pickle=False, **pictures)
 
 

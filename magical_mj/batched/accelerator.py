@@ -16,14 +16,14 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from torch import Tensor
 
-from magical_mj.batched.frames import BLOCKS, VISIBLE, write_frame
+from magical_mj.batched.frames import FIRST_BLOCK, VISIBLE, write_frame
 from magical_mj.batched.tables import Faults, Tables
 from magical_mj.rendering.scanlines import FIRST, LAST, SOURCE, fill, mean, place, product, view_from
 from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts import drawn
 from magical_mj.shifts.kernels import (
-    BLOCK,
     GREY,
+    TILE,
     blur_line,
     cell_at,
     dirty_row,
@@ -31,7 +31,7 @@ from magical_mj.shifts.kernels import (
     ground_row,
     noisy,
     put_cell,
-    quantise_block,
+    quantise_tile,
     relight_row,
     turned,
 )
@@ -59,49 +59,49 @@ def _on_accelerators(a: Any, b: Any) -> Any:
 
 
 @cuda.jit(device=True)
-def placed(tables: Any, room: int, poses: Any, fingers: Any, view: int, env: int, side: int) -> Any:
+def placed(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int, env: int, side: int) -> Any:
     """Places all polygons of an environment; each thread places some of them. The arguments are those of `draw`.
 
     Returns:
         The polygons and what `fill_row` needs of them, in shared memory: the corners x and y, and for each polygon its
-        first corner, its first row of samples and the row after its last. Then the camera's frame, and the memory that
-        the thread has for itself, 2 * side bytes.
+        first corner, its first row of samples and the row after its last. Then the camera's frame, and the scratch
+        memory of the thread, 2 * side bytes.
     """
-    polygons, corners, quads, _, cameras, places, _, _, _, _, _ = tables
+    polygons, corners, quads, _, cameras, corner_offsets, _, _, _, _, _ = tables
     thread, threads = cuda.threadIdx.x, cuda.blockDim.x
-    count, posed = polygons.shape[1], BLOCKS + poses.shape[1]
+    count, posed = polygons.shape[1], FIRST_BLOCK + poses.shape[1]
     words = cuda.shared.array(0, int32)
     frames = cuda.shared.array(0, float64)[: 4 * posed].reshape(posed, 4)
     end = 8 * posed
-    x, y = words[end : end + room], words[end + room : end + 2 * room]
-    end += 2 * room
+    x, y = words[end : end + corner_capacity], words[end + corner_capacity : end + 2 * corner_capacity]
+    end += 2 * corner_capacity
     starts, stops = words[end : end + count], words[end + count : end + 2 * count]
     end = 4 * (end + 2 * count) + thread * (2 * side + _APART)
-    own = cuda.shared.array(0, uint8)[end : end + 2 * side]
+    scratch = cuda.shared.array(0, uint8)[end : end + 2 * side]
 
     for number in range(thread, posed, threads):
         write_frame(number, view, cameras[env, view], poses[env], fingers[env], frames)
     cuda.syncthreads()
-    camera, at = frames[posed - 1], places[env]
+    camera, at = frames[posed - 1], corner_offsets[env]
     seen = view_from(camera, cameras[env, view, VISIBLE], side)
     for p in range(thread, count, threads):
         scene = polygons[env], corners, quads[env]
         starts[p], stops[p] = place(scene, p, frames, seen, side, x[at[p] :], y[at[p] :])
     cuda.syncthreads()
-    return (polygons[env], x, y, at, starts, stops), camera, own
+    return (polygons[env], x, y, at, starts, stops), camera, scratch
 
 
 @cuda.jit(device=True)
 def fill_rows(shapes: Any, colours: Any, lowest: int, count: int, side: int, samples: Any) -> None:
     """Paints the polygons of `placed` in these colours into a few rows of samples, beginning with row `lowest`."""
-    polygons, x, y, places, starts, stops = shapes
+    polygons, x, y, offsets, starts, stops = shapes
     left, right = cuda.local.array(2, int64), cuda.local.array(2, int64)
     for sample in range(count * side):
         samples[sample] = 0
     for p in range(len(polygons)):
         first, last = max(starts[p], lowest), min(stops[p], lowest + count)
         if first < last:
-            at, corners = places[p], polygons[p, LAST] - polygons[p, FIRST]
+            at, corners = offsets[p], polygons[p, LAST] - polygons[p, FIRST]
             fill(x[at:], y[at:], corners, colours[p], (first, last, lowest), side, (samples, left, right))
 
 
@@ -114,27 +114,27 @@ def put_row(samples: Any, palette: Any, line: Any) -> None:
         lower = np.uint64(palette[samples[k]]) | (np.uint64(palette[samples[k + 1]]) << _32)
         upper = np.uint64(palette[samples[side + k]]) | (np.uint64(palette[samples[side + k + 1]]) << _32)
         line[column, 0], line[column, 1], line[column, 2] = mean(lower, upper)
-        bare = int(lower & _LOW == 0) + int(lower >> _32 == 0) + int(upper & _LOW == 0) + int(upper >> _32 == 0)
-        samples[column] = bare
+        uncovered = int(lower & _LOW == 0) + int(lower >> _32 == 0) + int(upper & _LOW == 0) + int(upper >> _32 == 0)
+        samples[column] = uncovered
 
 
 @cuda.jit(device=True)
-def put_ground(row: int, line: Any, bare: Any, ground: Any, camera: Any) -> None:
+def put_ground(row: int, line: Any, uncovered: Any, ground: Any, camera: Any) -> None:
     """Puts another ground into a row of pixels, with numbers of uncovered samples. See `kernels.put_on_ground`."""
     i, j, stride_i, stride_j = ground_row(row, len(line), GROUND_CELLS, GROUND_REACH, camera)
     for column in range(len(line)):
-        put_cell(line, column, bare[column], ground, cell_at(i, j, GROUND_CELLS - 1))
+        put_cell(line, column, uncovered[column], ground, cell_at(i, j, GROUND_CELLS - 1))
         i += stride_i
         j += stride_j
 
 
 @cuda.jit
-def draw(tables: Any, room: int, poses: Any, fingers: Any, view: int, envs: Any, out: Any) -> None:
+def draw(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int, envs: Any, out: Any) -> None:
     """Draws the picture of one of the environments.
 
     Args:
-        tables: see `tables.Tables`.
-        room: the number of corners that shared memory holds.
+        tables: the arrays of `tables.Tables`, as a plain tuple, which is unpacked in the order of its fields.
+        corner_capacity: the number of corners that shared memory holds.
         poses: x, y, angle of the robot and of each block. Shape (all envs, 1 + blocks, 3).
         fingers: angles of the left and the right finger. Shape (all envs, 2).
         view: an index into `VIEWS`.
@@ -143,7 +143,7 @@ def draw(tables: Any, room: int, poses: Any, fingers: Any, view: int, envs: Any,
     """
     polygons, _, _, palettes, cameras, _, _, grounds, tones, slopes, bars = tables
     env, size = envs[cuda.blockIdx.x], out.shape[1]
-    shapes, camera, samples = placed(tables, room, poses, fingers, view, env, 2 * size)
+    shapes, camera, samples = placed(tables, corner_capacity, poses, fingers, view, env, 2 * size)
     shown = turned((camera[0], camera[1], math.atan2(camera[3], camera[2]), cameras[env, view, VISIBLE]))
     for row in range(cuda.threadIdx.x, size, cuda.blockDim.x):
         line = out[env, row]
@@ -156,12 +156,13 @@ def draw(tables: Any, room: int, poses: Any, fingers: Any, view: int, envs: Any,
 
 
 @cuda.jit
-def segment(tables: Any, room: int, poses: Any, fingers: Any, view: int, envs: Any, out: Any) -> None:
+def segment(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int, envs: Any, out: Any) -> None:
     """As `draw`, a segmentation: the value at each pixel's centre. `out` has the shape (all envs, size, size, 1)."""
+    _, _, _, _, _, _, segments, _, _, _, _ = tables
     env, size = envs[cuda.blockIdx.x], out.shape[1]
-    shapes, _, samples = placed(tables, room, poses, fingers, view, env, size)
+    shapes, _, samples = placed(tables, corner_capacity, poses, fingers, view, env, size)
     for row in range(cuda.threadIdx.x, size, cuda.blockDim.x):
-        fill_rows(shapes, tables[6], size - 1 - row, 1, size, samples)
+        fill_rows(shapes, segments, size - 1 - row, 1, size, samples)
         for column in range(size):
             out[env, row, column, 0] = samples[column]
 
@@ -182,21 +183,21 @@ def add_noise(picture: Any, noise: Any, chance: float) -> None:
 def blur(picture: Any, width: int) -> None:
     """See `kernels.blur`."""
     size, thread, threads = len(picture), cuda.threadIdx.x, cuda.blockDim.x
-    own = cuda.shared.array(0, uint8)[thread * (3 * size + _APART) :]
+    scratch = cuda.shared.array(0, uint8)[thread * (3 * size + _APART) :]
     for row in range(thread, size, threads):
-        blur_line(picture[row], own, width)
+        blur_line(picture[row], scratch, width)
     cuda.syncthreads()
     for column in range(thread, size, threads):
-        blur_line(picture[:, column], own, width)
+        blur_line(picture[:, column], scratch, width)
 
 
 @cuda.jit(device=True)
 def quantise(picture: Any, step: int) -> None:
     """See `kernels.quantise`."""
-    block, blocks = cuda.local.array((BLOCK, BLOCK), float64), len(picture) // BLOCK
-    for number in range(cuda.threadIdx.x, blocks * blocks, cuda.blockDim.x):
-        top, left = number // blocks * BLOCK, number % blocks * BLOCK
-        quantise_block(picture[top : top + BLOCK, left : left + BLOCK], step, block)
+    tile, tiles = cuda.local.array((TILE, TILE), float64), len(picture) // TILE
+    for number in range(cuda.threadIdx.x, tiles * tiles, cuda.blockDim.x):
+        top, left = number // tiles * TILE, number % tiles * TILE
+        quantise_tile(picture[top : top + TILE, left : left + TILE], step, tile)
 
 
 @cuda.jit(device=True)
@@ -219,7 +220,7 @@ def spoil(faults: Any, steps: Any, view: int, envs: Any, out: Any) -> None:
     """Applies the sensor's fault to the picture of one of the environments. See `drawn.Sensor`.
 
     Args:
-        faults: see `tables.Faults`.
+        faults: the arrays of `tables.Faults`, as a plain tuple.
         steps: the number of steps of each environment's episode.
         view: an index into `VIEWS`.
         envs: the numbers of the environments.
@@ -244,7 +245,7 @@ def spoil(faults: Any, steps: Any, view: int, envs: Any, out: Any) -> None:
 def launch(
     tables: Tables,
     faults: Faults | None,
-    room: int,
+    corner_capacity: int,
     posed: tuple[Any, Any, Any],
     view: str,
     envs: Any,
@@ -256,7 +257,7 @@ def launch(
     Args:
         tables: on the device, as all arrays.
         faults: of the sensors; None: without any.
-        room: see `draw`.
+        corner_capacity: see `draw`.
         posed: poses, fingers, and steps.
         view: one of `VIEWS` or `SEGMENTATIONS`.
         envs: the numbers of the environments to draw.
@@ -265,28 +266,28 @@ def launch(
     """
     poses, fingers, steps = posed
     size, number, pictures = out.shape[1], VIEWS.index(view.partition("-")[0]), out.shape[3] == 3
-    used = 32 * (BLOCKS + poses.shape[1]) + 8 * (room + tables.polygons.shape[1])
-    threads, memory = _block(size, used, (4 if pictures else 2) * size)
+    used = 32 * (FIRST_BLOCK + poses.shape[1]) + 8 * (corner_capacity + tables.polygons.shape[1])
+    threads, memory = _launch_shape(size, used, (4 if pictures else 2) * size)
     kernel = draw if pictures else segment
-    kernel[len(envs), threads, stream, memory](tuple(tables), room, poses, fingers, number, envs, out)
+    kernel[len(envs), threads, stream, memory](tuple(tables), corner_capacity, poses, fingers, number, envs, out)
     if faults is not None and pictures:
-        threads, memory = _block(size, 0, 3 * size)
+        threads, memory = _launch_shape(size, 0, 3 * size)
         spoil[len(envs), threads, stream, memory](tuple(faults), steps, number, envs, out)
 
 
-def _block(size: int, used: int, own: int) -> tuple[int, int]:
-    """The number of threads of a block, and its shared memory: what is used in any case, and what each thread owns."""
-    threads = min(MOST_THREADS, size, (SHARED - used) // (own + _APART))
+def _launch_shape(size: int, used: int, scratch: int) -> tuple[int, int]:
+    """The number of threads of a block, and its shared memory: what all use, and the scratch memory of each thread."""
+    threads = min(MOST_THREADS, size, (SHARED - used) // (scratch + _APART))
     if threads < 1:
         raise SettingsError("these scenes have too many blocks and regions for an accelerator: use gymnasium.make_vec")
-    return threads, used + threads * (own + _APART)
+    return threads, used + threads * (scratch + _APART)
 
 
 class Canvas:
     """Draws the environments of a batch on one of PyTorch's accelerators. See `launch`."""
 
-    def __init__(self, tables: Tables, faults: Faults | None, room: int) -> None:
-        self._device, self._room = tables.polygons.device, room
+    def __init__(self, tables: Tables, faults: Faults | None, corner_capacity: int) -> None:
+        self._device, self._corner_capacity = tables.polygons.device, corner_capacity
         with cuda.gpus[self._device.index or 0]:
             self._tables = Tables(*map(cuda.as_cuda_array, tables))
             self._faults = faults and Faults(*map(cuda.as_cuda_array, faults))
@@ -297,4 +298,13 @@ class Canvas:
         with cuda.gpus[self._device.index or 0]:
             stream = cuda.external_stream(handle) if handle else cuda.default_stream()
             poses, fingers, steps, chosen, pictures = map(cuda.as_cuda_array, (*posed, envs, out))
-            launch(self._tables, self._faults, self._room, (poses, fingers, steps), view, chosen, pictures, stream)
+            launch(
+                self._tables,
+                self._faults,
+                self._corner_capacity,
+                (poses, fingers, steps),
+                view,
+                chosen,
+                pictures,
+                stream,
+            )

@@ -14,8 +14,8 @@ from magical_mj.rendering.scanlines import compiled, inlined, product
 from magical_mj.scene import constants as c
 from magical_mj.scene.state_vector import VIEWS
 
-WORLD, ROBOT, LEFT_FINGER, RIGHT_FINGER, BLOCKS = range(5)
-"""The numbers of bodies. Block i is BLOCKS + i, and the last frame is the camera's."""
+WORLD, ROBOT, LEFT_FINGER, RIGHT_FINGER, FIRST_BLOCK = range(5)
+"""The numbers of bodies. Block i is FIRST_BLOCK + i, and the last frame is the camera's."""
 X, Y, COSINE, SINE, VISIBLE = range(5)
 """The columns of a table of cameras: the pose in the frame of its body, and the side of the visible square."""
 
@@ -25,7 +25,7 @@ _ROOT_X, _ROOT_Y = c.FINGER_ROOT
 
 def frame_count(blocks: int) -> int:
     """The number of frames of an environment with this many slots for blocks."""
-    return BLOCKS + blocks + 1
+    return FIRST_BLOCK + blocks + 1
 
 
 @inlined

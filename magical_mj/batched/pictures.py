@@ -14,7 +14,7 @@ from magical_mj.batched.frames import VISIBLE, frame_count, write_frames
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.batched.tables import Faults, Tables, all_tables, most_corners
 from magical_mj.rendering.picture import Picture
-from magical_mj.rendering.scanlines import count_bare, draw_posed, segment_posed
+from magical_mj.rendering.scanlines import count_uncovered, draw_posed, segment_posed
 from magical_mj.rendering.software import scratch
 from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.drawn import spoil
@@ -102,9 +102,12 @@ class Painter:
         x, y, cosine, sine = frames[-1].tolist()
         shown = x, y, math.atan2(sine, cosine), visible
         if len(tables.grounds):
-            bare, ground = np.empty((size, size), np.uint8), tables.grounds[env].reshape(GROUND_CELLS, GROUND_CELLS, 3)
-            count_bare(samples[0], bare)
-            put_on_ground(picture, bare, ground, GROUND_REACH, shown)
+            uncovered, ground = (
+                np.empty((size, size), np.uint8),
+                tables.grounds[env].reshape(GROUND_CELLS, GROUND_CELLS, 3),
+            )
+            count_uncovered(samples[0], uncovered)
+            put_on_ground(picture, uncovered, ground, GROUND_REACH, shown)
         if len(tables.tones):
             relight(picture, tables.tones[env], tables.slopes[env], tables.bars[env], shown)
         if self._faults is not None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES
 from magical_mj.assets.scene_model import scene_mjcf
-from magical_mj.batched.frames import BLOCKS, COSINE, LEFT_FINGER, RIGHT_FINGER, SINE, VISIBLE, WORLD, X, Y
+from magical_mj.batched.frames import COSINE, FIRST_BLOCK, LEFT_FINGER, RIGHT_FINGER, SINE, VISIBLE, WORLD, X, Y
 from magical_mj.batched.frames import ROBOT as ROBOT_BODY
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.rendering.scanlines import BODY, FIRST, IS_SKIN, LAST, SOURCE, packed_rgba
@@ -108,7 +108,7 @@ class Tables(NamedTuple):
     """Opaque colours 0xAABBGGRR, or 0 for nothing. Shape (envs, entries), int64."""
     cameras: Any
     """See `frames.X`. Shape (envs, views, 5), float64."""
-    places: Any
+    corner_offsets: Any
     """For each polygon, the number of corners before it in its environment. Shape (envs, polygons), int32."""
     segments: Any
     """The values of polygons in segmentations, which all environments share. Shape (polygons,), int64."""
@@ -180,7 +180,7 @@ def episode_tables(
     counts = table[..., LAST] - table[..., FIRST]
     arrays: EpisodeArrays = {
         "polygons": table,
-        "places": counts.cumsum(axis=-1, dtype=np.int32) - counts,
+        "corner_offsets": counts.cumsum(axis=-1, dtype=np.int32) - counts,
     }
     if shifts:
         rows = [_shifted(EpisodeShifts(draw_shifts(shifts, seed)), steps) for seed in seeds]
@@ -219,7 +219,7 @@ def polygons(scenes: BatchScenes) -> Rows:
         for colour, rows in enumerate(of_shape):
             where = (scenes.shapes == shape) & (scenes.colours == colour)
             blocks[where, : len(rows)] = rows
-    blocks[..., BODY] = (BLOCKS + np.arange(slots))[:, None]
+    blocks[..., BODY] = (FIRST_BLOCK + np.arange(slots))[:, None]
     quads = np.zeros((envs, regions, QUADS, 5), np.int32)
     quads[..., FIRST] = 4 * np.arange(regions * QUADS).reshape(regions, QUADS)
     quads[..., LAST] = quads[..., FIRST] + np.where(scenes.region_colours >= 0, 4, 0)[..., None]

@@ -261,11 +261,11 @@ class Simulation:
             self._views = Views(self.model, self.renderer, self._cameras)
         if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
-        bare = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
+        uncovered = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
         target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
-        picture = self._views.draw(self.data, view, size, target, bare)
+        picture = self._views.draw(self.data, view, size, target, uncovered)
         frame = self._frame(view, self.shifts.steps)
-        picture = self.shifts.picture(picture, frame, bare, self.scene_model.scene.half_width)
+        picture = self.shifts.picture(picture, frame, uncovered, self.scene_model.scene.half_width)
         if out is None or target is out:
             return picture
         for channel in range(3):  # three strided copies are faster than one copy of triples

@@ -24,7 +24,7 @@ from magical_mj.tasks.make_line import longest_line
 from magical_mj.tasks.planning import (
     APART,
     CARRYING,
-    CROWDED,
+    CROWDED_COST,
     FETCHING,
     SPARE,
     SPREAD,
@@ -187,7 +187,7 @@ class _Attempt:
             if not len(possible):
                 continue
             costs = CARRYING * distances(possible, self._now.blocks[index].pose)
-            crowding = CROWDED * _crowding(possible, self._after, index)
+            crowding = CROWDED_COST * _crowding(possible, self._after, index)
             costs += crowding + self._noise(SPREAD, costs.shape)
             best = int(costs.argmin())
             if crowding[best] == 0.0 or margin == MARGINS[-1]:

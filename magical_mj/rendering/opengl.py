@@ -66,7 +66,7 @@ class OpenGLRenderer:
         self._scene.flags[:] = 0
 
     def draw(
-        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
+        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, uncovered: Picture | None = None
     ) -> Picture:
         """A picture from a camera of the model or of the view "scene", as `rendering.renderer.Views.draw`."""
         self._update(data, camera)
@@ -80,9 +80,9 @@ class OpenGLRenderer:
                 return
             pixels = self._pixels(canvas, 2 * size)
             on_white(pixels, picture)
-            if bare is not None:
+            if uncovered is not None:
                 empty = pixels[::-1, :, 3] == 0
-                empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=bare)
+                empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=uncovered)
 
         CANVASES.draw(paint)
         return picture

@@ -36,7 +36,7 @@ class Views:
         self._drawn: dict[str, OpenGLRenderer | SoftwareRenderer] = {}
 
     def draw(
-        self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None, bare: Picture | None = None
+        self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None, uncovered: Picture | None = None
     ) -> Picture:
         """The view of the present state, top row first, fresh or in `out`: RGB, shape (size, size, 3), uint8.
 
@@ -45,7 +45,7 @@ class Views:
             view: "ego", "allo", "scene", or a segmentation such as "ego-segmentation", which has shape (size, size).
             size: pixels per side.
             out: the array to write it to.
-            bare: for a flat view, the array for the number of uncovered samples, 0 to 4, of each pixel. Shape
+            uncovered: for a flat view, the array for the number of uncovered samples, 0 to 4, of each pixel. Shape
                 (size, size).
 
         Raises:
@@ -53,7 +53,7 @@ class Views:
         """
         kind = view if view == SOLID_VIEW else "segments" if view in SEGMENTATIONS else "flat"
         renderer = self._drawn.get(kind) or self._drawn.setdefault(kind, self._choose(kind))
-        return renderer.draw(data, self._cameras.get(view, view), size, out, bare)
+        return renderer.draw(data, self._cameras.get(view, view), size, out, uncovered)
 
     def _choose(self, kind: str) -> OpenGLRenderer | SoftwareRenderer:
         if kind == "segments":

@@ -333,18 +333,18 @@ def draw_posed(
 
 
 @compiled("void(u4[::1], u1[:, ::1])")
-def count_bare(samples: Any, out: Any) -> None:
+def count_uncovered(samples: Any, out: Any) -> None:
     """Writes the number of uncovered samples, 0 to 4, of each pixel. Shape (height, width)."""
     height, width = out.shape
-    one, bare = np.uint32(1), np.empty(2 * width, np.uint8)
+    one, uncovered = np.uint32(1), np.empty(2 * width, np.uint8)
     for row in range(height):
         first = 4 * row * width
         lower, upper = samples[first : first + 2 * width], samples[first + 2 * width : first + 4 * width]
         for column in range(2 * width):
-            bare[column] = np.uint8(2 - min(lower[column], one) - min(upper[column], one))
+            uncovered[column] = np.uint8(2 - min(lower[column], one) - min(upper[column], one))
         line = out[height - 1 - row]
         for column in range(width):
-            line[column] = bare[2 * column] + bare[2 * column + 1]
+            line[column] = uncovered[2 * column] + uncovered[2 * column + 1]
 
 
 @inlined

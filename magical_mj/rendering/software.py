@@ -62,7 +62,7 @@ class SoftwareRenderer:
         self._views: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
 
     def draw(
-        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
+        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, uncovered: Picture | None = None
     ) -> Picture:
         """A picture from a camera of the model that looks straight down, as `rendering.renderer.Views.draw`.
 
@@ -83,8 +83,8 @@ class SoftwareRenderer:
         samples = scratch(2 * size)
         pairs = samples[0].view(np.uint64)
         self._scanlines.draw_picture(*world, samples, *self._colours, pairs, picture)
-        if bare is not None:
-            self._scanlines.count_bare(samples[0], bare)
+        if uncovered is not None:
+            self._scanlines.count_uncovered(samples[0], uncovered)
         return picture
 
 

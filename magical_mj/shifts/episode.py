@@ -127,20 +127,22 @@ class EpisodeShifts:
         self.steps += 1
         return action
 
-    def picture(self, picture: Picture, frame: Frame, bare: NDArray[np.uint8] | None, half_width: float) -> Picture:
+    def picture(
+        self, picture: Picture, frame: Frame, uncovered: NDArray[np.uint8] | None, half_width: float
+    ) -> Picture:
         """The shifted picture.
 
         Args:
             picture: the rendered picture, shape (size, size, 3).
             frame: its view, step and camera.
-            bare: the number of each pixel's four samples that show the ground, shape (size, size). None if no shift
-                changes the ground.
+            uncovered: the number of each pixel's four samples that show the ground, shape (size, size). None if no
+                shift changes the ground.
             half_width: half the width of the arena (world units).
         """
-        if bare is not None:
+        if uncovered is not None:
             from magical_mj.shifts.kernels import put_on_ground
 
-            put_on_ground(picture, bare, self.ground(half_width), GROUND_REACH, frame.camera)
+            put_on_ground(picture, uncovered, self.ground(half_width), GROUND_REACH, frame.camera)
         for name in self._with_picture:
             picture = _checked(f"{name}.picture", self._call(name, "picture", picture, frame), picture.shape)
         return picture

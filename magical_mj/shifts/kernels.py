@@ -1,6 +1,6 @@
 """Pixel operations of shifts, compiled by numba. Integer arithmetic gives the same bytes on every machine.
 
-Accelerators use the functions for a pixel, a row, a line or a block, see `batched.accelerator`.
+Accelerators use the functions for a pixel, a row, a line or a tile, see `batched.accelerator`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from magical_mj.rendering.scanlines import compiled, inlined, product
 
-BLOCK: Final = 4
-"""Pixels per side of a block whose coefficients `quantise` rounds."""
+TILE: Final = 4
+"""Pixels per side of a tile whose coefficients `quantise` rounds."""
 BITS: Final = 24
 ONE: Final = float(1 << BITS)
 """The side of a ground cell in fixed-point coordinates."""
@@ -66,10 +66,10 @@ def cell_at(i: int, j: int, last: int) -> int:
 
 
 @inlined
-def put_cell(line: Any, column: int, bare: int, levels: Any, cell: int) -> None:
-    """Replaces the white ground in a pixel of a row, of which it covers `bare` samples of four, by a cell's colour."""
+def put_cell(line: Any, column: int, uncovered: int, levels: Any, cell: int) -> None:
+    """Replaces the white ground, which `uncovered` of a pixel's four samples show, by a cell's colour."""
     one, two = np.uint32(1), np.uint32(2)
-    count = np.int32(bare)
+    count = np.int32(uncovered)
     plain = levels[cell] & levels[cell + one] & levels[cell + two] == WHITE
     if count == 0 or plain:
         return
@@ -82,12 +82,12 @@ def put_cell(line: Any, column: int, bare: int, levels: Any, cell: int) -> None:
 
 
 @compiled(f"void(u1[:, :, :], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
-def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
+def put_on_ground(picture: Any, uncovered: Any, ground: Any, reach: float, camera: Any) -> None:
     """Replaces the white ground of a picture by another one, in place.
 
     Args:
         picture: shape (size, size, 3).
-        bare: the number of each pixel's four samples that show the ground, shape (size, size).
+        uncovered: the number of each pixel's four samples that show the ground, shape (size, size).
         ground: a picture of the square around the origin, top row first, shape (n, n, 3).
         reach: half the side of that square (world units). Beyond it, the pixels of its edge continue.
         camera: see `Frame`.
@@ -101,7 +101,7 @@ def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: An
             i += stride_i
             j += stride_j
         for column in range(size):
-            put_cell(picture[row], column, bare[row, column], levels, seen[column])
+            put_cell(picture[row], column, uncovered[row, column], levels, seen[column])
 
 
 @inlined
@@ -208,18 +208,18 @@ def _mixed(a: float, b: float, c: float, d: float) -> Any:
 
 
 @inlined
-def _round(block: Any, step: int) -> None:
-    """Rounds the Hadamard coefficients of a block in place, shape (4, 4)."""
-    for i in range(BLOCK):
-        block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
-    for j in range(BLOCK):
-        block[0, j], block[1, j], block[2, j], block[3, j] = _mixed(block[0, j], block[1, j], block[2, j], block[3, j])
-        for i in range(BLOCK):
+def _round(tile: Any, step: int) -> None:
+    """Rounds the Hadamard coefficients of a tile in place, shape (4, 4)."""
+    for i in range(TILE):
+        tile[i, 0], tile[i, 1], tile[i, 2], tile[i, 3] = _mixed(tile[i, 0], tile[i, 1], tile[i, 2], tile[i, 3])
+    for j in range(TILE):
+        tile[0, j], tile[1, j], tile[2, j], tile[3, j] = _mixed(tile[0, j], tile[1, j], tile[2, j], tile[3, j])
+        for i in range(TILE):
             coarse = np.float64(step * (1 + i + j))
-            block[i, j] = math.floor(block[i, j] / coarse + 0.5) * coarse
-        block[0, j], block[1, j], block[2, j], block[3, j] = _mixed(block[0, j], block[1, j], block[2, j], block[3, j])
-    for i in range(BLOCK):
-        block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
+            tile[i, j] = math.floor(tile[i, j] / coarse + 0.5) * coarse
+        tile[0, j], tile[1, j], tile[2, j], tile[3, j] = _mixed(tile[0, j], tile[1, j], tile[2, j], tile[3, j])
+    for i in range(TILE):
+        tile[i, 0], tile[i, 1], tile[i, 2], tile[i, 3] = _mixed(tile[i, 0], tile[i, 1], tile[i, 2], tile[i, 3])
 
 
 @inlined
@@ -230,9 +230,9 @@ def _level(coefficient: float) -> Any:
 
 @inlined
 def _is_plain(pixels: Any) -> bool:
-    """Whether all pixels of a block are equal, as in most blocks."""
-    for i in range(BLOCK):
-        for j in range(BLOCK):
+    """Whether all pixels of a tile are equal, as in most tiles."""
+    for i in range(TILE):
+        for j in range(TILE):
             for k in range(3):
                 if pixels[i, j, k] != pixels[0, 0, k]:
                     return False
@@ -240,35 +240,35 @@ def _is_plain(pixels: Any) -> bool:
 
 
 @inlined
-def quantise_block(pixels: Any, step: int, block: Any) -> None:
-    """Rounds the coefficients of a block of pixels in place, shape (4, 4, 3). `block` is overwritten, shape (4, 4)."""
+def quantise_tile(pixels: Any, step: int, tile: Any) -> None:
+    """Rounds the coefficients of a tile of pixels in place, shape (4, 4, 3). `tile` is overwritten, shape (4, 4)."""
     plain = _is_plain(pixels)
     for k in range(3):
         if plain:  # all coefficients but the mean are 0
             level = _level(math.floor(16.0 * pixels[0, 0, k] / step + 0.5) * step)
-            for i in range(BLOCK):
-                for j in range(BLOCK):
+            for i in range(TILE):
+                for j in range(TILE):
                     pixels[i, j, k] = level
             continue
-        for i in range(BLOCK):
-            for j in range(BLOCK):
-                block[i, j] = pixels[i, j, k]
-        _round(block, step)
-        for i in range(BLOCK):
-            for j in range(BLOCK):
-                pixels[i, j, k] = _level(block[i, j])
+        for i in range(TILE):
+            for j in range(TILE):
+                tile[i, j] = pixels[i, j, k]
+        _round(tile, step)
+        for i in range(TILE):
+            for j in range(TILE):
+                pixels[i, j, k] = _level(tile[i, j])
 
 
 @compiled("void(u1[:, :, ::1], i8)")
 def quantise(picture: Any, step: int) -> None:
-    """Rounds the coefficients of blocks of 4 x 4 pixels in place. Higher frequencies get larger steps, as in JPEG.
+    """Rounds the coefficients of tiles of 4 x 4 pixels in place. Higher frequencies get larger steps, as in JPEG.
 
-    The coefficients are those of the Hadamard transform, which are integers. Pixels outside whole blocks are unchanged.
+    The coefficients are those of the Hadamard transform, which are integers. Pixels outside whole tiles are unchanged.
     """
-    size, block = len(picture) // BLOCK * BLOCK, np.empty((BLOCK, BLOCK), np.float64)
-    for top in range(0, size, BLOCK):
-        for left in range(0, size, BLOCK):
-            quantise_block(picture[top : top + BLOCK, left : left + BLOCK], step, block)
+    size, tile = len(picture) // TILE * TILE, np.empty((TILE, TILE), np.float64)
+    for top in range(0, size, TILE):
+        for left in range(0, size, TILE):
+            quantise_tile(picture[top : top + TILE, left : left + TILE], step, tile)
 
 
 @inlined

@@ -28,21 +28,20 @@ Point = tuple[float, float]
 FETCHING: Final = 14  # cost of driving to a block, gripping it and releasing it
 CARRYING: Final = 11  # cost of carrying it one unit
 SPREAD: Final = 2.0  # the largest change of a position's cost by noise
-WANDER: Final = 10.0  # the same if only the robot moves
-CHOICE: Final = 3.0  # the same for the choice between several blocks
+WANDER: Final = 10.0  # the largest change of a position's cost by noise, if only the robot moves
+CHOICE: Final = 3.0  # the largest change of a block's cost by noise, where one of several blocks is chosen
 TOLERANCE: Final = 0.12  # a block this close to its target has reached it
 APART: Final = 0.27  # distance between the centres of blocks that do not touch
-CROWDED: Final = 1000.0  # cost for each unit by which they are closer than `APART`
+CROWDED_COST: Final = 1000.0  # cost for each unit by which two blocks are closer than `APART`, or `CLUSTER_APART`
 INSIDE, OUTSIDE = 0.14, 0.16  # distances from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are placed within this square (half side)
 GRID: Final = 0.06
 
-# Lines
+# Lines, with the costs FETCHING and CARRYING
 # between neighbours; blocks are up to 0.31 wide, and the score allows gaps up to 0.42
 SPACINGS: Final = (0.29, 0.34, 0.39)
 ANGLES: Final = 24
 STAYS: Final = 0.09  # a block this near to its target position is not moved
-LINE_COSTS: Final = (14.0, 11.0)  # cost of moving a block, and for each unit
 LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
 # the number of cheapest plans that are checked: blocks that stay near their targets may leave too large a gap
 CHECKED: Final = 500
@@ -51,12 +50,11 @@ FIXED_COST: Final = 1000.0  # cost of moving a block that should stay
 LINE_LIMIT: Final = 0.84  # lines end within this square
 
 # Clusters
-CLUSTER_COSTS: Final = (16.0, 13.0)  # cost of moving a block, and for each unit
+# the values that replace FETCHING, CARRYING and APART for clusters
+CLUSTER_FETCHING, CLUSTER_CARRYING, CLUSTER_APART = 16.0, 13.0, 0.28
 WRONG_COST: Final = 60.0  # cost of a block that is nearer to another kind
 SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of the limit
 DOUBTFUL, HOPELESS = 0.7, 2.2  # the cost of a wrong block rises between these shares
-CLUSTER_APART: Final = 0.28  # distance between the centres of blocks
-CROWDED_COST: Final = 1000.0  # cost for each unit by which two blocks are closer than `CLUSTER_APART`
 PITCH: Final = 0.14  # pitch of the grid of positions
 CLUSTER_LIMIT: Final = 0.78  # positions are within this square (half side)
 STARTS: Final = 3
@@ -118,8 +116,8 @@ def scene_after(scene: Scene, subgoals: Iterable[Subgoal]) -> Scene:
     return scene.moved(robot, poses)
 
 
-def _scattered(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
-    """Random points in a box, one in each cell of a grid. The box's middle if the box is empty."""
+def _grid_points(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
+    """The centres of a grid's cells in a box; the box's middle if it is empty."""
     if x_min >= x_max or y_min >= y_max:
         return [((x_min + x_max) / 2, (y_min + y_max) / 2)]
     columns, rows = (math.ceil((high - low) / GRID) for low, high in ((x_min, x_max), (y_min, y_max)))
@@ -130,14 +128,14 @@ def _scattered(x_min: float, y_min: float, x_max: float, y_max: float) -> list[P
 
 def places_anywhere() -> list[Point]:
     """Positions for a block anywhere in the arena."""
-    return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
+    return _grid_points(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
 
 
 def places_inside(region: GoalRegion) -> list[Point]:
     """Positions for a block in a region."""
     box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
     x_min, y_min, x_max, y_max = (max(-REACHABLE, min(REACHABLE, side)) for side in box)
-    return _scattered(x_min, y_min, x_max, y_max)
+    return _grid_points(x_min, y_min, x_max, y_max)
 
 
 def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
@@ -164,7 +162,7 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
             for number, other in enumerate(scene.blocks)
             if number != block
         )
-        return CARRYING * math.dist(place, (here.x, here.y)) + CROWDED * crowding + noise(SPREAD)
+        return CARRYING * math.dist(place, (here.x, here.y)) + CROWDED_COST * crowding + noise(SPREAD)
 
     return Subgoal(block, _cheapest(places, cost, f"block {block}"))
 
@@ -216,7 +214,7 @@ def line_targets(
     if not len(lines):  # too many blocks for a line in the arena
         return [None] * count
     distances = np.linalg.norm(lines[:, :, None] - here, axis=-1)  # (line, slot, block)
-    costs = np.where(distances <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * distances)
+    costs = np.where(distances <= STAYS, 0.0, FETCHING + CARRYING * distances)
     costs[:, :, list(fixed)] += FIXED_COST * (distances[:, :, list(fixed)] > STAYS)
     orders = np.array(list(itertools.permutations(range(count))))  # (order, slot): the block in each slot
     totals = costs[:, np.arange(count), orders[:, None]].reshape(len(lines), len(orders), count).sum(axis=-1)
@@ -322,7 +320,7 @@ def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Flo
     """The cost of moving the blocks to each layout, plus penalties for wrong blocks. Shape (layouts,)."""
     ways = np.sqrt(_squared(layouts, here))
     moved = ways > 0
-    cost = (moved * CLUSTER_COSTS[0] + CLUSTER_COSTS[1] * ways).sum(axis=-1)
+    cost = (moved * CLUSTER_FETCHING + CLUSTER_CARRYING * ways).sum(axis=-1)
     centres = members @ layouts / members.sum(axis=1, keepdims=True)
     squares = _squared(layouts[:, :, None], centres[:, None])  # (layout, block, kind)
     own = (squares * members.T).sum(axis=-1)
