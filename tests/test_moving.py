@@ -202,10 +202,8 @@ EIRLI: dict[str, Callable[[Path], Any]] = {
     ),
     "load_data(...): obs, next_obs, acts, dones": lambda _: transitions(),
     "magical_remove_null_actions=True": lambda _: bool(demos.transitions(DEMONSTRATIONS, "State")[1].all()),
-    "n_traj=5": lambda _: len(demos.load("MatchRegions")[:5]) == 5,
     "make_vec_env(env_name, n_envs=2, parallel=True)": lambda _: magical_mj.make_vec(REGION, 2).num_envs == 2,
     "SB3EvaluationProtocol(policy, ...).do_eval()": evaluated,
-    'trajectory.infos[-1]["eval_score"]': lambda _: "eval_score" in whole(made(REGION))[1],
     "data sets for WebDataset": lambda out: exported(
         out, "--tasks", "MoveToRegion", "--to", "webdataset", "--preset", "State"
     ),
