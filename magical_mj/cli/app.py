@@ -22,7 +22,7 @@ COMMANDS: Final = {
     "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
     "view": ("environments:view", "Draw the initial scene of one environment or of all."),
     "rollout": ("evaluate:rollout", "Play some episodes with a policy, print the scores, and make a video."),
-    "evaluate": ("evaluate:evaluate", "Evaluate policies on the evaluation scenes."),
+    "evaluate": ("evaluate:evaluate", "Evaluate policies in the test scenes."),
     "report": ("results:make_report", "Write a report of one or several evaluations: tables, figures and videos."),
     "compare": ("results:make_comparison", "Compare two policies on the scenes that both have played."),
     "verify": ("results:verify_folders", "Replay the episodes of an evaluation, and check that it is complete."),

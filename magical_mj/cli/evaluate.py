@@ -80,7 +80,7 @@ Each = Annotated[int, typer.Option("--episodes", min=1, help="Episodes of each a
 
 
 def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
-    """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
+    """Evaluate policies in the test scenes; all scores are stored in OUT/scores.jsonl."""
     if out.suffix in (".json", ".jsonl", ".csv"):
         raise typer.BadParameter(f"{out} is the name of a file; --out must be a folder, for {SCORES} and run.json.")
     screen = console()

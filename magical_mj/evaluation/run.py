@@ -42,7 +42,7 @@ def evaluate(
     watch: Callable[[EpisodeResult], None] = lambda _: None,
     **settings: Any,
 ) -> pd.DataFrame:
-    """Plays a policy's episodes in the evaluation scenes of some environments, and returns all scores.
+    """Plays a policy's episodes in the test scenes of some environments, and returns all scores.
 
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of

@@ -218,7 +218,8 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
         remedy = f"magical-mj evaluate --out {folder} makes one"
         if loader_in(folder) is not None:  # a training's folder
             remedy = f"it holds a policy: magical-mj evaluate --policy {folder} --out ANOTHER evaluates it"
-        raise EvaluationError(f"{folder} holds no {SCORES}; {remedy}")
+        problem = f"holds no {SCORES}" if folder.exists() else "does not exist"
+        raise EvaluationError(f"{folder} {problem}; {remedy}")
     lines: dict[tuple[Any, ...], int] = {}
     names: dict[str, str] = {}
     retried = _retried(path)

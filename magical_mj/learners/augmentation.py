@@ -176,8 +176,8 @@ def _recoloured(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
     offsets = (16 / 116 * (1 - luminance)).repeat_interleave(frames)[:, None, None]  # the 16 of L + 16 is not scaled
 
     values = stacks.reshape(-1, 3, stacks.shape[-2] * stacks.shape[-1])  # frames x RGB x pixels
-    # Each curve is linear below its knot and a power above, and the two meet there. So each is its power of at least
-    # the knot, plus its line at the remainder: exact, and much cheaper than a choice with torch.where.
+    # Each curve is linear below its knot and a power above, and the two meet there: f(v) = power(max(v, knot)) +
+    # slope * min(v - knot, 0). This is exact, and much cheaper than a choice with torch.where.
     high = values.clamp(min=_SRGB_KNOT)
     low = values - high
     values = _power_(high.add_(0.055), 2.4).add_(low, alpha=_SRGB_SLOPE)

@@ -191,7 +191,7 @@ class ExternalRewardPPO(PPO):
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
         buffer = self.rollout_buffer
-        buffer.rewards += rewards  # environments give 0, but the buffer contains values of the last states of episodes
+        buffer.rewards += rewards  # environments give 0; SB3 has already added gamma * V(last state) at truncations
         with torch.no_grad():
             last = self.policy.predict_values(obs_as_tensor(self._last_obs, self.device))  # pyright: ignore[reportArgumentType]
         buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]

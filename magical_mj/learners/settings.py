@@ -27,8 +27,8 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 HEADS: Final = 4
 """The number of attention heads between blocks and regions. They share the units of `NetworkSettings.entity`."""
 
-Amount = Annotated[int, Meta(ge=1)]
-"""An integer of at least 1, without an upper limit."""
+UnboundedCount = Annotated[int, Meta(ge=1)]
+"""An integer of at least 1, like `Count`, but without an upper limit."""
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e9)]
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -73,7 +73,7 @@ class CloningSettings(Settings):
 
     part: ClassVar[str] = "bc"
 
-    batches: Amount = 20_000
+    batches: UnboundedCount = 20_000
     batch_size: Count = 32
     optimizer: Literal["sgd", "adam"] = "sgd"
     learning_rate: Annotated[Positive, Meta(description="at the start; it changes linearly from batch to batch")] = 1e-3
@@ -119,7 +119,7 @@ class PPOSettings(Settings):
 
     part: ClassVar[str] = "ppo"
 
-    total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
+    total_steps: Annotated[UnboundedCount, Meta(description="environment steps of the training")] = 1_000_000
     simulator: Annotated[
         Literal["mujoco", "warp"],
         Meta(description="The simulator of gail, wgail-gp, airl and al: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
@@ -172,7 +172,7 @@ class FeatureSettings(Settings):
 
     part: ClassVar[str] = "features"
 
-    batches: Annotated[Amount, Meta(description="of the autoencoder's training")] = 8_192
+    batches: Annotated[UnboundedCount, Meta(description="of the autoencoder's training")] = 8_192
     batch_size: Count = 24
     learning_rate: Annotated[Positive, Meta(description="of Adam; the paper does not say")] = 1e-4
     size: Count = 32

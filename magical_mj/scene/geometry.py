@@ -243,7 +243,7 @@ def check_scene(scene: Scene) -> None:
                     f"{other_name} and {name} overlap at ({solid.x:.3f}, {solid.y:.3f}); move one of them"
                 )
     for index, region in enumerate(scene.regions):
-        reaches_out = OVERHANG if region.border == "solid" else OVERLAP_TOLERANCE
+        reaches_out = OVERHANG if region.is_zone else OVERLAP_TOLERANCE
         if not inside_walls(region_solid(region), reaches_out, half):
             raise InvalidSceneError(
                 f"region {index} ({region}) is not inside the walls, at x, y = {-half:g} and {half:g}"

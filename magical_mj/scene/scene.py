@@ -107,6 +107,11 @@ class GoalRegion:
             raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
 
     @property
+    def is_zone(self) -> bool:
+        """Whether it is a zone along a wall, as in x-magical, with a solid border: it may reach beyond the wall."""
+        return self.border == "solid"
+
+    @property
     def box(self) -> tuple[float, float, float, float]:
         """x_min, y_min, x_max, y_max."""
         return self.x_min, self.y_min, self.x_max, self.y_max

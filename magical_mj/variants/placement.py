@@ -160,7 +160,7 @@ def with_room(scene: Scene) -> Scene:
     """
     if contact(scene) is None:
         return scene
-    areas = [region_solid(region) for region in scene.regions if region.border == "dashed"]
+    areas = [region_solid(region) for region in scene.regions if not region.is_zone]
     others = list(solids(scene).values())[1:]
     rng = np.random.Generator(np.random.PCG64(0))
     try:
@@ -178,7 +178,7 @@ def contact(scene: Scene, regions: bool = True) -> str | None:
     scene = scene if regions else replace(scene, regions=())
     areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
     bodies = solids(scene)
-    inner = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if region.border == "dashed"}
+    inner = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if not region.is_zone}
     for name, solid in (inner | bodies).items():
         if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"

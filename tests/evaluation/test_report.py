@@ -268,6 +268,8 @@ def test_a_report_that_was_interrupted_is_made_again(tmp_path: Path, monkeypatch
 def test_empty_and_missing_folders_are_explained(tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match=r"holds no scores\.jsonl; magical-mj evaluate"):
         report([tmp_path], tmp_path / "out")
+    with pytest.raises(EvaluationError, match=r"gone does not exist; magical-mj evaluate --out \S*gone makes one"):
+        report([tmp_path / "gone"], tmp_path / "out")
     (tmp_path / SCORES).write_text("")
     with pytest.raises(EvaluationError, match="no finished episode"):
         report([tmp_path], tmp_path / "out")
@@ -375,7 +377,7 @@ def test_names_of_policies_and_folders_may_hold_colons(tmp_path: Path) -> None:
     assert choose(f"{folder}:noop:v2")[0] == "noop:v2"
     with pytest.raises(SettingsError, match="name one of them"):
         choose(folder)
-    with pytest.raises(EvaluationError, match="gone:noop holds no scores"):
+    with pytest.raises(EvaluationError, match="gone:noop does not exist"):
         choose("gone:noop")
 
 

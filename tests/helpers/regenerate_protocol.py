@@ -30,7 +30,7 @@ from magical_mj.tasks import RULES
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, task_spec
 
 DATA: Final = Path(__file__).parents[1] / "data" / "protocol.json"
-EVALUATED: Final = range(100)  # seeds of the evaluation scenes
+EVALUATED: Final = range(100)  # seeds of the test scenes
 FINALS: Final = 40  # final scenes with compared scores, for each initial scene
 MOVED: Final = 0.4  # share of the blocks that are moved in a final scene
 PHYSICS: Final = {  # kind of element -> arrays of a compiled model, without those for drawing

@@ -27,7 +27,7 @@ TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", "--device", "cpu",
 def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a run, or b=c")
     assert run([*TRAIN, "--out", out]) == 0
-    assert f"magical-mj evaluate --policy '{out}' --tasks MoveToRegion" in capfd.readouterr().out
+    assert f"magical-mj evaluate --policy '{out}' --tasks MoveToRegion --out" in capfd.readouterr().out
     assert run([*TRAIN, "--out", out]) == 1
     assert "already contains a training; --resume (resume=True) continues it" in capfd.readouterr().err
     assert run([*TRAIN, "--out", out, "--resume"]) == 0

@@ -89,4 +89,4 @@ def test_the_console_obeys_no_text(tmp_path: Path, capsys: pytest.CaptureFixture
     out, error = capsys.readouterr()
     assert "\x1b" not in out + error
     assert "a\\x1b[2J/report/report.md" in out
-    assert "none\\x1b[2J holds no" in error
+    assert "none\\x1b[2J does not exist" in error
