@@ -66,7 +66,7 @@ def write_play(folder: Path) -> int:
     for name, original in ONNX_FILES.items():  # the page loads them with the first policy
         shutil.copy(fetched(ONNX_RUNTIME, CACHE) / "dist" / original, folder / "onnx" / name)
     size = len(libraries["mujoco/mujoco.wasm"])  # for the progress, since compressed downloads do not contain it
-    register = '<script type="module" src="register.js"></script>\n</head>'
+    register = '<script type="module" src="register.js" data-optional></script>\n</head>'
     packed = {name: len(gzip.compress(content)) for name, content in libraries.items()}
     for name, part in {"index.html": "mujoco/", "inspect.html": ""}.items():
         path, download = folder / name, sum(packed[one] for one in packed if one.startswith(part)) / 1e6

@@ -10,7 +10,8 @@ function showFailure(text, again = () => location.reload()) {
   status?.classList.add("wrong");
 }
 addEventListener("error", ({ target, error }) => {
-  if (target instanceof HTMLScriptElement) showFailure("The page could not be loaded completely.");
+  const script = target instanceof HTMLScriptElement ? target : null;
+  if (script && !("optional" in script.dataset)) showFailure("The page could not be loaded completely.");
   else if (error) showFailure(`This failed: ${error.message}.`);
 }, true);
 addEventListener("unhandledrejection", ({ reason }) => showFailure(`This failed: ${reason?.message ?? reason}.`));
