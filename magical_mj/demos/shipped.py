@@ -90,12 +90,18 @@ def load(
     if isinstance(set, bool) or not isinstance(set, int | np.integer | str) or set not in SETS:
         raise unknown_name("set of demonstrations", set, map(repr, SETS))
     if set != 1:
-        return _of_set(set, task, folder, body)
+        if folder is not None:
+            raise SettingsError(f"the demonstrations of set {set} come with the package: leave out the folder")
+        if demos := _played(set, task, body):
+            return demos
+        raise _missing(set, task, body)
     if folder is None:
         spec.check_expert_body(body)
     folder = spec.demonstrations if folder is None else folder
-    if folder is None and (demos := (body == GRIPPER and load_shipped(task, spec.name)) or _played(1, task, body)):
-        return demos
+    if folder is None:
+        packed = load_shipped(task, spec.name) if body == GRIPPER else []
+        if demos := packed or _played(1, task, body):
+            return demos
     paths = [] if folder is None else files_in(folder, f"{spec.name}-")
     demos = [demo for demo in (read(path, task, trusted=[body]) for path in paths) if demo.scene.robot.body == body]
     if demos:
@@ -136,14 +142,10 @@ def stored_rows(path: Path) -> list[StoredRow]:
     return msgspec.json.decode(content, type=list[StoredRow])
 
 
-def _of_set(which: DemonstrationSet, task: str, folder: Path | str | None, body: str) -> list[Demonstration]:
-    """The shipped demonstrations of another set than 1."""
-    if folder is not None:
-        raise SettingsError(f"the demonstrations of set {which} come with the package: leave out the folder")
-    if demos := _played(which, task, body):
-        return demos
+def _missing(which: DemonstrationSet, task: str, body: str) -> DemonstrationError:
+    """The error if a set has no demonstrations of the task with the body."""
     others = ", ".join(sorted({row.task for row in stored_rows(FILES[which])}))
-    raise DemonstrationError(
+    return DemonstrationError(
         f"there are no demonstrations of set {which} of {task} with the body {body!r}: there are 25 of each of "
         f"{others} with the gripper" + ", and of SweepToTop with each of its bodies" * (which == "graded")
     )
@@ -162,7 +164,7 @@ def _played(which: DemonstrationSet, task: str, body: str) -> list[Demonstration
         warnings.warn(
             f"{changed} of {len(demos)} demonstrations of {task} in set {which} have other scores here than where they "
             "were made: MuJoCo's version or the machine differs",
-            stacklevel=4,
+            stacklevel=3,  # the call of `load`
         )
     return demos
 

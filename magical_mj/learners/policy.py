@@ -100,6 +100,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
 
     Raises:
         TrainingError: if there is none, or the file is damaged.
+        SettingsError: if the training's settings are damaged.
     """
     path = files.to_path(folder) / POLICY
     contents = checkpoint.read(path)

@@ -240,7 +240,7 @@ def demonstration_set(origin: object, policy: object = None) -> int:
     value = _setting(origin, "demos", "set", getattr(policy, "demonstration_set", 1))
     number = as_integer(value, 1)
     if number is None:
-        where = _place(origin, "demos.set", "demonstration_set")
+        where = _named(origin, "demos.set", "demonstration_set")
         raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
     return number
 
@@ -254,13 +254,13 @@ def played_in(origin: object, policy: object = None) -> str:
     """
     value = _setting(origin, "reward", "variant", getattr(policy, "played_in", "Demo"))
     if not isinstance(value, str) or value not in EVERY_VARIANT:
-        where = _place(origin, "reward.variant", "played_in")
+        where = _named(origin, "reward.variant", "played_in")
         raise SettingsError(f"{where} must be a variant, not {short_repr(value)}")
     return value
 
 
-def _place(origin: object, setting: str, attribute: str) -> str:
-    """Where a fact about a policy's training comes from."""
+def _named(origin: object, setting: str, attribute: str) -> str:
+    """The name of a fact about a policy's training: a setting of its folder, or an attribute."""
     folder = isinstance(origin, str | os.PathLike) and Path(origin).is_dir()
     return f"{setting} in {origin}/{CONFIG}" if folder else f"the policy's attribute {attribute}"
 
