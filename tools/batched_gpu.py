@@ -84,7 +84,7 @@ REHEARSED: Final[Mapping[str, tuple[str, ...]]] = {
 def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
     """Name -> the command of the part, in order. If it is rehearsed, it does as little as possible.
 
-    The word `SECONDS_LEFT` stands for their number.
+    The word `SECONDS_LEFT` in a command is replaced by the number of seconds left.
     """
     on = ["--device", device]
     tasks = ("MoveToRegion",) if rehearse else magical_mj.TASKS
@@ -117,7 +117,7 @@ def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
 
 
 def run(command: list[str], done: Path, seconds: float) -> str:
-    """Runs a part for at most so many seconds and returns how it ended. If it succeeds, its output is in `done`."""
+    """Runs a part for at most `seconds`, and returns how it ended. If it succeeds, its output is in `done`."""
     partial, goes_on = done.with_suffix(".partial"), SECONDS_LEFT in command
     command = [str(int(seconds)) if word == SECONDS_LEFT else word for word in command]
     partial.unlink(missing_ok=True)  # if this script was killed, the part may still write there
@@ -156,7 +156,7 @@ def main() -> int:
         return 0
     if chosen.only and chosen.only not in every:
         parser.error(f"unknown part {chosen.only}; the parts are {', '.join(every)}")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the running part ends, too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # which also ends the running part
     chosen.out.mkdir(parents=True, exist_ok=True)
     status, end = 0, time.monotonic() + chosen.seconds
     for name in [chosen.only] if chosen.only else every:

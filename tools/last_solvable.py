@@ -3,8 +3,8 @@
     python -m tools.last_solvable measure   adds to docs/last-solvable.csv; called again, it continues
     python -m tools.last_solvable write     writes the table
 
-Of the first run of each entry, the first failed episodes in All and Layout are measured: one of each task, then another
-one. Tasks in which it takes longest come last. An episode takes from half a second to a minute of a core.
+It measures the first failed episodes of each entry's first run in All and Layout: one of each task, then a second one.
+The slowest tasks come last. An episode takes from half a second to a minute of a core.
 """
 
 from __future__ import annotations

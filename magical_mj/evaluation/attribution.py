@@ -48,8 +48,8 @@ class Attribution:
 
     Attributes:
         episode: the stored episode.
-        initial: the scene in which it began.
-        final: the scene in which it ended.
+        initial: its first scene.
+        final: its last scene.
         ending: shares of `magical_mj.intents.readings.ENDINGS`, which sum to 1.
         moved: the blocks that ended elsewhere than they began.
         rivals: of a failed episode, the numbers of the task's rivals that its end satisfies and its start did not, in

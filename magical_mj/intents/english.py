@@ -46,7 +46,7 @@ CLAUSES: Final[dict[str, tuple[str, ...]]] = {
 def paraphrases_of(conjuncts: Sequence[Conjunct]) -> tuple[str, ...]:
     """Different sentences that ask for all of the conjuncts, the usual one first.
 
-    They end with what shall be left where it is.
+    The blocks to leave where they are come last.
     """
     ordered = sorted(conjuncts, key=lambda conjunct: conjunct.relation == "untouched")
     sentences = map(_joined, itertools.product(*map(_clauses, ordered)))

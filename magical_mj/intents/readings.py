@@ -27,7 +27,7 @@ class DemonstratedBlocks:
     """The blocks that the demonstrations of a task move.
 
     Attributes:
-        scene: in which they start.
+        scene: their first scene.
         moved: the blocks that most of them move.
     """
 
@@ -51,7 +51,7 @@ def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
 
 
 def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
-    """The blocks that have to be moved, or one of which: those for which a conjunct does not hold yet in the scene."""
+    """The blocks to move (one or all of them): those for which a conjunct does not hold yet in the scene."""
     wanted: set[int] = set()
     every = intent.parts(initial, initial), intent.blocks(initial)
     for conjunct, parts, blocks in zip(intent.conjuncts, *every, strict=True):

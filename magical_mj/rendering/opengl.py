@@ -20,6 +20,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from magical_mj.rendering.backend import NO_OPENGL
 from magical_mj.rendering.canvas import CANVASES, Canvas
 from magical_mj.rendering.picture import Picture, drawn
 from magical_mj.utils.errors import RenderingError
@@ -140,7 +141,10 @@ class OpenGLRenderer:
             model.vis.global_.offwidth = model.vis.global_.offheight = 1  # the first picture gives it its size
             if not self._lit:
                 model.vis.quality.shadowsize = 0
-            context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            try:
+                context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            except mujoco.FatalError as error:  # the driver lacks what MuJoCo needs
+                raise RenderingError(NO_OPENGL.format(error=error)) from error
         canvas.drawings[self._kind] = context
         return context
 

@@ -47,12 +47,12 @@ SHOWN: Final = 5
 """The number of rivals in a table of the page; rivals.csv has all."""
 EXAMPLES: Final = 3
 MOST_REASONS: Final = 8
-"""The number of reasons for which episodes are not explained that the page lists."""
+"""The most reasons for unexplained episodes that the page lists."""
 SIDE: Final = 128  # pixels; of a scene
 GAP: Final = 8  # pixels
 NONE: Final = "none of the rivals"
 ENVIRONMENT: Final = ("policy", "task", "variant")
-"""The fields of episodes by which most tables group them."""
+"""Most tables group episodes by these fields."""
 
 Result = TypeVar("Result", Attribution, LastSolvable)
 
@@ -103,8 +103,8 @@ def explain_episodes(
     Args:
         episodes: from `explainable`.
         problems: why others are not explained, from `explainable`.
-        lost: of how many failed episodes of each method, task and variant the last step is found from which the expert
-            still solves them. Each takes seconds.
+        lost: for this many unsolved episodes of each method, task and variant, finds the last step from which the
+            expert still solves them. Each takes seconds.
         jobs: the number of processes; None: one per core.
         watch: called with the number of replayed episodes, and of those to be replayed.
     """
@@ -153,7 +153,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
 
 
 def _problems(problems: Counter[str]) -> list[str]:
-    """What is not explained, and why; many reasons are counted."""
+    """How many episodes are not explained for each reason. Rare reasons are counted together."""
     lines = [
         f"- {counted(number, 'episode')} not explained: {escape.markdown(why)}"
         for why, number in problems.most_common(MOST_REASONS)
