@@ -1,16 +1,24 @@
-"""PPO with rewards from outside, and the base class of GAIL, WGAIL-GP, AIRL and AL, which learn a reward."""
+"""Stable-baselines3's PPO with our networks, and the base class of GAIL, WGAIL-GP and AL, which learn a reward."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import DictRolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from torch import Tensor, nn
+from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Schedule
+from stable_baselines3.common.utils import obs_as_tensor
+from torch import Tensor
 from torch.distributions import Categorical
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -18,43 +26,105 @@ from magical_mj.learners.data import Batch, Dataset, Rollout
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.networks import Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.vector_envs import TrainingEnvs, training_envs
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs, training_envs
 from magical_mj.utils.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: observations from `as_input`, actions (n,) and numbers of tasks (n,)."""
 
 
-class ActorCritic(nn.Module):
-    """An `Actor` and a critic. They share all layers except the last (appendix)."""
+class ActorCritic(BasePolicy):
+    """An `Actor` and a critic for stable-baselines3. They share all layers except the last (appendix)."""
 
-    def __init__(self, actor: Actor, critic: Heads) -> None:
-        super().__init__()
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        action_space: spaces.Discrete,
+        lr_schedule: Schedule,
+        actor: Actor,
+        critic: Heads,
+        **others: Any,
+    ) -> None:
+        del others
+        super().__init__(observation_space, action_space)
         self.actor, self.critic = actor, critic
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as in rlpyt
 
-    def forward(self, observations: NDArray[Any] | Tensor, tasks: Tensor) -> tuple[Categorical, Tensor]:
-        """The distributions of actions and the values (n,), for environments' observations and tasks (n,)."""
-        features = self.actor.torso(as_input(observations, tasks.device))
-        # Rows with space for the one-hot task: rows of another length would change the last bits of the results.
-        size, spare = features.shape[1], self.critic.bias.shape[0]
-        features = nn.functional.pad(features, (0, spare))[:, :size]
-        return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)[:, 0]
+    def distribution_and_values(self, observations: Mapping[str, Tensor]) -> tuple[Categorical, Tensor]:
+        """The distribution of actions, and values of shape (n, 1). Pictures have the channels last."""
+        tasks = observations[TASK].argmax(1)
+        features = self.actor.torso(as_input(observations[OBSERVATION], self.device))
+        # The rows have space for the one-hot task: rows of another length would change the last bits of trainings'
+        # results.
+        features = torch.cat([features, observations[TASK]], 1)[:, : self.actor.torso.features]
+        return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)
+
+    def forward(self, observations: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Drawn actions (n,), values (n, 1) and the actions' log probabilities (n,)."""
+        distribution, values = self.distribution_and_values(observations)
+        actions = distribution.sample()
+        return actions, values, distribution.log_prob(actions)
+
+    def evaluate_actions(self, observations: Mapping[str, Tensor], actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values (n, 1), and the log probabilities of actions and the entropies, (n,) each."""
+        distribution, values = self.distribution_and_values(observations)
+        return values, distribution.log_prob(actions), distribution.entropy()
+
+    def predict_values(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Values, shape (n, 1)."""
+        return self.distribution_and_values(observations)[1]
+
+    def _predict(self, observation: Any, deterministic: bool = False) -> Tensor:
+        del deterministic
+        return self(observation)[0]
 
 
-class Played(NamedTuple):
-    """A rollout, with what PPO needs to learn from it. Shapes (steps, environments, ...)."""
+class EvenBuffer(DictRolloutBuffer):
+    """A rollout whose minibatches are split evenly between the tasks, and drawn by the run's own generator.
 
-    observations: NDArray[Any]
-    actions: NDArray[np.int64]
-    log_probs: NDArray[np.float32]
-    values: NDArray[np.float32]
-    ended: NDArray[np.bool_]
-    """Whether the step ended an episode."""
-    bootstrap: NDArray[np.float32]
-    """The discounted value of the state in which the horizon ended an episode, otherwise 0."""
+    `tasks` are the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
+    """
+
+    def __init__(self, *sizes: Any, tasks: NDArray[np.int64], generator: torch.Generator, **others: Any) -> None:
+        super().__init__(*sizes, **others)
+        self.tasks, self.generator = tasks, generator
+
+    def get(self, batch_size: int | None = None) -> Iterator[DictRolloutBufferSamples]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """All samples once, in minibatches. In each, the tasks' numbers of samples differ by one at most."""
+        count = int(self.tasks[-1]) + 1
+        each = self.buffer_size * self.n_envs // count
+        permutations = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
+        order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
+        order = order % self.buffer_size * self.n_envs + order // self.buffer_size
+        arrays = self.actions, self.values, self.log_probs, self.advantages, self.returns
+        observations = {key: torch.as_tensor(values).flatten(0, 1) for key, values in self.observations.items()}
+        others = [torch.as_tensor(values).flatten(0, 1) for values in arrays]
+        for numbers in order.split(batch_size or len(order)):
+            yield DictRolloutBufferSamples(
+                {key: values.index_select(0, numbers).to(self.device) for key, values in observations.items()},
+                *(values.index_select(0, numbers).to(self.device) for values in others),
+            )
 
 
-class PPO:
+class _Scores(BaseCallback):
+    """The mean score of the episodes that ended in the last update with finished episodes; 0 before the first one."""
+
+    latest = 0.0
+
+    def _on_rollout_start(self) -> None:
+        self._ended = list[float]()
+
+    def _on_step(self) -> bool:
+        pairs = zip(self.locals["infos"], self.locals["dones"], strict=True)
+        self._ended += [info["eval_score"] for info, done in pairs if done]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self._ended:
+            self.latest = float(np.mean(self._ended))
+
+
+class ExternalRewardPPO(PPO):
     """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
     Where the paper gives no detail, this follows its library rlpyt: advantages are not normalised, the clipping
@@ -70,129 +140,91 @@ class PPO:
         actor: Actor,
         critic: Heads,
         generator: torch.Generator,
+        device: torch.device,
     ) -> None:
-        self.settings = settings.ppo
-        self.policy = ActorCritic(actor, critic)
-        self.optimizer = torch.optim.Adam(self.policy.parameters(), self.settings.learning_rate, fused=True)
-        self.score = 0.0
-        """The mean score of the episodes that ended in the last rollout with finished episodes; 0 before the first."""
-        self._generator, self._environments = generator, environments
-        self._tasks = torch.as_tensor(environments.tasks, device=critic.bias.device)
-        self._rollout_size = self.settings.environments * self.settings.steps
-        self._total = self.settings.total_steps // self._rollout_size * self._rollout_size
-        self._steps = 0
-        self._observations = environments.reset()
+        ppo = settings.ppo
+        super().__init__(
+            ActorCritic,  # pyright: ignore[reportArgumentType]  (PPO uses no more of a policy than it has)
+            environments,
+            learning_rate=lambda left: left * ppo.learning_rate,
+            n_steps=ppo.steps,
+            batch_size=ppo.minibatch,
+            n_epochs=ppo.epochs,
+            gamma=ppo.discount,
+            gae_lambda=ppo.gae_lambda,
+            clip_range=(lambda left: left * ppo.clip) if ppo.anneal_clip else ppo.clip,
+            normalize_advantage=ppo.normalise_advantages,
+            ent_coef=ppo.entropy,
+            max_grad_norm=ppo.gradient_norm,
+            rollout_buffer_class=EvenBuffer,
+            rollout_buffer_kwargs={"tasks": environments.tasks, "generator": generator},
+            policy_kwargs={"actor": actor, "critic": critic},
+            device=device,
+        )
+        self._environments = environments
+        self._rollout_size = ppo.environments * ppo.steps
+        self._scores = _Scores()
+        self.set_logger(Logger(folder=None, output_formats=[]))  # the default one makes a temporary folder
+        self._setup_learn(ppo.total_steps // self._rollout_size * self._rollout_size, self._scores)
 
-    @torch.no_grad()
+    @staticmethod
+    def _wrap_env(env: TrainingEnvs, *_: Any) -> TrainingEnvs:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Returns `env` itself: stable-baselines3 would move the channels of pictures first, which is slow."""
+        return env
+
     def collect(self, *, pairs: bool = False) -> Rollout:
         """Plays `ppo.steps` steps in each environment, and returns them; with `pairs`, with the following states."""
-        steps, scores = [], []
-        for _ in range(self.settings.steps):
-            seen = self._observations
-            distributions, values = self.policy(seen, self._tasks)
-            actions = distributions.sample()
-            log_probs = distributions.log_prob(actions)
-            numbers = actions.cpu().numpy()
-            self._observations, ended, last, score, broken = self._environments.step(numbers)
-            bootstrap = np.zeros(len(numbers), np.float32)
-            for env in np.flatnonzero(ended & ~broken):
-                _, value = self.policy(last[env : env + 1], self._tasks[env : env + 1])
-                bootstrap[env] = (self.settings.discount * value).item()
-            scores += score[ended].tolist()
-            steps.append((seen, numbers, log_probs.cpu().numpy(), values.cpu().numpy(), ended, bootstrap))
-        self.played = Played(*map(np.stack, zip(*steps, strict=True)))
-        self._steps += self._rollout_size
-        if scores:
-            self.score = float(np.mean(scores))
-        seen = self.played.observations
+        self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
+        buffer = self.rollout_buffer
+        seen = buffer.observations[OBSERVATION]
         if pairs:
             seen = np.concatenate([seen, self.successors()[..., -1:, :]], -2)
-        return Rollout(*map(torch.as_tensor, (seen, self.played.actions, self._environments.tasks)))
+        return Rollout(*map(torch.as_tensor, (seen, buffer.actions[..., 0], self._environments.tasks)))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
-        seen = self.played.observations
-        return np.where(self.played.ended[..., None, None], seen, np.stack([*seen[1:], self._observations]))
-
-    def advantages(self, rewards: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The generalised advantages of the collected rollout. All shapes are (steps, environments)."""
-        ppo, played = self.settings, self.played
-        with torch.no_grad():
-            following = self.policy(self._observations, self._tasks)[1].cpu().numpy()
-        rewards = played.bootstrap + rewards
-        advantages, later = np.empty_like(rewards), np.zeros_like(following)
-        for step in reversed(range(ppo.steps)):
-            continues = 1.0 - played.ended[step].astype(np.float32)
-            error = rewards[step] + ppo.discount * following * continues - played.values[step]
-            advantages[step] = later = error + ppo.discount * ppo.gae_lambda * continues * later
-            following = played.values[step]
-        return advantages
+        buffer = self.rollout_buffer
+        seen, last = buffer.observations[OBSERVATION], cast("dict[str, NDArray[Any]]", self._last_obs)[OBSERVATION]
+        ended = np.stack([*buffer.episode_starts[1:], np.asarray(self._last_episode_starts)]).astype(bool)
+        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], last]))
 
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
-        ppo, played = self.settings, self.played
-        left = 1.0 - (self._steps - self._rollout_size) / self._total
-        clip = left * ppo.clip if ppo.anneal_clip else ppo.clip
-        self.optimizer.param_groups[0]["lr"] = left * ppo.learning_rate
-        advantages = self.advantages(rewards)
-        tasks = np.broadcast_to(self._environments.tasks, advantages.shape)
-        arrays = (played.actions, tasks, played.log_probs, advantages, advantages + played.values)
-        columns = [torch.as_tensor(array.reshape(-1)) for array in arrays]
-        observations = torch.as_tensor(played.observations).flatten(0, 1)
-        entropies, kls, value_losses = list[float](), list[float](), list[float]()
-        for _ in range(ppo.epochs):
-            kls.clear()  # those of the last epoch are reported
-            for rows in even_minibatches(self._environments.tasks, ppo.steps, ppo.minibatch, self._generator):
-                actions, numbers, old, gains, returns = (column[rows].to(self._tasks.device) for column in columns)
-                distributions, values = self.policy(observations.index_select(0, rows), numbers)
-                log_ratios, entropy = distributions.log_prob(actions) - old, distributions.entropy().mean()
-                ratios = log_ratios.exp()
-                if ppo.normalise_advantages:
-                    gains = (gains - gains.mean()) / (gains.std() + 1e-8)
-                gain = torch.min(gains * ratios, gains * ratios.clamp(1 - clip, 1 + clip)).mean()
-                value_loss = nn.functional.mse_loss(values, returns)
-                self.optimizer.zero_grad()
-                (-gain - ppo.entropy * entropy + 0.5 * value_loss).backward()
-                nn.utils.clip_grad_norm_(self.policy.parameters(), ppo.gradient_norm)
-                self.optimizer.step()
-                entropies.append(entropy.item())
-                kls.append((ratios - 1 - log_ratios).mean().item())  # http://joschu.net/blog/kl-approx.html
-                value_losses.append(value_loss.item())
-        means = {"entropy": entropies, "kl": kls, "value loss": value_losses}
-        return {"score": self.score, **{name: float(np.mean(values)) for name, values in means.items()}}
+        buffer = self.rollout_buffer
+        buffer.rewards += rewards  # environments give 0; SB3 has already added gamma * V(last state) at truncations
+        with torch.no_grad():
+            last = self.policy.predict_values(obs_as_tensor(self._last_obs, self.device))  # pyright: ignore[reportArgumentType]
+        buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]
+        self._update_current_progress_remaining(self.num_timesteps - self._rollout_size, self._total_timesteps)
+        self.train()
+        metrics = self.logger.name_to_value
+        return {
+            "score": self._scores.latest,
+            "entropy": -float(metrics["train/entropy_loss"]),
+            "kl": float(metrics["train/approx_kl"]),
+            "value loss": float(metrics["train/value_loss"]),
+        }
 
     def get_state(self) -> dict[str, Any]:
         """The weights, and the states of the optimizer, the environments and the training."""
         return {
             "weights": self.policy.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
             "environments": self._environments.get_state(),
-            "steps": self._steps,
-            "score": self.score,
+            "starts": np.array(self._last_episode_starts),
+            "steps": self.num_timesteps,
+            "epochs": self._n_updates,
+            "score": self._scores.latest,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores a state from `get_state`."""
         self.policy.load_state_dict(state["weights"])
-        restore_optimizer(self.optimizer, state["optimizer"])
-        self._observations = self._environments.set_state(state["environments"])
-        self._steps, self.score = state["steps"], state["score"]
-
-
-def even_minibatches(tasks: NDArray[np.int64], steps: int, size: int, generator: torch.Generator) -> Iterator[Tensor]:
-    """The numbers of all samples of a rollout, once each, in minibatches that are split evenly between the tasks.
-
-    Args:
-        tasks: the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
-        steps: the number of steps in each environment. Samples are numbered step by step.
-        size: the number of samples in a minibatch.
-        generator: draws the order.
-    """
-    count = int(tasks[-1]) + 1
-    each = steps * len(tasks) // count
-    permutations = [torch.randperm(each, generator=generator) + task * each for task in range(count)]
-    order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
-    yield from (order % steps * len(tasks) + order // steps).split(size)
+        restore_optimizer(self.policy.optimizer, state["optimizer"])
+        self._last_obs = self._environments.set_state(state["environments"])
+        self._last_episode_starts = state["starts"]
+        self.num_timesteps, self._n_updates = state["steps"], state["epochs"]
+        self._scores.latest = state["score"]
 
 
 class RewardLearner(Learner):
@@ -221,7 +253,7 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
-            self._ppo = PPO(settings, self._environments, actor, critic, self._draw)
+            self._ppo = ExternalRewardPPO(settings, self._environments, actor, critic, self._draw, self.device)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
         self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._draw}
 
@@ -238,7 +270,7 @@ class RewardLearner(Learner):
         return cast("Actor", self._average.module)
 
     def update(self) -> Mapping[str, float]:
-        """One rollout, its rewards and PPO's step. Restores the global generators, from which actions are drawn."""
+        """One rollout, its rewards and PPO's step. Restores the global generators, which stable-baselines3 uses."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
