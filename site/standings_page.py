@@ -32,6 +32,8 @@ from magical_mj.leaderboard.standings import (
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
 from tools.intent_baselines import baselines, stored
+from tools.intents import TESTS
+from tools.intents import VARIANTS as INTENT_VARIANTS
 from tools.scores import by_released_rules
 
 ROOT: Final = Path(__file__).parent.parent
@@ -102,7 +104,7 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
     beats = _beats(own)
     parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
-    parts += ["## Intents", INTENTS, baselines(stored())]
+    parts += ["## Intents", INTENTS, baselines(stored(), (*TESTS, *INTENT_VARIANTS))]
     return "\n\n".join(parts) + "\n"
 
 

@@ -19,7 +19,7 @@ import itertools
 import lzma
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -245,18 +245,16 @@ def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> tuple[float, float, fl
     return float(np.mean(groups)), *percentile_interval(resample(groups).mean(axis=0))
 
 
-def baselines(means: Sequence[Mean]) -> str:
-    """The table: means by set, by variant and of all, with intervals."""
-    kinds: list[Callable[[Mean], bool]] = [lambda mean, name=name: mean.set == name for name in TESTS]
-    kinds += [lambda mean, name=name: mean.variant == name for name in VARIANTS]
+def baselines(means: Sequence[Mean], columns: Sequence[str] = TESTS) -> str:
+    """The table: means of sets or variants, the columns, and of all, with intervals."""
     rows = []
     for name, baseline in BASELINES.items():
         own = [mean for mean in means if mean.baseline == name]
         if own:
-            parts = [f"{over_intents(filter(kind, own)).mean():.2f}" for kind in kinds]
+            parts = [f"{over_intents(m for m in own if name in (m.set, m.variant)).mean():.2f}" for name in columns]
             every = "{:.2f} ({:.2f} to {:.2f})".format(*interval(by_set_and_run(own)))
             rows.append((baseline.method, baseline.given, str(len({mean.run for mean in own})), *parts, every))
-    return table(("Method", "Given", "Runs", *TESTS, *VARIANTS, "mean"), rows)
+    return table(("Method", "Given", "Runs", *columns, "mean"), rows)
 
 
 class Reading(NamedTuple):

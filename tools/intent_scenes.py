@@ -1,7 +1,6 @@
 """Measures how many demo scenes settle what demonstrations mean, for intent inference in planned scenes.
 
-    python -m tools.intent_scenes play         adds intents to docs/intent-scenes.csv
-    python -m tools.intent_scenes write        writes the table in docs/intents.md
+    python -m tools.intent_scenes        adds intents to docs/intent-scenes.csv
 
 An intent is inferred from the first and the planned final scene of each demo scene. The plan of the inferred intent is
 then judged by the true intent, in scenes of Layout, All and Diagnose. Nothing is simulated, so all intents share the
@@ -10,15 +9,14 @@ same scenes, and no episode fails for another reason. It needs the package in me
 
 from __future__ import annotations
 
+import argparse
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.intents.diagnose import refutes, simplest_rivals
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.plans import planned, solved
@@ -28,11 +26,9 @@ from magical_mj.scene import Scene
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.variants import vary
 from tools.intents import TESTS
-from tools.tables import ROOT, filled, table
+from tools.pages import ROOT
 
 DATA: Final = ROOT / "docs" / "intent-scenes.csv"
-PAGE: Final = ROOT / "docs" / "intents.md"
-COMMAND: Final = "python -m tools.intent_scenes"
 SCENES: Final = (1, 2, 4, 8)
 KINDS: Final = ("random", "contrasting")
 INTENTS: Final = 10
@@ -123,39 +119,6 @@ def stored() -> list[Outcome]:
     return [Outcome(s, int(n), int(k), kind, text, *map(float, rest)) for s, n, k, kind, text, *rest in rows]
 
 
-def means(rows: Sequence[Outcome], field: str) -> tuple[float, float, float]:
-    """The mean of a field over intents, and its 95 % interval."""
-    groups = [np.array([getattr(row, field) for row in rows if row.set == name]) for name in TESTS]
-    return float(np.concatenate(groups).mean()), *mean_interval(groups)
-
-
-def chosen_rows(rows: Sequence[Outcome], scenes: int, kind: str) -> list[Outcome]:
-    """The rows of a number of scenes of a kind."""
-    return [row for row in rows if (row.scenes, row.kind) == (scenes, kind)]
-
-
-def settled(rows: Sequence[Outcome]) -> str:
-    """The table."""
-    cells = []
-    for scenes, kind in [(1, "random"), *((k, kind) for kind in KINDS for k in SCENES[1:])]:
-        own = chosen_rows(rows, scenes, kind)
-        score = "{:.2f} ({:.2f} to {:.2f})".format(*means(own, "score"))
-        solved_all = sum(row.score == row.intended == 1.0 for row in own)
-        cells.append((f"{scenes} {kind}" if scenes > 1 else "1", score, f"{solved_all} of {len(own)}"))
-    return table(("Demo scenes", "Score in Layout and All", "Settled"), cells)
-
-
-def write() -> None:
-    """Writes the table."""
-    tables = {"settled": settled(stored())}
-    PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, COMMAND), "utf-8")
-
-
 if __name__ == "__main__":
-    match sys.argv[1:]:
-        case ["play"]:
-            play()
-        case ["write"]:
-            write()
-        case _:
-            sys.exit(__doc__)
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    play()
