@@ -7,17 +7,18 @@ import random
 import secrets
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.evaluation.entry import SEEDS, Entry, is_entry, read_entry
-from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_sets, recorded_settings
+from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_settings
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult, Key, read
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
-from magical_mj.utils.errors import SettingsError, counted, short_repr
+from magical_mj.utils.errors import EvaluationError, SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path
 from magical_mj.variants import check_seed
 
@@ -121,8 +122,8 @@ class _Stored:
     def runs(self) -> dict[str, set[int]]:
         """The runs of each policy that the evaluation includes."""
         runs: dict[str, set[int]] = defaultdict(set)
-        for policy, _, run, _ in recorded_policies(self.settings):
-            runs[policy].add(run)
+        for policy in recorded_policies(self.settings):
+            runs[policy.name].add(policy.run)
         return runs
 
 
@@ -130,7 +131,10 @@ def _stored(path: Path) -> _Stored:
     if is_entry(path):
         entry = read_entry(path)
         return _Stored(path, {"protocol": entry.protocol}, entry.episodes, entry)
-    return _Stored(path, recorded_settings(path), read(path))
+    episodes, settings = read(path), dict[str, Any]()
+    with suppress(EvaluationError):  # invalid settings count as none
+        settings = recorded_settings(path)
+    return _Stored(path, settings, episodes)
 
 
 def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
@@ -158,8 +162,12 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
         problems += [f"{name}: {recorded}, but it must be {value!r}" for value in others]
-    sets = ((name, number) for name, numbers in recorded_sets(settings).items() for number in sorted(numbers - {1}))
-    problems += [f"{name} learnt from demonstrations of set {n}, but the protocol uses set 1" for name, n in sets]
+    sets = dict.fromkeys((policy.name, policy.demonstration_set) for policy in recorded_policies(settings))
+    problems += [
+        f"{name} learnt from demonstrations of set {number}, but the protocol uses set 1"
+        for name, number in sets
+        if number != 1
+    ]
     problems += _contradictions(settings, part.environments, part.runs, episodes)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [
