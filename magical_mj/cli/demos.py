@@ -129,7 +129,7 @@ def rollouts(
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=source.preset)))
+    play = partial(roll_out, Player([source], EvaluationSettings(split="dev", preset=source.preset)))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
     console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)
