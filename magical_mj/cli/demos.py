@@ -16,14 +16,7 @@ from rich.table import Table
 
 import magical_mj
 from magical_mj.cli import option
-from magical_mj.cli.console import (
-    check_suffix,
-    check_writable,
-    complain,
-    console,
-    make_writable_folder,
-    with_bar,
-)
+from magical_mj.cli.console import check_suffix, check_writable, complain, console, make_writable_folder, with_bar
 from magical_mj.cli.demos_export import export_demos, make_intents
 from magical_mj.cli.film import film
 from magical_mj.cli.stored_demos import Paths, Set, asked_for, read_asked, read_chosen, sources_of

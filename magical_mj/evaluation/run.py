@@ -36,11 +36,7 @@ FIRST_EPISODES: Final = 10
 
 
 def evaluate(
-    policy: Any,
-    *,
-    name: str | None = None,
-    watch: Callable[[EpisodeResult], None] = lambda _: None,
-    **settings: Any,
+    policy: Any, *, name: str | None = None, watch: Callable[[EpisodeResult], None] = lambda _: None, **settings: Any
 ) -> pd.DataFrame:
     """Plays a policy's episodes in the test scenes of some environments, and returns all scores.
 

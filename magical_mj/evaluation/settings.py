@@ -109,8 +109,7 @@ class EvaluationSettings(Settings):
     renderer: Annotated[RendererName | None, Meta(description="The renderer of pictures: opengl or software.")] = None
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
     shifts: Annotated[
-        str,
-        Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md."),
+        str, Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md.")
     ] = ""
     wrap: Annotated[
         str, Meta(description="A Gymnasium wrapper around the environment, package.module:NAME. Not for batches.")

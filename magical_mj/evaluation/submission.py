@@ -37,11 +37,7 @@ PLAIN: Final = {
 
 
 def submit(
-    folders: Iterable[Path | str],
-    out: Path | str,
-    *,
-    card: Path | str | None = None,
-    policy: str | None = None,
+    folders: Iterable[Path | str], out: Path | str, *, card: Path | str | None = None, policy: str | None = None
 ) -> Entry:
     """Makes an entry from one or several evaluations, and writes it.
 

@@ -14,12 +14,7 @@ import numpy as np
 from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
-from magical_mj.evaluation.reports.statistics import (
-    Floats,
-    bootstrap,
-    percentile_interval,
-    resample,
-)
+from magical_mj.evaluation.reports.statistics import Floats, bootstrap, percentile_interval, resample
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS

@@ -326,11 +326,7 @@ def _default_name(origin: str) -> str:
 def folder_plugins() -> Mapping[str, EntryPoint]:
     """The entry points that load policies, by the name of the file that their folders contain."""
     return announced(
-        "policy folder",
-        FOLDER_GROUP,
-        (),
-        re.compile(r"[\w.-]+").fullmatch,
-        '"mine.bin" = "package.module:load"',
+        "policy folder", FOLDER_GROUP, (), re.compile(r"[\w.-]+").fullmatch, '"mine.bin" = "package.module:load"'
     )
 
 

@@ -106,10 +106,7 @@ class Results:
 
 
 def gather(
-    folders: Sequence[Path],
-    mixed_presets: bool = False,
-    rules: Rules | None = None,
-    trusted: Collection[str] = (),
+    folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None, trusted: Collection[str] = ()
 ) -> pd.DataFrame:
     """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
 
