@@ -28,6 +28,9 @@ MOST_REPLAYED: Final = 500
 """The largest number of an entry's episodes that are replayed by default, so that a large folder takes minutes. If
 one episode in a hundred is false, such a sample misses all of them once in 150 times. The next check draws others."""
 
+COMPARED: Final = ("score", "actions", "failure", "rules")
+"""The fields in which two records of one episode must agree."""
+
 
 @dataclass
 class Findings:
@@ -91,11 +94,12 @@ def verify(
         findings.unfit += [f"{where}{problem}" for problem in _unfit(part, trusted)]
         for episode in part.episodes:
             other, holder = seen.setdefault(episode.key, (episode, part.path))
-            if holder != part.path and not _agree(other, episode):
+            if holder == part.path:
+                if episode.task in TASKS and obstacle(episode, part.settings, trusted) is None:
+                    chosen.append((where, episode))
+            elif any(getattr(other, name) != getattr(episode, name) for name in COMPARED):
                 problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
-            elif holder == part.path and _is_replayable(episode, part.settings, trusted):
-                chosen.append((where, episode))
     findings.missing += _all_missing(stored)
     watch(0, len(chosen))
     for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs, trusted=trusted), start=1):
@@ -137,15 +141,6 @@ def _stored(path: Path) -> _Stored:
     return _Stored(path, settings, episodes)
 
 
-def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
-    """Whether two records of one episode agree."""
-    return all(getattr(first, name) == getattr(second, name) for name in ("score", "actions", "failure", "rules"))
-
-
-def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any], trusted: Collection[str]) -> bool:
-    return episode.task in TASKS and obstacle(episode, settings, trusted) is None
-
-
 def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
     """The deviations of one folder from the protocol that are visible without replaying."""
     settings, episodes, problems = part.settings, part.episodes, []
@@ -168,7 +163,7 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         for name, number in sets
         if number != 1
     ]
-    problems += _contradictions(settings, part.environments, part.runs, episodes)
+    problems += _contradictions(part)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [
         f"{policy}: tasks outside the benchmark in {counted(count, 'episode')}" for policy, count in outside.items()
@@ -199,15 +194,11 @@ def _all_missing(stored: Sequence[_Stored]) -> list[str]:
     ]
 
 
-def _contradictions(
-    settings: Mapping[str, Any],
-    environments: Collection[tuple[str, str]],
-    runs: Mapping[str, Collection[int]],
-    episodes: Sequence[EpisodeResult],
-) -> list[str]:
+def _contradictions(part: _Stored) -> list[str]:
     """A sentence for each contradiction between episodes and the settings, or their own actions."""
+    settings, environments, runs = part.settings, part.environments, part.runs
     problems: dict[str, list[str]] = defaultdict(list)
-    for episode in episodes:
+    for episode in part.episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
         texts = {
             name: f"it was played with {value!r}, but {SETTINGS} contains {short_repr(settings.get(name))}"
