@@ -16,14 +16,7 @@ from rich.table import Table
 
 import magical_mj
 from magical_mj.cli import option
-from magical_mj.cli.console import (
-    check_suffix,
-    check_writable,
-    complain,
-    console,
-    make_writable_folder,
-    with_bar,
-)
+from magical_mj.cli.console import check_suffix, check_writable, complain, console, make_writable_folder, with_bar
 from magical_mj.cli.demos_export import export_demos, make_intents
 from magical_mj.cli.film import film
 from magical_mj.cli.stored_demos import Paths, Set, asked_for, read_asked, read_chosen, sources_of
@@ -129,7 +122,7 @@ def rollouts(
         (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    play = partial(roll_out, Player.of([source], EvaluationSettings(split="dev", preset=source.preset)))
+    play = partial(roll_out, Player([source], EvaluationSettings(split="dev", preset=source.preset)))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
     console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)

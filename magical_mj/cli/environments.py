@@ -31,9 +31,7 @@ ABSENT: Final = (242, 242, 242)  # the colour of cells without an environment
 Listed = Annotated[
     str | None,
     typer.Argument(
-        metavar="[TASKS]",
-        help="Tasks, separated by commas, also as package.module:SPEC.",
-        show_default="all installed",
+        metavar="[TASKS]", help="Tasks, separated by commas, also as package.module:SPEC.", show_default="all installed"
     ),
 ]
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]

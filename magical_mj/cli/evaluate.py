@@ -130,7 +130,7 @@ def rollout(
     _print_preset(screen, options["preset"], settings.observed)
     showing = nullcontext() if video is None else film(video, size, views=views, overwrite=force)
     try:
-        with showing as movie, closing(Player.of(listed, settings)) as player:
+        with showing as movie, closing(Player(listed, settings)) as player:
             for source in listed:
                 units = [Unit(source.name, source.run, *pair, (first + k,), shift) for k in range(episodes)]
                 scores = []

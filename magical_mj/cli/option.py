@@ -59,8 +59,7 @@ Renderer = Annotated[
 Shifts = Annotated[str, typer.Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
 Body = Annotated[str, typer.Option(help="The robot's body. See docs/bodies.md.")]
 Trusted = Annotated[
-    str,
-    typer.Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md."),
+    str, typer.Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 Host = Annotated[str, typer.Option(help="The address to listen on.")]

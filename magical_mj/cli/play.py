@@ -40,26 +40,19 @@ Record = Annotated[Path | None, typer.Option(help="Save each finished episode in
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 Guess = Annotated[
-    bool,
-    typer.Option("--guess", help="Play an intent after two demonstrations, before you see its sentence."),
+    bool, typer.Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")
 ]
-Collect = Annotated[
-    Path | None,
-    typer.Option(help="Save submitted episodes in this folder.", show_default=False),
-]
+Collect = Annotated[Path | None, typer.Option(help="Save submitted episodes in this folder.", show_default=False)]
 Wanted = Annotated[
-    int | None,
-    typer.Option(min=1, help="Episodes to collect in each environment.", show_default="no limit"),
+    int | None, typer.Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")
 ]
 StudyFile = Annotated[
-    Path | None,
-    typer.Option("--study", help="The study's settings, a file (.toml).", show_default=False),
+    Path | None, typer.Option("--study", help="The study's settings, a file (.toml).", show_default=False)
 ]
 Origin = Annotated[
     str | None,
     typer.Option(
-        help="The page's public address behind a proxy, such as https://study.example.org.",
-        show_default=False,
+        help="The page's public address behind a proxy, such as https://study.example.org.", show_default=False
     ),
 ]
 Model = Annotated[str, typer.Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).", show_default=False)]

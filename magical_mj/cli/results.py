@@ -43,8 +43,7 @@ Folders = Annotated[
     list[Path], typer.Argument(help="The folders of evaluations, or entries of the leaderboard.", show_default=False)
 ]
 Report = Annotated[
-    Path | None,
-    typer.Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR"),
+    Path | None, typer.Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
 ]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[
@@ -79,10 +78,7 @@ Side = Annotated[
 MethodFolders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
 EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, ending in .json.xz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
-Name = Annotated[
-    str | None,
-    typer.Option("--policy", help="The method to submit, if the folders hold several."),
-]
+Name = Annotated[str | None, typer.Option("--policy", help="The method to submit, if the folders hold several.")]
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
 Pages = Annotated[Path, typer.Option("--out", help="The folder for the pages.")]
 Replay = Annotated[int, typer.Option(min=1, help="The most episodes of an entry to replay.")]

@@ -18,8 +18,7 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
     from magical_mj.demos.shipped import DemonstrationSet
 
 Paths = Annotated[
-    list[Path] | None,
-    typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
+    list[Path] | None, typer.Argument(help="Files and folders.", show_default="those that come with the tasks")
 ]
 Set = Annotated[
     Literal["1", "2", "graded"],

@@ -20,9 +20,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from magical_mj.evaluation.scores import (
-    EpisodeResult,
-)
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.registry import ENVIRONMENTS

@@ -11,9 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import IO, Any, Final, NotRequired, TypedDict
+from typing import IO, Any, Final
 
 import msgspec
+from msgspec import Struct
 
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, StoredInt, method_name, open_scores, read
 from magical_mj.scene.bodies import GRIPPER
@@ -39,19 +40,18 @@ OLD_DEFAULTS: Final = {
 """The values of settings that older versions did not write."""
 
 
-class PlayedPolicy(TypedDict):
-    """A policy in the settings of an evaluation."""
+class PlayedPolicy(Struct):
+    """The fields of a policy in the settings of an evaluation that are read again."""
 
     name: str
     run: StoredInt
-    sha256: NotRequired[str]
-    code: NotRequired[str]
-    given: NotRequired[str]
-    demonstration_set: NotRequired[StoredInt]
-    played_in: NotRequired[str]
+    sha256: str = ""
+    given: str = ""
+    demonstration_set: StoredInt = 1
+    played_in: str = "Demo"
 
 
-class Played(TypedDict):
+class Played(Struct):
     """The settings in every ``run.json``. `OLD_DEFAULTS` completes those of older versions."""
 
     policies: list[PlayedPolicy]
@@ -173,42 +173,35 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings in an evaluation's ``run.json``. Empty if there are none, as in entries, or they are invalid."""
-    try:
-        return read_settings(folder)
-    except EvaluationError:
-        return {}
+    """The settings in an evaluation's ``run.json``. Empty if there is no such file, as in entries.
+
+    Raises:
+        EvaluationError: if they are invalid.
+    """
+    return read_settings(folder) if (folder / SETTINGS).exists() else {}
 
 
-def recorded_policies(settings: Mapping[str, Any]) -> list[tuple[str, str, int, str]]:
-    """Name, method, run and SHA-256 (empty without a file) of an evaluation's policies."""
-    return [
-        (
-            row["name"],
-            method_name(row["name"], settings["body"], settings["wrap"], row.get("given", "")),
-            row["run"],
-            row.get("sha256", ""),
-        )
-        for row in settings.get("policies", ())
-    ]
+def recorded_policies(settings: Mapping[str, Any]) -> list[PlayedPolicy]:
+    """The policies in the settings of an evaluation."""
+    return msgspec.convert(settings.get("policies", []), list[PlayedPolicy])
 
 
-def recorded_sets(settings: Mapping[str, Any]) -> dict[str, set[int]]:
-    """Name -> the sets of the package's demonstrations from which the policies of an evaluation learnt."""
-    return _recorded(settings, "demonstration_set", 1)
+def recorded_method(policy: PlayedPolicy, settings: Mapping[str, Any]) -> str:
+    """The name of a policy of an evaluation in reports."""
+    return method_name(policy.name, settings["body"], settings["wrap"], policy.given)
 
 
-def recorded_variants(settings: Mapping[str, Any]) -> dict[str, set[str]]:
-    """Name -> the variants whose scenes the policies of an evaluation played in their training."""
-    return _recorded(settings, "played_in", "Demo")
+def check_trainings(known: Iterable[Mapping[str, Any]], name: str | None = None) -> None:
+    """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
 
-
-def _recorded(settings: Mapping[str, Any], fact: str, usual: Any) -> dict[str, set[Any]]:
-    """Name -> the values of a recorded fact about the policies with this name. The usual value is not recorded."""
-    values: dict[str, set[Any]] = defaultdict(set)
-    for row in settings.get("policies", ()):
-        values[row["name"]].add(row.get(fact, usual))
-    return values
+    `known` are the settings of evaluations. Only the policy `name` is checked; with None, all are.
+    """
+    check_runs(
+        (recorded_method(policy, settings), policy.run, policy.sha256)
+        for settings in known
+        for policy in recorded_policies(settings)
+        if name in (None, policy.name)
+    )
 
 
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:

@@ -84,11 +84,7 @@ def obstacle(
 
 
 def replay(
-    recorded: Iterable[Recorded],
-    *,
-    rules: Rules | None = None,
-    jobs: int | None = None,
-    trusted: Collection[str] = (),
+    recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None, trusted: Collection[str] = ()
 ) -> Iterator[Replayed]:
     """Replays episodes in worker processes, and compares their scenes and scores with the records.
 

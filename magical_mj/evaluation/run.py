@@ -36,11 +36,7 @@ FIRST_EPISODES: Final = 10
 
 
 def evaluate(
-    policy: Any,
-    *,
-    name: str | None = None,
-    watch: Callable[[EpisodeResult], None] = lambda _: None,
-    **settings: Any,
+    policy: Any, *, name: str | None = None, watch: Callable[[EpisodeResult], None] = lambda _: None, **settings: Any
 ) -> pd.DataFrame:
     """Plays a policy's episodes in the test scenes of some environments, and returns all scores.
 
@@ -122,7 +118,7 @@ class Evaluation:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
         settings.check_given(self._sources)
-        self._player = Player.of(self._sources, settings, watch)
+        self._player = Player(self._sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None

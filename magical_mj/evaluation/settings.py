@@ -109,8 +109,7 @@ class EvaluationSettings(Settings):
     renderer: Annotated[RendererName | None, Meta(description="The renderer of pictures: opengl or software.")] = None
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
     shifts: Annotated[
-        str,
-        Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md."),
+        str, Meta(description="Shifts to play in addition to none: camera:1-5,light,body; or all. See docs/shifts.md.")
     ] = ""
     wrap: Annotated[
         str, Meta(description="A Gymnasium wrapper around the environment, package.module:NAME. Not for batches.")
@@ -181,18 +180,13 @@ class EvaluationSettings(Settings):
         """The number of demonstrations that policies receive."""
         return DEMONSTRATIONS_GIVEN if self.demonstrations is None else self.demonstrations
 
-    def given(self, *, shown: bool, reads: bool) -> str:
-        """The description of a task that a policy receives, such as "8 demonstrations in 4 scenes". Empty if none.
-
-        Args:
-            shown: whether it receives demonstrations.
-            reads: whether it reads the instruction.
-        """
+    def given(self, policy: Source) -> str:
+        """The description of a task that a policy receives, such as "8 demonstrations in 4 scenes". Empty if none."""
         kind = "contrasting scene" if self.contrasting else "scene"
         where = f" in {counted(self.scenes, kind)}" if self.scenes is not None else f" in {kind}s" * self.contrasting
         parts = {
-            "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if shown else "",
-            "wrong-instruction": "instruction" if reads else "",
+            "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if policy.shown else "",
+            "wrong-instruction": "" if "instruction" in policy.unnoticed else "instruction",
         }
         named = (f"another task's {part}" if name == self.control else part for name, part in parts.items() if part)
         return " and ".join(named)
@@ -233,10 +227,6 @@ class EvaluationSettings(Settings):
         first = SPLITS[self.split] + self.first_seed
         return range(first, first + self.episodes)
 
-    def given_to(self, policy: Source) -> str:
-        """The description of a task that a policy receives, as `given`."""
-        return self.given(shown=policy.shown, reads="instruction" not in policy.unnoticed)
-
     def check_given(self, policies: Sequence[Source]) -> None:
         """Raises a `SettingsError` if no policy receives the demonstrations, or one does not fit the control."""
         shown = [policy.name for policy in policies if policy.shown]
@@ -246,19 +236,18 @@ class EvaluationSettings(Settings):
                 f"{', '.join(policy.name for policy in policies)} has it"
             )
         for policy in policies:
-            if self.control and "another" not in self.given_to(policy):
+            if self.control and "another" not in self.given(policy):
                 needed = "demonstrations" if self.control == "wrong-demonstrations" else "instruction"
                 raise SettingsError(f"the control {self.control} is for policies with uses_{needed} = True")
-
-    def _described(self, policy: Source) -> dict[str, Any]:
-        given = self.given_to(policy)
-        return {**policy.described(), **({"given": given} if given else {})}
 
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
+        played = [
+            policy.described() | ({"given": given} if (given := self.given(policy)) else {}) for policy in policies
+        ]
         return {
-            **({"policies": [self._described(policy) for policy in policies]} if policies else {}),
+            **({"policies": played} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
             "preset": self.observed,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
@@ -20,15 +20,7 @@ from magical_mj.evaluation.entry import (
     undeclared,
     unpacked,
 )
-from magical_mj.evaluation.folder import (
-    SETTINGS,
-    check_runs,
-    folders_of,
-    read_settings,
-    recorded_policies,
-    recorded_sets,
-    recorded_variants,
-)
+from magical_mj.evaluation.folder import check_trainings, folders_of, recorded_policies, recorded_settings
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.scene.bodies import GRIPPER
@@ -45,11 +37,7 @@ PLAIN: Final = {
 
 
 def submit(
-    folders: Iterable[Path | str],
-    out: Path | str,
-    *,
-    card: Path | str | None = None,
-    policy: str | None = None,
+    folders: Iterable[Path | str], out: Path | str, *, card: Path | str | None = None, policy: str | None = None
 ) -> Entry:
     """Makes an entry from one or several evaluations, and writes it.
 
@@ -89,9 +77,13 @@ def submit(
         new_card = msgspec.convert({"method": name, **described}, Card)
     except msgspec.ValidationError as error:
         raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
-    check_trainings(folders, name)
-    check_declared(folders, new_card, name)
-    entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
+    known = {folder: recorded_settings(folder) for folder in folders}
+    check_trainings(known.values(), name)
+    learnt = [row for settings in known.values() for row in recorded_policies(settings) if row.name == name]
+    played_in = sorted({row.played_in for row in learnt} - {"Demo"})
+    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in)
+    protocol = common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items()))
+    entry = _combined(new_card, [source for source in sources if source[0].policy == name], protocol, played_in)
     content = packed(entry)
     unpacked(content, "the choice of folders")
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -99,53 +91,29 @@ def submit(
     return entry
 
 
-def _settings(folder: Path) -> dict[str, Any]:
-    """The settings in an evaluation's ``run.json``. Empty if it has none; an `EvaluationError` if they are invalid."""
-    return read_settings(folder) if (folder / SETTINGS).exists() else {}
-
-
-def check_trainings(folders: Sequence[Path], method: str | None = None) -> None:
-    """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
-
-    Only the policy `method` is checked; with None, all are.
-    """
-    check_runs(
-        (name, run, digest)
-        for settings in map(_settings, folders)
-        for policy, name, run, digest in recorded_policies(settings)
-        if policy == (method or policy)
-    )
-
-
-def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
+def _check_declared(card: Card, method: str, sets: set[int], played_in: Sequence[str]) -> None:
     """Raises a `SettingsError` if the card does not declare what the policies learnt from.
 
     This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
     package only, and record set 1 and no play for other policies. So a card may declare another set for these.
     """
-    known = map(_settings, folders)
-    learnt = {number for settings in known for number in recorded_sets(settings).get(method, ())}
-    if len(learnt) > 1 or learnt - {1, card.demonstrations.loaded_set}:
-        numbers = ", ".join(map(str, sorted(learnt)))
+    if len(sets) > 1 or sets - {1, card.demonstrations.loaded_set}:
         raise SettingsError(
-            f"{method} learnt from demonstrations of set {numbers}, but the card has [demonstrations] loaded_set = "
-            f"{card.demonstrations.loaded_set}: declare the set, and submit policies of one set only"
+            f"{method} learnt from demonstrations of set {', '.join(map(str, sorted(sets)))}, but the card has "
+            f"[demonstrations] loaded_set = {card.demonstrations.loaded_set}: declare the set, and submit policies of "
+            "one set only"
         )
-    if problem := undeclared(card, _played_in(folders, method)):
+    if problem := undeclared(card, played_in):
         raise SettingsError(f"{method} {problem}")
 
 
-def _played_in(folders: Sequence[Path], method: str) -> list[str]:
-    """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
-    known = map(_settings, folders)
-    return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
-
-
-def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
+def _combined(
+    card: Card, sources: Sequence[tuple[EpisodeResult, Path]], protocol: int | None, played_in: list[str]
+) -> Entry:
     """The entry of one method's episodes, each given with its folder.
 
     Raises:
-        EvaluationError: if they differ in observations, rules or protocol, or cannot be part of an entry.
+        EvaluationError: if they differ in observations or rules, or cannot be part of an entry.
     """
     for episode, folder in sources:
         for name, (usual, problem) in PLAIN.items():
@@ -162,8 +130,8 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         card,
         common("preset", ((episode.preset, folder) for episode, folder in sources)),
         common("rules", ((episode.rules, folder) for episode, folder in sources)),
-        common("protocol", ((_settings(folder).get("protocol"), folder) for folder in folders)),
+        protocol,
         Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
         episodes,
-        _played_in(folders, episodes[0].policy),
+        played_in,
     )

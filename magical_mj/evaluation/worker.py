@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import gymnasium
+from gymnasium.vector import VectorEnv
 
 from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.given import (
@@ -25,7 +26,7 @@ from magical_mj.evaluation.given import (
     with_other_score,
     with_states,
 )
-from magical_mj.evaluation.rollouts import Env, Envs, late, play_episode, play_side_by_side
+from magical_mj.evaluation.rollouts import Env, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.policies.interface import (
@@ -44,17 +45,13 @@ from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_location
-from magical_mj.utils.parallel import Split, Timed
+from magical_mj.utils.parallel import Split, Timed, map_here
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
     from magical_mj.demos.stored import Stored
 
 T = TypeVar("T")
-Playing = Callable[[list[Episode], float], list[Outcome]]
-"""Plays episodes with a time limit in seconds."""
-Results = Callable[[list[Outcome]], list[EpisodeResult]]
-"""Makes the results of episodes from their outcomes."""
 
 SIDE_BY_SIDE: Final = {"mujoco": 10, "warp": 100}
 """The most episodes that are played in one batch. They end together, so a killed evaluation loses the current batch."""
@@ -90,10 +87,6 @@ class Unit:
         """The number of actions of all its episodes."""
         return len(self.seeds) * task_spec(self.task).horizon(settings.rules)
 
-    def one_by_one(self) -> list[Unit]:
-        """A unit for each of its episodes."""
-        return [replace(self, seeds=(seed,)) for seed in self.seeds]
-
 
 def plan(
     policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key], failed: Mapping[Key, int]
@@ -128,7 +121,6 @@ class Played:
         return {"results": self.results, "cause": text}
 
 
-@dataclass
 class Player:
     """Plays units. It keeps the last environment and the last policy for the next unit.
 
@@ -140,24 +132,15 @@ class Player:
         demonstrations: task -> the demonstrations that policies receive. Empty if no policy uses any.
     """
 
-    policies: Mapping[tuple[str, int], Source]
-    settings: EvaluationSettings
-    demonstrations: Mapping[str, Sequence[Demonstration | Stored]] = field(default_factory=dict)
-    _kept: dict[str, tuple[Any, Any]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, sources: Sequence[Source], settings: EvaluationSettings, watch: Watch = lambda _, __: None) -> Player:
-        """A player of these policies. `watch` is that of `demonstrations_given`.
-
-        Raises:
-            SettingsError, DemonstrationError: as `demonstrations_given`, if a policy uses demonstrations.
-        """
-        shown = any(source.shown for source in sources)
-        return cls(
-            {(source.name, source.run): source for source in sources},
-            settings,
-            demonstrations_given(settings, watch) if shown else {},
-        )
+    def __init__(
+        self, policies: Sequence[Source], settings: EvaluationSettings, watch: Watch = lambda _, __: None
+    ) -> None:
+        """Gets the demonstrations, if a policy uses some, with `watch` and the errors of `demonstrations_given`."""
+        self.policies = {(policy.name, policy.run): policy for policy in policies}
+        self.settings = settings
+        shown = any(policy.shown for policy in policies)
+        self.demonstrations = demonstrations_given(settings, watch) if shown else {}
+        self._kept: dict[str, tuple[Any, Any]] = {}
 
     @property
     def recorded(self) -> dict[str, str]:
@@ -170,45 +153,54 @@ class Player:
         That work plays the episodes, so the limit does not include loading. If one of several episodes fails, the unit
         is split to find out which.
         """
-        limit, several, playing = self.settings.time_limit, len(unit.seeds) > 1, self._playing(unit)
-        others = self._others(unit)
-        episodes, results = self._episodes(unit, others), self._recorder(unit, others)
+        source = self.policies[unit.policy, unit.run]
+        policy = self._keep("policy", (unit.policy, unit.run), source.load)
+        env, others = self._env(unit, policy), self._others(unit)
+        episodes, results = self._episodes(unit, policy, others), self._results(unit, source, policy, others)
+        limit, split = self.settings.time_limit, Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
+        several, seconds = len(unit.seeds) > 1, limit * len(unit.seeds)
+
+        def play() -> Played | Split[Unit]:
+            if isinstance(env, VectorEnv):
+                outcomes = play_side_by_side(env, policy, episodes, seconds)
+            else:
+                outcomes = [play_episode(env, policy, episode, seconds) for episode in episodes]
+            if several and any(outcome.failure for outcome in outcomes):
+                return split
+            played = [result(outcome) for result, outcome in zip(results, outcomes, strict=True)]
+            return Played([with_other_score(result) for result in played], outcomes[-1].cause)
+
         outcome = Outcome(failure=late(limit), seconds=limit)
-        too_late = Split(unit.one_by_one()) if several else Played(results([outcome]))
-        seconds = limit * len(unit.seeds)
-        return Timed(seconds + GRACE, partial(self._play, unit, playing, episodes, seconds, results), too_late)
+        return Timed(seconds + GRACE, play, split if several else Played([results[0](outcome)]))
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
         """Plays a unit in this process and returns its results."""
-        played = self(unit).call()
-        if isinstance(played, Played):
-            return played.results
-        return [result for one in played.pieces for result in self.play(one)]
+        return [result for played in map_here(self, [unit]) for result in played.results]
 
     def close(self) -> None:
         """Closes the environments."""
         for what in list(self._kept):
             self._drop(what)
 
-    def _playing(self, unit: Unit) -> Playing:
-        """The function that plays the episodes of a unit."""
-        settings, environment = self.settings, (unit.task, unit.variant, unit.shift)
-        policy = self._policy(unit)
-        reads = uses_instruction(policy)
-        if settings.batched or len(unit.seeds) > 1:
-            size = len(unit.seeds)
-            envs = self._keep("vector", (*environment, size, reads), lambda: _vector_env(unit, settings, reads))
-            return lambda episodes, seconds: play_side_by_side(envs, policy, episodes, seconds)
+    def _env(self, unit: Unit, policy: Act) -> Env | VectorEnv[Any, Any, Any]:
+        settings, size, reads = self.settings, len(unit.seeds), uses_instruction(policy)
+        key = unit.task, unit.variant, unit.shift, reads
+        if settings.batched or size > 1:
+            return self._keep("vector", (*key, size), lambda: _vector_env(unit, settings, reads))
         observed = bool(settings.wrap) or not uses_simulation(policy)
-        key = (*environment, observed, reads)
-        env = self._keep("environment", key, lambda: single_env(unit, settings, observed, reads))
-        return lambda episodes, seconds: [play_episode(env, policy, episode, seconds) for episode in episodes]
+        return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, reads))
 
-    def _episodes(self, unit: Unit, others: Sequence[str]) -> list[Episode]:
+    def _others(self, unit: Unit) -> list[str]:
+        """For each episode, the other task of the control. Empty without a control."""
+        if self.settings.control is None:
+            return [""] * len(unit.seeds)
+        body = self.settings.body if self.settings.control == "wrong-instruction" else None
+        return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
+
+    def _episodes(self, unit: Unit, policy: Act, others: Sequence[str]) -> list[Episode]:
         """The information that the policy receives at the start of each episode. `others` is from `_others`."""
-        policy, settings = self._policy(unit), self.settings
-        task, shown = policy_task(unit.task, policy, settings.like), self._shown(unit.task, policy)
-        misled = settings.control == "wrong-instruction"
+        task, shown = policy_task(unit.task, policy, self.settings.like), self._shown(unit.task, policy)
+        misled = self.settings.control == "wrong-instruction"
         sentences = [task_spec(other).summary if misled else "" for other in others]
         return [
             Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
@@ -225,25 +217,12 @@ class Player:
         key = task, settings.observed
         return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
 
-    def _others(self, unit: Unit) -> list[str]:
-        """For each episode, the other task of the control. Empty without a control."""
-        if self.settings.control is None:
-            return [""] * len(unit.seeds)
-        body = self.settings.body if self.settings.control == "wrong-instruction" else None
-        return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
-
-    def _play(
-        self, unit: Unit, playing: Playing, episodes: list[Episode], seconds: float, results: Results
-    ) -> Played | Split[Unit]:
-        outcomes = playing(episodes, seconds)
-        if len(outcomes) > 1 and any(outcome.failure for outcome in outcomes):
-            return Split(unit.one_by_one())
-        return Played(results(outcomes), outcomes[-1].cause)
-
-    def _recorder(self, unit: Unit, others: Sequence[str]) -> Results:
-        """The function that makes the results of a unit from its outcomes. `others` is from `_others`."""
-        settings, policy = self.settings, self._policy(unit)
-        facts = {
+    def _results(
+        self, unit: Unit, source: Source, policy: Act, others: Sequence[str]
+    ) -> list[Callable[[Outcome], EpisodeResult]]:
+        """For each episode, the function that makes its result from its outcome. `others` is from `_others`."""
+        settings = self.settings
+        facts: dict[str, Any] = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
             "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.observed,
@@ -251,24 +230,15 @@ class Player:
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
             "retry": unit.retry,
-            "given": settings.given(shown=uses_demonstrations(policy), reads=uses_instruction(policy)),
-            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if uses_demonstrations(policy) else "",
+            "given": settings.given(source),
+            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if source.shown else "",
         }
-        episodes = [Episode(unit.task, unit.variant, seed, unit.run) for seed in unit.seeds]
-        scenes = [start_digest(unit.task, unit.variant, seed, unit.shift, settings.body) for seed in unit.seeds]
-
-        def results(outcomes: list[Outcome]) -> list[EpisodeResult]:
-            played = zip(episodes, outcomes, scenes, others, strict=True)
-            return [
-                with_other_score(EpisodeResult.of(episode, outcome, scene=scene, other=other, **facts))
-                for episode, outcome, scene, other in played
-            ]
-
+        results: list[Callable[[Outcome], EpisodeResult]] = []
+        for seed, other in zip(unit.seeds, others, strict=True):
+            scene = start_digest(unit.task, unit.variant, seed, unit.shift, settings.body)
+            episode = Episode(unit.task, unit.variant, seed, unit.run)
+            results.append(partial(EpisodeResult.of, episode, scene=scene, other=other, **facts))
         return results
-
-    def _policy(self, unit: Unit) -> Act:
-        key = unit.policy, unit.run
-        return self._keep("policy", key, self.policies[key].load)
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object for this key. It replaces one that was kept for another key."""
@@ -347,7 +317,7 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
     return outer
 
 
-def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> Envs:
+def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> VectorEnv[Any, Any, Any]:
     number = len(unit.seeds)
     how: dict[str, Any] = {"preset": settings.observed, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:

@@ -7,17 +7,18 @@ import random
 import secrets
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.evaluation.entry import SEEDS, Entry, is_entry, read_entry
-from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_sets, recorded_settings
+from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_settings
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult, Key, read
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
-from magical_mj.utils.errors import SettingsError, counted, short_repr
+from magical_mj.utils.errors import EvaluationError, SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path
 from magical_mj.variants import check_seed
 
@@ -26,6 +27,9 @@ SHARE: Final = 0.1
 MOST_REPLAYED: Final = 500
 """The largest number of an entry's episodes that are replayed by default, so that a large folder takes minutes. If
 one episode in a hundred is false, such a sample misses all of them once in 150 times. The next check draws others."""
+
+COMPARED: Final = ("score", "actions", "failure", "rules")
+"""The fields in which two records of one episode must agree."""
 
 
 @dataclass
@@ -90,11 +94,12 @@ def verify(
         findings.unfit += [f"{where}{problem}" for problem in _unfit(part, trusted)]
         for episode in part.episodes:
             other, holder = seen.setdefault(episode.key, (episode, part.path))
-            if holder != part.path and not _agree(other, episode):
+            if holder == part.path:
+                if episode.task in TASKS and obstacle(episode, part.settings, trusted) is None:
+                    chosen.append((where, episode))
+            elif any(getattr(other, name) != getattr(episode, name) for name in COMPARED):
                 problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
-            elif holder == part.path and _is_replayable(episode, part.settings, trusted):
-                chosen.append((where, episode))
     findings.missing += _all_missing(stored)
     watch(0, len(chosen))
     for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs, trusted=trusted), start=1):
@@ -121,8 +126,8 @@ class _Stored:
     def runs(self) -> dict[str, set[int]]:
         """The runs of each policy that the evaluation includes."""
         runs: dict[str, set[int]] = defaultdict(set)
-        for policy, _, run, _ in recorded_policies(self.settings):
-            runs[policy].add(run)
+        for policy in recorded_policies(self.settings):
+            runs[policy.name].add(policy.run)
         return runs
 
 
@@ -130,16 +135,10 @@ def _stored(path: Path) -> _Stored:
     if is_entry(path):
         entry = read_entry(path)
         return _Stored(path, {"protocol": entry.protocol}, entry.episodes, entry)
-    return _Stored(path, recorded_settings(path), read(path))
-
-
-def _agree(first: EpisodeResult, second: EpisodeResult) -> bool:
-    """Whether two records of one episode agree."""
-    return all(getattr(first, name) == getattr(second, name) for name in ("score", "actions", "failure", "rules"))
-
-
-def _is_replayable(episode: EpisodeResult, settings: Mapping[str, Any], trusted: Collection[str]) -> bool:
-    return episode.task in TASKS and obstacle(episode, settings, trusted) is None
+    episodes, settings = read(path), dict[str, Any]()
+    with suppress(EvaluationError):  # invalid settings count as none
+        settings = recorded_settings(path)
+    return _Stored(path, settings, episodes)
 
 
 def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
@@ -158,9 +157,13 @@ def _unfit(part: _Stored, trusted: Collection[str]) -> list[str]:
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
         problems += [f"{name}: {recorded}, but it must be {value!r}" for value in others]
-    sets = ((name, number) for name, numbers in recorded_sets(settings).items() for number in sorted(numbers - {1}))
-    problems += [f"{name} learnt from demonstrations of set {n}, but the protocol uses set 1" for name, n in sets]
-    problems += _contradictions(settings, part.environments, part.runs, episodes)
+    sets = dict.fromkeys((policy.name, policy.demonstration_set) for policy in recorded_policies(settings))
+    problems += [
+        f"{name} learnt from demonstrations of set {number}, but the protocol uses set 1"
+        for name, number in sets
+        if number != 1
+    ]
+    problems += _contradictions(part)
     outside = Counter(episode.policy for episode in episodes if episode.task not in TASKS)
     return problems + [
         f"{policy}: tasks outside the benchmark in {counted(count, 'episode')}" for policy, count in outside.items()
@@ -191,15 +194,11 @@ def _all_missing(stored: Sequence[_Stored]) -> list[str]:
     ]
 
 
-def _contradictions(
-    settings: Mapping[str, Any],
-    environments: Collection[tuple[str, str]],
-    runs: Mapping[str, Collection[int]],
-    episodes: Sequence[EpisodeResult],
-) -> list[str]:
+def _contradictions(part: _Stored) -> list[str]:
     """A sentence for each contradiction between episodes and the settings, or their own actions."""
+    settings, environments, runs = part.settings, part.environments, part.runs
     problems: dict[str, list[str]] = defaultdict(list)
-    for episode in episodes:
+    for episode in part.episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
         texts = {
             name: f"it was played with {value!r}, but {SETTINGS} contains {short_repr(settings.get(name))}"

@@ -18,7 +18,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.policies.interface import HISTORY, Episode
-from magical_mj.policies.loading import demonstration_set, loader_in, played_in, policy_in
+from magical_mj.policies.loading import learnt_from, loader_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
@@ -114,8 +114,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    learnt = {"demonstration_set": demonstration_set(path.parent), "played_in": played_in(path.parent)}
-    return TrainedPolicy(actor, tasks, preset, **learnt)
+    return TrainedPolicy(actor, tasks, preset, **learnt_from(path.parent))
 
 
 class _Logits(nn.Module):
@@ -172,7 +171,7 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
             part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
-        learnt = {"demonstration_set": str(demonstration_set(folder)), "played_in": played_in(folder)}
+        learnt = {name: str(value) for name, value in learnt_from(folder).items()}
         program.model.metadata_props.update(task=task, preset=policy.preset, **learnt)
         program.save(unfinished, external_data=False)
     return out

@@ -43,6 +43,11 @@ WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 """The suffixes of files with the weights of a network."""
 CONFIG: Final = "config.toml"
 """The file with the settings of a training in its folder."""
+LEARNT: Final = {
+    "demonstration_set": ("demos", "set", 1, "a number of a set"),
+    "played_in": ("reward", "variant", "Demo", "a variant"),
+}
+"""What a policy learnt from: a fact of `Source` -> the part and the name of the setting, its default, and its kind."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (
@@ -221,55 +226,39 @@ def playable(
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
                 stacklevel=4,  # the call of `evaluate`
             )
-        facts: dict[str, Any] = {"unnoticed": _unnoticed(policy, preset), "shown": uses_demonstrations(policy)}
-        facts["needs_plan"] = getattr(policy, "needs_plan", False)
-        facts["demonstration_set"] = demonstration_set(source.origin, policy)
-        facts["played_in"] = played_in(source.origin, policy)
-        batches = isinstance(policy, BatchPolicy) and not uses_simulation(policy)
-        checked.append(replace(source, digest=source._hash(), batches=batches, preset=preset, **facts))
+        checked.append(
+            replace(
+                source,
+                digest=source._hash(),
+                batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
+                preset=preset,
+                unnoticed=_unnoticed(policy, preset),
+                shown=uses_demonstrations(policy),
+                needs_plan=getattr(policy, "needs_plan", False),
+                **learnt_from(source.origin, policy),
+            )
+        )
     return checked
 
 
-def demonstration_set(origin: object, policy: object = None) -> int:
-    """The set of the package's demonstrations from which a policy learnt; 1 if nothing says which.
+def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
+    """What a policy learnt from, if it is known: the facts `demonstration_set` and `played_in` of `Source`.
 
     Args:
-        origin: if it is the folder of a training, its settings say which.
-        policy: otherwise its attribute `demonstration_set` does.
+        origin: if it is the folder of a training, its settings contain them.
+        policy: otherwise its attributes with these names do.
     """
-    value = _setting(origin, "demos", "set", getattr(policy, "demonstration_set", 1))
-    number = as_integer(value, 1)
-    if number is None:
-        where = _named(origin, "demos.set", "demonstration_set")
-        raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
-    return number
-
-
-def played_in(origin: object, policy: object = None) -> str:
-    """The variant whose scenes a policy played in its training; "Demo" if nothing says which.
-
-    Args:
-        origin: if it is the folder of a training, its settings say which.
-        policy: otherwise its attribute `played_in` does.
-    """
-    value = _setting(origin, "reward", "variant", getattr(policy, "played_in", "Demo"))
-    if not isinstance(value, str) or value not in EVERY_VARIANT:
-        where = _named(origin, "reward.variant", "played_in")
-        raise SettingsError(f"{where} must be a variant, not {short_repr(value)}")
-    return value
-
-
-def _named(origin: object, setting: str, attribute: str) -> str:
-    """The name of a fact about a policy's training: a setting of its folder, or an attribute."""
-    folder = isinstance(origin, str | os.PathLike) and Path(origin).is_dir()
-    return f"{setting} in {origin}/{CONFIG}" if folder else f"the policy's attribute {attribute}"
-
-
-def _setting(origin: object, part: str, name: str, usual: Any) -> Any:
-    """A setting of the training in a folder. The usual value if there is none."""
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
-    known = read_toml(path).get(part) if path.is_file() else None
-    return known.get(name, usual) if isinstance(known, dict) else usual
+    settings = read_toml(path) if path.is_file() else {}
+    facts: dict[str, Any] = {}
+    for name, (part, setting, usual, kind) in LEARNT.items():
+        value, known = getattr(policy, name, usual), settings.get(part)
+        value = known.get(setting, value) if isinstance(known, dict) else value
+        facts[name] = as_integer(value, 1) if isinstance(usual, int) else value if value in EVERY_VARIANT else None
+        if facts[name] is None:
+            where = f"{part}.{setting} in {path}" if settings else f"the policy's attribute {name}"
+            raise SettingsError(f"{where} must be {kind}, not {short_repr(value)}")
+    return facts
 
 
 def statistics_of(origin: object) -> Path | None:
@@ -337,11 +326,7 @@ def _default_name(origin: str) -> str:
 def folder_plugins() -> Mapping[str, EntryPoint]:
     """The entry points that load policies, by the name of the file that their folders contain."""
     return announced(
-        "policy folder",
-        FOLDER_GROUP,
-        (),
-        re.compile(r"[\w.-]+").fullmatch,
-        '"mine.bin" = "package.module:load"',
+        "policy folder", FOLDER_GROUP, (), re.compile(r"[\w.-]+").fullmatch, '"mine.bin" = "package.module:load"'
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, is_entry
-from magical_mj.evaluation.folder import recorded_policies, recorded_settings
+from magical_mj.evaluation.folder import recorded_method, recorded_policies, recorded_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
@@ -90,7 +90,7 @@ def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator
 
 def _groups(settings: Settings, played: Set[tuple[str, str]]) -> Iterator[Group]:
     """The runs and environments that the settings plan. `played` holds the (task, shift) pairs that have episodes."""
-    policies = [(method, run) for _, method, run, _ in recorded_policies(settings)]
+    policies = [(recorded_method(policy, settings), policy.run) for policy in recorded_policies(settings)]
     for environment, shift in product(settings["environments"], settings["shifts"]):
         task, _, variant = environment.rpartition("-")
         if shift != f"{BODY}:{settings['body']}" and ((task, shift) in played or _can_have(task, shift)):

@@ -17,12 +17,11 @@ from zlib import crc32
 import numpy as np
 
 from magical_mj.evaluation.entry import is_entry, read_entry
-from magical_mj.evaluation.folder import recorded_settings
+from magical_mj.evaluation.folder import check_trainings, recorded_settings
 from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.provenance import Provenance, provenance
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
-from magical_mj.evaluation.submission import check_trainings
 from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS, VARIANTS, Pair, in_order
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError
@@ -107,10 +106,7 @@ class Results:
 
 
 def gather(
-    folders: Sequence[Path],
-    mixed_presets: bool = False,
-    rules: Rules | None = None,
-    trusted: Collection[str] = (),
+    folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None, trusted: Collection[str] = ()
 ) -> pd.DataFrame:
     """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
 
@@ -125,7 +121,7 @@ def gather(
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
-    check_trainings(folders)
+    check_trainings(map(recorded_settings, folders))
     scores = _read(folders, rules, trusted)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes

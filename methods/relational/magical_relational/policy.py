@@ -8,7 +8,7 @@ from typing import Final
 from magical_mj.learners import checkpoint
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.settings import STATE
-from magical_mj.policies.loading import demonstration_set
+from magical_mj.policies.loading import learnt_from
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError
@@ -41,6 +41,6 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         chosen = {name: contents["relational"][name] for name in PLAYED}
         actor = Ensemble(changed(RelationalSettings(), chosen))
         actor.load_state_dict(contents["weights"])
-        return TrainedPolicy(actor, contents["tasks"], STATE, demonstration_set=demonstration_set(path.parent))
+        return TrainedPolicy(actor, contents["tasks"], STATE, **learnt_from(path.parent))
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy of relational: {error}") from error
