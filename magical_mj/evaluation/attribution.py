@@ -76,10 +76,7 @@ class Unexplained:
 
 @lru_cache(maxsize=RECENT)
 def task_ends(task: str) -> tuple[Ends, ...]:
-    """The initial and the final scene of each shipped demonstration.
-
-    For an intent, these are its demo scenes and the ends of its plans there.
-    """
+    """The first and last scenes of the shipped demonstrations; of an intent, its demo scenes and its plans' ends."""
     if in_language(task):
         intent = task_intent(task)
         return tuple(planned(intent, demo) for demo in task_spec(task).demos)
@@ -101,12 +98,7 @@ def task_rivals(task: str) -> tuple[Intent, ...]:
 
 
 def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
-    """What episodes did, as they come.
-
-    Args:
-        episodes: those about which `unfit` says nothing; solved ones too, if shares of all are wanted.
-        jobs: the number of processes; None: one per core.
-    """
+    """What episodes did, as they come. They must not be `unfit`. Solved ones are needed for shares of all episodes."""
     chunks = [[episode for _, episode in chunk] for chunk in in_chunks(("", episode) for episode in episodes)]
     work = [(chunk, demonstrated_blocks(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
     results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
@@ -117,10 +109,7 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
 def unfit(
     episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
 ) -> str | None:
-    """Why an episode cannot be attributed; None if it can, as far as is known before it is replayed.
-
-    The arguments are those of `magical_mj.evaluation.replay.obstacle`.
-    """
+    """Why an episode cannot be attributed, as far as is known before its replay. None if it can. See `obstacle`."""
     if not has_intent(episode.task):
         return f"{episode.task} has no intent in the language"
     if episode.shift:
@@ -143,32 +132,26 @@ def _attribute(
     with closing(engine_for(chunk[0])) as engine:
         for episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)
-            problem = replay_problem(episode, engine)
-            results.append(
-                Unexplained(episode, problem) if problem else _attributed(episode, engine, judge, demonstrated)
-            )
+            if problem := replay_problem(episode, engine):
+                results.append(Unexplained(episode, problem))
+                continue
+            initial, final, solved = engine.initial_scene, engine.scene, episode.score == 1.0
+            end = ending(task_intent(episode.task), demonstrated, initial, final, solved=solved)
+            reached = {} if solved else _shares(judge, initial, final)
+            left = 0.0 if solved else remaining(episode, (initial, final))
+            moved = moved_blocks(initial, final)
+            results.append(Attribution(episode, initial, final, end, moved, reached, left))
     return results
-
-
-def _attributed(episode: EpisodeResult, engine: Engine, judge: Judge, demonstrated: DemonstratedBlocks) -> Attribution:
-    initial, final, success = engine.initial_scene, engine.scene, episode.score == 1.0
-    return Attribution(
-        episode,
-        initial,
-        final,
-        ending(task_intent(episode.task), demonstrated, initial, final, solved=success),
-        moved_blocks(initial, final),
-        {} if success else _shares(judge, initial, final),
-        0.0 if success else remaining(episode, (initial, final)),
-    )
 
 
 def _shares(judge: Judge, initial: Scene, final: Scene) -> dict[int, float]:
     """The reached intents by number, each with its share: an intent of n bits has the weight 2 to the power of -n."""
     reached = np.flatnonzero(judge.reached(initial, final)).tolist()
+    if not reached:
+        return {}
     bits = np.array([judge.intents[index].bits for index in reached])
-    weights = np.exp2(-(bits - bits.min())) if reached else bits
-    return dict(zip(reached, (weights / weights.sum()).tolist(), strict=True)) if reached else {}
+    weights = np.exp2(-(bits - bits.min()))
+    return dict(zip(reached, (weights / weights.sum()).tolist(), strict=True))
 
 
 def remaining(episode: EpisodeResult, scenes: tuple[Scene, Scene]) -> float:
@@ -210,11 +193,9 @@ class LastSolvable:
 def last_solvable_steps(attributions: Iterable[Attribution], *, jobs: int | None = None) -> Iterator[LastSolvable]:
     """Where failed episodes were lost, as they come. Each takes seconds, or half a minute."""
     pieces = list(attributions)
-    return (
-        map(last_solvable_step, pieces)
-        if jobs == 1 or len(pieces) < 2
-        else map_unordered(last_solvable_step, pieces, jobs)
-    )
+    if jobs == 1 or len(pieces) < 2:
+        return map(last_solvable_step, pieces)
+    return map_unordered(last_solvable_step, pieces, jobs)
 
 
 def last_solvable_step(attribution: Attribution) -> LastSolvable:

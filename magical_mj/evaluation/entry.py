@@ -204,18 +204,12 @@ class Entry(EntryFields, frozen=True):
 
 @cache
 def track(task: str) -> tuple[str, ...]:
-    """The labels of a task's shift track: each built-in shift that the task supports, at each strength.
-
-    They apply to its demo variant.
-    """
+    """A task's shift track, in its demo variant: the labels of the built-in shifts that it supports, all strengths."""
     return tuple(map(shift_label, expand_shifts("all", task)))
 
 
 def has_place(task: str, variant: str, shift: str) -> bool:
-    """Whether an entry can hold an episode: without a shift, or with one of the shift track.
-
-    Evaluations may hold other episodes, which `submit` leaves out.
-    """
+    """Whether an entry can hold an episode: without a shift, or with one of the shift track."""
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
@@ -333,15 +327,8 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
-    return Entry(
-        content.card,
-        content.observations,
-        content.rules,
-        content.protocol,
-        content.versions,
-        episodes,
-        content.played_in,
-    )
+    shared = {name: getattr(content, name) for name in EntryFields.__struct_fields__}
+    return Entry(**shared, episodes=episodes, played_in=content.played_in)
 
 
 def _check_name(method: str, name: object) -> None:
@@ -366,11 +353,7 @@ def _decompressed(data: bytes, name: object) -> bytes:
 
 
 def _episodes(content: Content, name: object) -> list[EpisodeResult]:
-    """The episodes in the columns of an entry.
-
-    Raises:
-        EvaluationError: if an environment is unknown, columns differ in length, or an episode occurs twice.
-    """
+    """The episodes in the columns of an entry, which are checked."""
     columns = msgspec.structs.asdict(content.episodes)
     shared: dict[str, Any] = {"policy": content.card.method, "rules": content.rules, "preset": content.observations}
     shared |= {"seconds": 0.0, "version": "", "mujoco": "", "gl": ""}

@@ -95,11 +95,9 @@ class EvaluationFolder:
 
     @contextmanager
     def open(self) -> Iterator[IO[bytes]]:
-        """Opens the score file as `open_scores` does, then updates `done` and writes the settings.
+        """Opens the score file (`open_scores`), updates `done`, and replaces the settings of a smaller evaluation.
 
-        Raises:
-            EvaluationError: if another process is writing.
-            SettingsError: if another process has started an evaluation with other settings.
+        Another process may have started an evaluation in the meantime: the errors are those of the constructor.
         """
         with open_scores(self._path) as file:
             self._read()
@@ -113,7 +111,6 @@ class EvaluationFolder:
             self.done = read(self._path)
 
     def _write_settings(self) -> None:
-        """Replaces the settings of a smaller evaluation."""
         files.write(self._path / SETTINGS, json.dumps(self._settings, indent=2) + "\n", overwrite=True)
 
 
@@ -173,11 +170,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings in an evaluation's ``run.json``. Empty if there is no such file, as in entries.
-
-    Raises:
-        EvaluationError: if they are invalid.
-    """
+    """The settings of `read_settings`. Empty if there are none, as in entries."""
     return read_settings(folder) if (folder / SETTINGS).exists() else {}
 
 
@@ -187,7 +180,7 @@ def recorded_policies(settings: Mapping[str, Any]) -> list[PlayedPolicy]:
 
 
 def recorded_method(policy: PlayedPolicy, settings: Mapping[str, Any]) -> str:
-    """The name of a policy of an evaluation in reports."""
+    """The name of an evaluation's policy in reports."""
     return method_name(policy.name, settings["body"], settings["wrap"], policy.given)
 
 

@@ -39,11 +39,8 @@ def demonstrations_given(
 ) -> dict[str, tuple[Demonstration | Stored, ...]]:
     """The demonstrations that policies receive, by the task that is played.
 
-    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made.
-
-    Args:
-        settings: the settings of the evaluation.
-        watch: called with the number of finished demonstrations of intents, and their total number.
+    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made, and
+    `watch` follows that.
 
     Raises:
         DemonstrationError: if a task has too few, or the expert fails.
@@ -71,7 +68,6 @@ def demonstrations_given(
 
 
 def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ...]:
-    """The first demonstrations that come with a task."""
     from magical_mj import demos  # imported late: it loads the simulator
 
     if (settings.scenes or 1) > 1 or settings.contrasting:
@@ -94,11 +90,7 @@ def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
 
 
 def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
-    """Demonstrations with their states. Stored actions are replayed.
-
-    Raises:
-        DemonstrationError: if they were stored by another version of this package.
-    """
+    """Demonstrations with their states. Stored actions are replayed, unless another version has stored them."""
     from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
 
     path = stored.default_path()
@@ -106,11 +98,7 @@ def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration,
 
 
 def intent_of(task: str) -> Intent:
-    """The intent of a task.
-
-    Raises:
-        SettingsError: if there is none.
-    """
+    """The intent of a task. Raises a `SettingsError` if there is none."""
     if not has_intent(task):
         raise SettingsError(
             f"controls are for intents and for tasks that have some, {', '.join(EIGHT)}, not for {task}"
@@ -128,7 +116,8 @@ def other_tasks(task: str) -> list[str]:
         return _after(task, list(EIGHT))
     own = task_of(task.removeprefix(PREFIX))
     name = f"{PREFIX}{replace(own, demos=1, contrasting=False)}"
-    names = next((list(each) for each in map(_names, SETS) if name in each), [f"{PREFIX}{e}" for e in EIGHT.values()])
+    sets = ([f"{PREFIX}{task}" for task in tasks_in(each)] for each in SETS)
+    names = next((each for each in sets if name in each), [f"{PREFIX}{intent}" for intent in EIGHT.values()])
     return [with_scenes(other, own.demos, contrasting=own.contrasting) for other in _after(name, names)]
 
 
@@ -138,18 +127,10 @@ def _after(task: str, names: list[str]) -> list[str]:
     return [name for name in (*names[after:], *names[:after]) if intent_of(name) != intent_of(task)]
 
 
-def _names(name: str) -> tuple[str, ...]:
-    """The names of the tasks in a set of intents."""
-    return tuple(f"{PREFIX}{task}" for task in tasks_in(name))
-
-
 def other_task(task: str, variant: str, seed: int, body: str | None) -> str:
     """The task whose demonstrations or instruction replace those of this task in a control.
 
-    With a body, it is the next task that can be pursued in the scene of this seed.
-
-    Raises:
-        SettingsError: if there is none.
+    With a body, it is the next task that can be pursued in the scene of this seed, or a `SettingsError` is raised.
     """
     others = other_tasks(task)
     if body is None:

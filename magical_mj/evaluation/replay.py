@@ -64,11 +64,9 @@ def obstacle(
         return f"it was played in batched environments: {UNOFFICIAL}"
     if episode.wrap:
         return f"it was played in the wrapper {episode.wrap}, which may have changed its actions and states"
-    names = {"protocol": PROTOCOL} | ({"shift_protocol": SHIFT_PROTOCOL} if episode.shift else {})
-    for name, number in names.items():
-        if recorded.get(name) not in (None, number):
-            words = name.replace("_", " ")
-            return f"it follows {words} {recorded[name]}, but this version plays {number}"
+    for name, number in {"protocol": PROTOCOL, "shift_protocol": SHIFT_PROTOCOL}.items():
+        if recorded.get(name) not in (None, number) and (name == "protocol" or episode.shift):
+            return f"it follows {name.replace('_', ' ')} {recorded[name]}, but this version plays {number}"
     for name in names_in(episode):
         check_named(name, "an episode", trusted)
     try:
@@ -147,11 +145,7 @@ def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
 
 
 def _rescored(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
-    """Replays an episode in the engine, which is in its scene.
-
-    Returns:
-        The episode scored by `rules`, and what is wrong with it, or None if the replay confirms it.
-    """
+    """Replays an episode in an engine at its start. Returns it scored by `rules`, and what is wrong with it or None."""
     if rules is None:
         return episode, replay_problem(episode, engine)
     spec, scores = task_spec(episode.task), list[float]()
@@ -202,10 +196,7 @@ def other_scene(episode: EpisodeResult, engine: Engine) -> str | None:
 
 
 def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
-    """What is wrong with an episode, found without playing it: its failure, actions or length. None if nothing is.
-
-    `horizon` is the number of steps of the task's episodes.
-    """
+    """What is wrong with an episode's failure, actions or length. None if nothing is. Episodes have `horizon` steps."""
     if episode.failure is not None:
         return None if episode.score == 0 else f"the policy failed, but its score is {episode.score:g} instead of 0"
     if set(episode.actions) - set(LETTERS):

@@ -125,12 +125,7 @@ def rollouts(
 def _checked_facts(
     env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
 ) -> dict[str, Any]:
-    """The rules, shift, body and wrapper of an environment, with the names of the fields of `EpisodeResult`.
-
-    Raises:
-        EvaluationError: unless it is the environment of the episodes.
-        SettingsError: if its shifts change the instruction, but the policy does not read it.
-    """
+    """The rules, shift, body and wrapper of an environment, which is checked, as fields of `EpisodeResult`."""
     if isinstance(env, gymnasium.vector.VectorEnv):
         space, spec = env.single_action_space, env.spec
         if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
@@ -316,11 +311,6 @@ def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:
-    """Calls `reset` and returns its result.
-
-    Raises:
-        TaskError: if no episode can start in the scene of the seed.
-    """
     try:
         return env.reset(seed=seed)
     except (InvalidSceneError, PlacementError) as error:

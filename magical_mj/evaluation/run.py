@@ -84,7 +84,7 @@ evaluate.__signature__ = _signature()
 
 
 class Evaluation:
-    """The implementation of `evaluate` in two steps: the constructor checks and prepares, `play` plays.
+    """`evaluate` in two steps: the constructor checks and prepares, `play` plays.
 
     Attributes:
         settings: the settings of the evaluation.
@@ -180,7 +180,6 @@ class Evaluation:
                 yield held.pop(policy)
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
-        """The results of all units in order of completion."""
         jobs, backend, player = self.settings.jobs, self.settings.backend, self._player
         here = backend == "local" and jobs == 1
         problem = None if here else self._unsendable()

@@ -117,12 +117,7 @@ class EpisodeResult:
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
-        """The result of an episode that this process has just played.
-
-        The facts are `policy`, `rules`, `preset`, `scene` and the fields after it. If a renderer was chosen, they
-        include `gl`.
-        """
-        with_gl: dict[str, Any] = {"gl": drawn_by(), **facts}
+        """The result of an episode that this process has just played. `facts` are all other fields."""
         return cls(
             run=episode.run,
             task=episode.task,
@@ -135,7 +130,7 @@ class EpisodeResult:
             mujoco=MUJOCO_VERSION,
             actions=letters_of(outcome.actions),
             failure=outcome.failure,
-            **with_gl,
+            **{"gl": drawn_by(), **facts},
         )
 
     @property
@@ -161,10 +156,7 @@ class EpisodeResult:
 
 
 def method_name(policy: str, body: str, wrap: str, given: str = "") -> str:
-    """The name of a policy in reports, with its body, wrapper and description of tasks.
-
-    It does not contain the gripper or the instruction.
-    """
+    """The name of a policy in reports, with its body, wrapper and description of tasks, if they are unusual."""
     name = policy if body == GRIPPER else f"{policy} with {body}"
     name = name if given in NO_SETTINGS_NEEDED else f"{name}, {given}"
     return f"{name} in {wrap}" if wrap else name

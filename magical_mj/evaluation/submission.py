@@ -110,11 +110,7 @@ def _check_declared(card: Card, method: str, sets: set[int], played_in: Sequence
 def _combined(
     card: Card, sources: Sequence[tuple[EpisodeResult, Path]], protocol: int | None, played_in: list[str]
 ) -> Entry:
-    """The entry of one method's episodes, each given with its folder.
-
-    Raises:
-        EvaluationError: if they differ in observations or rules, or cannot be part of an entry.
-    """
+    """The entry of one method's episodes, each given with its folder. They are checked."""
     for episode, folder in sources:
         for name, (usual, problem) in PLAIN.items():
             if (value := getattr(episode, name)) != usual:

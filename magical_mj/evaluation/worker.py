@@ -269,7 +269,6 @@ def _observed(
 
 
 def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
-    """The common arguments of all kinds of environments of a unit."""
     return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
@@ -300,7 +299,6 @@ def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> s
 
 
 def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:
-    """The environment in the user's wrapper."""
     try:
         outer: Any = resolve(wrap)(env)
     except (Exception, SystemExit) as error:

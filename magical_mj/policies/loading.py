@@ -205,7 +205,7 @@ def playable(
         first_run: the number of the first run.
         trust: whether files that contain code may be loaded.
         batched: whether MuJoCo Warp simulates the environments.
-        like: see `check_fit`.
+        like: the task name that policies receive instead of the real one.
 
     Raises:
         SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or does not fit: see `check_fit`.
@@ -336,12 +336,7 @@ def loader_in(folder: Path) -> EntryPoint | None:
 
 
 def policy_in(folder: Path) -> Act:
-    """The policy in a folder.
-
-    Raises:
-        SettingsError: if the folder contains no policy, or its loader fails.
-        UnknownNameError, MissingExtraError: if its loader cannot be imported.
-    """
+    """The policy in a folder. Raises a `SettingsError` if it contains none, or its loader fails or is missing."""
     loader = _folder_loader(folder)
     return imported("loader of", loader.name, loader, SettingsError)(str(folder))
 
@@ -386,13 +381,7 @@ def _instantiate(kind: type, name: str) -> Any:
 
 
 def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = "") -> None:
-    """Checks that a policy's training matches an evaluation.
-
-    Args:
-        policy: its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they exist.
-        pairs: the tasks and variants of the evaluation.
-        preset: the preset of the evaluation.
-        like: the name of a task that policies receive instead of the evaluated one. Empty: see `policy_task`.
+    """Checks that a policy's `preset`, `tasks` and `observation_shapes`, if it has them, match an evaluation.
 
     Raises:
         SettingsError: if they do not match.

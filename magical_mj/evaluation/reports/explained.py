@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, TypeVar
 from urllib.parse import quote
 
 import numpy as np
@@ -37,9 +37,6 @@ from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import counted
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FOLDER: Final = "explained"
 PAGE: Final = "explained.md"
@@ -75,10 +72,7 @@ class Explanation:
 def explainable(
     folders: Iterable[Path], rules: Rules | None = None, trusted: Collection[str] = ()
 ) -> tuple[list[EpisodeResult], Counter[str]]:
-    """The episodes of evaluations or entries that can be explained; and why others cannot, and how many.
-
-    With `rules`, they are scored by these. Episodes may contain the `trusted` references.
-    """
+    """The episodes of `episodes_of` that can be explained; and why others cannot, and how many."""
     episodes, problems = list[EpisodeResult](), Counter[str]()
     for folder in folders:
         recorded = recorded_settings(folder)
@@ -98,15 +92,10 @@ def explain_episodes(
     jobs: int | None = None,
     watch: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> Explanation:
-    """Replays and explains episodes.
+    """Replays and explains what `explainable` returns. `watch` is called with the numbers of replayed and all episodes.
 
-    Args:
-        episodes: from `explainable`.
-        problems: why others are not explained, from `explainable`.
-        lost: for this many unsolved episodes of each method, task and variant, finds the last step from which the
-            expert still solves them. Each takes seconds.
-        jobs: the number of processes; None: one per core.
-        watch: called with the number of replayed episodes, and of those to be replayed.
+    For `lost` unsolved episodes of each method, task and variant, it finds the last step from which the expert still
+    solves them. Each takes seconds.
     """
     found = Explanation(problems=problems.copy())
     for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
@@ -126,14 +115,10 @@ def explain_episodes(
 def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = MappingProxyType({})) -> Path:
     """Writes the page, its pictures, and two files of numbers into a folder, over those of an earlier report.
 
-    Args:
-        found: from `explain_episodes`.
-        out: the folder, which is made if it is missing.
-        films: the key of an episode -> the path of its film, relative to the folder.
-
-    Returns:
-        The path of the page.
+    `films` are the paths of episodes' films, relative to the folder. Returns the path of the page.
     """
+    import pandas as pd
+
     out.mkdir(parents=True, exist_ok=True)
     parts = [
         "# Which goal did a policy pursue?",
@@ -146,8 +131,8 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     ]
     for (policy, task), group in _grouped(_failed(found.attributions), "policy", "task").items():
         parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
-    files.write(out / "endings.csv", csv(_frame(_ending_rows(found.attributions))), overwrite=True)
-    files.write(out / "rivals.csv", csv(_frame(_rival_rows(found.attributions))), overwrite=True)
+    files.write(out / "endings.csv", csv(pd.DataFrame(_ending_rows(found.attributions))), overwrite=True)
+    files.write(out / "rivals.csv", csv(pd.DataFrame(_rival_rows(found.attributions))), overwrite=True)
     files.write(out / PAGE, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     return out / PAGE
 
@@ -170,11 +155,11 @@ def shares(group: Sequence[Attribution]) -> dict[str, float]:
 def _endings(results: Sequence[Attribution]) -> Table:
     groups = []
     for (policy,), of_policy in _grouped(results, "policy").items():
+        environments = {" ".join(pair): group for pair, group in _grouped(of_policy, "task", "variant").items()}
         rows = [
-            (f"{task} {variant}", str(len(group)), *map(_percent, shares(group).values()))
-            for (_, task, variant), group in _grouped(of_policy, *ENVIRONMENT).items()
+            (name, str(len(group)), *map(_percent, shares(group).values()))
+            for name, group in {**environments, "all": of_policy}.items()
         ]
-        rows.append(("all", str(len(of_policy)), *map(_percent, shares(of_policy).values())))
         groups.append((policy, tuple(rows)))
     caption = "Shares of episodes by what they did (per cent)"
     return Table("endings", caption, ("Environment", "episodes", *ENDINGS), tuple(groups))
@@ -288,21 +273,14 @@ def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     return rows
 
 
-def _frame(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    import pandas as pd
-
-    return pd.DataFrame(rows)
-
-
 def _pair(episode: EpisodeResult) -> NDArray[np.uint8]:
     """The first and the last scene of an episode side by side, drawn by the software renderer."""
     with closing(engine_for(episode, "software")) as engine:
         before = engine.render("allo", SIDE)
         for action in actions_of(episode.actions):
             engine.step(action)
-        return np.concatenate(
-            [before, np.full((SIDE, GAP // 4, 3), 255, np.uint8), engine.render("allo", SIDE)], axis=1
-        )
+        gap = np.full((SIDE, GAP // 4, 3), 255, np.uint8)
+        return np.concatenate([before, gap, engine.render("allo", SIDE)], axis=1)
 
 
 def _png(pairs: Sequence[NDArray[np.uint8]]) -> bytes:

@@ -71,14 +71,9 @@ NO_ENVIRONMENT: Final = "#e4e4e4"
 
 
 def check_free(out: Path, others: Sequence[str] = ()) -> bool:
-    """Whether a folder holds an earlier report. The folder may be missing.
+    """Whether a folder, which may be missing, holds an earlier report.
 
-    Args:
-        out: the folder.
-        others: names of further files that the caller will write there.
-
-    Raises:
-        EvaluationError: if the folder holds no report, but a file with the name of one that would be written.
+    If not, a file with a name that would be written, also one of the `others`, is an `EvaluationError`.
     """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
@@ -92,10 +87,7 @@ def check_free(out: Path, others: Sequence[str] = ()) -> bool:
 
 
 def begin(out: Path, others: Sequence[str] = ()) -> bool:
-    """Writes the first lines of the page unless it exists. They mark the folder as a report even if the rest fails.
-
-    Arguments, result and errors are those of `check_free`, but the folder must exist.
-    """
+    """`check_free`, then writes the page's first lines. They mark the folder as a report even if the rest fails."""
     replaced = check_free(out, others)
     if not replaced:
         files.write(out / PAGE, f"{TITLE}\n\nThis report is not finished yet.\n")
@@ -153,7 +145,8 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     begin(out)
     made = (*texts, *(f"{name}.pdf" for name in draw))
     listed = {**links, **{text: name for name, text in FILES.items() if name in made}}
-    marked_tables = [markdown(replace(table, caption=_sentences(table.caption, data.mark))) for table in tables]
+    captions = [". ".join(filter(None, (table.caption, data.mark))) for table in tables]
+    marked_tables = [markdown(replace(table, caption=text)) for table, text in zip(tables, captions, strict=True)]
     parts = [
         TITLE,
         *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
@@ -203,11 +196,6 @@ def _load_matplotlib() -> None:
             mpl.rcParams["backend"] = backend
 
 
-def _sentences(*parts: str) -> str:
-    """The nonempty parts, joined as sentences without the last full stop."""
-    return ". ".join(filter(None, parts))
-
-
 def _settings(data: Results) -> str:
     """A paragraph about the episodes: their number, environments, seeds, shifts, rules, observations and versions."""
     scores = data.scores
@@ -230,10 +218,7 @@ def _settings(data: Results) -> str:
 
 
 def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]:
-    """The episodes for videos: the best and the worst of each policy and task. Of equal scores, the first counts.
-
-    If all scores of a policy and task are equal, there is only a best one.
-    """
+    """The episodes for videos: the first best one of each policy and task, and the first worst one if it is worse."""
     best: dict[tuple[str, str], EpisodeResult] = {}
     worst: dict[tuple[str, str], EpisodeResult] = {}
     for score in scores:
@@ -241,10 +226,12 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
         if score.actions and not score.shift:
             best[key] = max(best.get(key, score), score, key=attrgetter("score"))
             worst[key] = min(worst.get(key, score), score, key=attrgetter("score"))
-    both = [(name, episodes[key]) for key in best for name, episodes in (("best", best), ("worst", worst))]
-    return [
-        (name, score) for name, score in both if name == "best" or score.score < best[score.policy, score.task].score
-    ]
+    chosen: list[tuple[str, EpisodeResult]] = []
+    for key, top in best.items():
+        chosen.append(("best", top))
+        if worst[key].score < top.score:
+            chosen.append(("worst", worst[key]))
+    return chosen
 
 
 def heat_map(results: Results) -> Figure:
@@ -359,10 +346,7 @@ def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float
 
 
 def shift_curves(shifts: pd.DataFrame, mark: str) -> Figure:
-    """The score of each method over the strength of each shift, with the interval of its difference from strength 0.
-
-    `mark` is a note that is written below the panels.
-    """
+    """The score of each method over the strength of each shift, with the interval of its difference from strength 0."""
     single = shifts[shifts["strength"].notna()]
     axes_of_shifts = list(dict.fromkeys(single["axis"]))
     figure, panels = panels_of(len(axes_of_shifts), CURVES_PER_ROW, CURVES, legend=0.5)

@@ -192,10 +192,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collecti
 
 
 def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
-    """Raises an `EvaluationError` unless a column is the same for all scores. Its message ends with `consequence`.
-
-    None matches anything.
-    """
+    """Raises an `EvaluationError`, which ends with `consequence`, if a column has different values apart from None."""
     kinds = scores.dropna(subset=[what]).drop_duplicates(what)
     if len(kinds) > 1:
         listed = ", ".join(f"{row[what]} in {row['folder']}" for row in kinds.sort_values("folder").to_dict("records"))
@@ -203,10 +200,7 @@ def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
 
 
 def check_alike(scores: pd.DataFrame) -> None:
-    """Raises an `EvaluationError` if a column of `ALIKE` differs, or if the scenes of a seed have different digests.
-
-    A missing digest matches any other.
-    """
+    """Raises an `EvaluationError` if a column of `ALIKE` differs, or if the scenes of a seed have different digests."""
     for what, consequence in ALIKE.items():
         check_same(scores, what, consequence)
     scene = ["task", "variant", "shift", "seed"]
@@ -262,20 +256,13 @@ def results(
 
 
 def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
-    """The tasks over which means are taken.
-
-    If only one task was played, or none of the benchmark's, these are the played tasks. Otherwise, they are the
-    benchmark's.
-    """
+    """The tasks over which means are taken: the benchmark's, unless only one was played, or none of these."""
     played = in_order(tasks)
     return list(TASKS) if len(played) > 1 and set(played) & set(TASKS) else played
 
 
 def expected_environments(environments: pd.DataFrame) -> list[Pair]:
-    """All environments of the benchmark's tasks over which means are taken.
-
-    If there are no such tasks, the environments that were played.
-    """
+    """The benchmark's environments of the tasks over which means are taken, or those played if there are none."""
     own = environments[~environments["published"]]
     counted = counted_tasks(own["task"])
     benchmark = [pair for pair in ENVIRONMENTS if pair[0] in counted]
@@ -334,10 +321,7 @@ def published_by_environment(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
 
 
 def published_by_variant(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
-    """The published results over some tasks, with the columns of `statistics.by_variant`.
-
-    Those over all tasks are as printed, where the paper's Table 1 has them.
-    """
+    """The same over some tasks, with the columns of `statistics.by_variant`. Over all tasks, they are as printed."""
     import pandas as pd
 
     rows = []

@@ -200,10 +200,7 @@ def notes(results: Results) -> Iterator[str]:
 
 
 def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
-    """Which tasks and variants a policy lacks.
-
-    `variants` are its rows of the table of variants. `existing` are the variants that the tasks have.
-    """
+    """What a policy lacks, given its rows of the table of variants, and the variants that the tasks have."""
     incomplete: dict[str, list[str]] = defaultdict(list)
     for row in variants.itertuples():
         incomplete[str(row.missing)].append(str(row.variant))
@@ -229,7 +226,7 @@ def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:
         yield f"{row.Index}: between {row.min} and {row.max} runs, depending on the environment{lone}."
     if single := [str(policy) for policy in ours.index[ours["max"] == 1]]:
         whose = "its" if len(single) == 1 else "their"
-        yield (f"Only one run of {', '.join(single)}: {whose} intervals cover episodes and say nothing about training.")
+        yield f"Only one run of {', '.join(single)}: {whose} intervals cover episodes and say nothing about training."
 
 
 def _failures(scores: pd.DataFrame) -> Iterator[str]:
