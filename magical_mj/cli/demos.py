@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import numpy as np
 import typer
 from rich.table import Table
+from typer import Argument, Option
 
 import magical_mj
 from magical_mj.cli import option
@@ -35,28 +36,25 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
 Key = tuple[str, str, int]
 """Task, variant and number."""
 
-Recordings = Annotated[
-    list[Path],
-    typer.Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.", show_default=False),
-]
+Recordings = Annotated[list[Path], Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.")]
 Count = Annotated[
-    int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
+    int, Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
 ]
-Policy = Annotated[str, typer.Option(help="random, noop, module:object, the folder of a training, or a model file.")]
-Steps = Annotated[int, typer.Option(min=1, max=LARGEST_SETTING, help="The least number of steps in each environment.")]
+Policy = Annotated[str, Option(help="random, noop, module:object, the folder of a training, or a model file.")]
+Steps = Annotated[int, Option(min=1, max=LARGEST_SETTING, help="The least number of steps in each environment.")]
 Preset = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help="The policy's observations. An export may use another preset.",
         show_default="the one of its training, or LoRes4E",
     ),
 ]
-Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
-Least = Annotated[float, typer.Option(min=0, max=1, help="The lowest score of a demonstration.")]
-Filmed = Annotated[int, typer.Option("--count", min=1, help="The largest number of demonstrations in the video.")]
-Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
-Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
-Shifts = Annotated[str, typer.Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
+Folder = Annotated[Path, Option("--out", help="The folder; existing files are kept.")]
+Least = Annotated[float, Option(min=0, max=1, help="The lowest score of a demonstration.")]
+Filmed = Annotated[int, Option("--count", min=1, help="The largest number of demonstrations in the video.")]
+Movie = Annotated[Path, Option("--out", help="The MP4 file.")]
+Speed = Annotated[int, Option(min=1, max=30, help="Times real time.")]
+Shifts = Annotated[str, Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import (
@@ -29,43 +30,40 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
 
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
-    typer.Option(
+    Option(
         metavar="FORMAT",  # the list of names is wider than narrow terminals
         help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
     ),
 ]
 Name = Annotated[
     str | None,
-    typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
+    Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
 ]
-ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
-DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
-AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
-Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
+ExportPreset = Annotated[str | None, Option(help="The observations.", show_default="LoRes4E; State for Minari")]
+DropNoop = Annotated[bool, Option(help="For npz: leave out the steps with the no-op action.")]
+AsVideo = Annotated[bool, Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
+Fingers = Annotated[bool, Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
 
-Intents = Annotated[str, typer.Argument(help="A set, such as train, or intents; several with commas.")]
-PerIntent = Annotated[
-    int, typer.Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
-]
+Intents = Annotated[str, Argument(help="A set, such as train, or intents; several with commas.")]
+PerIntent = Annotated[int, Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")]
 Scenes = Annotated[
     int | None,
-    typer.Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
+    Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
 ]
 IntentTarget = Annotated[
     Literal["npz", "lerobot", "webdataset"] | None,
-    typer.Option(
+    Option(
         metavar="FORMAT",
         help="npz (a numpy archive), lerobot or webdataset (an archive).",
         show_default="only the actions are stored",
     ),
 ]
 IntentFile = Annotated[
-    Path | None, typer.Option("--out", help="The file or the folder.", show_default="by intents and preset")
+    Path | None, Option("--out", help="The file or the folder.", show_default="by intents and preset")
 ]
-IntentPreset = Annotated[str, typer.Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
+IntentPreset = Annotated[str, Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
 Actions = Annotated[
-    Path | None,
-    typer.Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
+    Path | None, Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder")
 ]
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import typer
 from PIL import Image, ImageDraw, ImageFont
 from rich.table import Table
+from typer import Argument, Option
 
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
@@ -30,24 +31,21 @@ ABSENT: Final = (242, 242, 242)  # the colour of cells without an environment
 
 Listed = Annotated[
     str | None,
-    typer.Argument(
+    Argument(
         metavar="[TASKS]", help="Tasks, separated by commas, also as package.module:SPEC.", show_default="all installed"
     ),
 ]
-Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-Intents = Annotated[
-    bool, typer.Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")
-]
-Grid = Annotated[bool, typer.Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
+Ids = Annotated[bool, Option("--ids", help="Print only the Gymnasium ids, one per line.")]
+Intents = Annotated[bool, Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")]
+Grid = Annotated[bool, Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
 Picture = Annotated[
-    Path | None, typer.Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
+    Path | None, Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
 ]
 Size = Annotated[
-    int | None,
-    typer.Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid"),
+    int | None, Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid")
 ]
 Model = Annotated[
-    Path | None, typer.Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
+    Path | None, Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
 ]
 
 

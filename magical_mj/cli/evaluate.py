@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import TextColumn, TimeElapsedColumn
 from rich.table import Table
+from typer import Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import (
@@ -58,25 +59,18 @@ _POLICIES = (
 )
 
 Policies = Annotated[
-    str,
-    typer.Option(
-        "--policy",
-        help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.",
-        show_default=False,
-    ),
+    str, Option("--policy", help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
 ]
-AnyPolicy = Annotated[str, typer.Option(help=_POLICIES)]
-Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
+AnyPolicy = Annotated[str, Option(help=_POLICIES)]
+Out = Annotated[Path, Option(help="The folder for the scores.")]
 Number = Annotated[
     int,
-    typer.Option(
-        "--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."
-    ),
+    Option("--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."),
 ]
-Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
-As = Annotated[str, typer.Option("--as", help="The task name that policies receive instead of the real one.")]
-Tour = Annotated[Path, typer.Option("--out", help="The folder for all results; those of the same tour are replaced.")]
-Each = Annotated[int, typer.Option("--episodes", min=1, help="Episodes of each agent in each environment.")]
+Video = Annotated[Path | None, Option(help="Write an MP4 video of the episodes.")]
+As = Annotated[str, Option("--as", help="The task name that policies receive instead of the real one.")]
+Tour = Annotated[Path, Option("--out", help="The folder for all results; those of the same tour are replaced.")]
+Each = Annotated[int, Option("--episodes", min=1, help="Episodes of each agent in each environment.")]
 
 
 def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Iterable
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magical_mj import VARIANTS
 from magical_mj.envs.presets import PRESETS
@@ -40,30 +40,28 @@ METAVARS = {"control": "<control>"}
 """Names of options' values, where the list of choices would be wider than a narrow terminal."""
 COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
 
-Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(KNOWN))]
-OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(KNOWN))]
-Variant = Annotated[str, typer.Argument(help=VARIANT_HELP, autocompletion=one_of(VARIANTS))]
-Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.", autocompletion=COMPLETIONS["tasks"])]
-Variants = Annotated[
-    str, typer.Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])
-]
-Seed = Annotated[int, typer.Option(min=0, help="The seed of the scene.")]
-Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
+Task = Annotated[str, Argument(help=TASK_HELP, autocompletion=one_of(KNOWN))]
+OptionalTask = Annotated[str | None, Argument(help=TASK_HELP, autocompletion=one_of(KNOWN))]
+Variant = Annotated[str, Argument(help=VARIANT_HELP, autocompletion=one_of(VARIANTS))]
+Tasks = Annotated[str, Option(help="Tasks, separated by commas; or all.", autocompletion=COMPLETIONS["tasks"])]
+Variants = Annotated[str, Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])]
+Seed = Annotated[int, Option(min=0, help="The seed of the scene.")]
+Size = Annotated[int, Option(min=16, max=2048, help="Side of each picture in pixels.")]
 Cameras = Annotated[
-    str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego, and scene (3-D).")
+    str, Option("--camera", help="Views side by side, separated by commas: allo, ego, and scene (3-D).")
 ]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
+Jobs = Annotated[int | None, Option(min=1, help="Worker processes.", show_default="one per core")]
 Renderer = Annotated[
-    RendererName | None, typer.Option(help="The renderer of flat views.", show_default="opengl where it works")
+    RendererName | None, Option(help="The renderer of flat views.", show_default="opengl where it works")
 ]
-Shifts = Annotated[str, typer.Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
-Body = Annotated[str, typer.Option(help="The robot's body. See docs/bodies.md.")]
+Shifts = Annotated[str, Option(help="Shifts with strengths, such as camera:3,latency:1. See docs/shifts.md.")]
+Body = Annotated[str, Option(help="The robot's body. See docs/bodies.md.")]
 Trusted = Annotated[
-    str, typer.Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md.")
+    str, Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md.")
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
-Host = Annotated[str, typer.Option(help="The address to listen on.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="The port to listen on; 0: any free one.")]
+Force = Annotated[bool, Option("--force", help="Replace existing files.")]
+Host = Annotated[str, Option(help="The address to listen on.")]
+Port = Annotated[int, Option(min=0, max=65535, help="The port to listen on; 0: any free one.")]
 
 
 def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
@@ -80,7 +78,7 @@ def add_options(command: Callable[..., None], settings: type, *names: str) -> No
         if name not in parameters and (not names or name in names):
             declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
             kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
-            option = typer.Option(
+            option = Option(
                 *declared,
                 help=setting.description,
                 min=setting.least,

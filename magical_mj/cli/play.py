@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
 import typer
+from typer import Argument, Option
 
 import magical_mj
 from magical_mj.cli import option
@@ -36,26 +37,17 @@ KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 QUESTION: Final = "Do what the demonstrations did. What they want is shown at the end."
 AFTER: Final = "R again, N next scene, Esc quits"
 
-Record = Annotated[Path | None, typer.Option(help="Save each finished episode in this folder.", show_default=False)]
-Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
-Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
-Guess = Annotated[
-    bool, typer.Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")
-]
-Collect = Annotated[Path | None, typer.Option(help="Save submitted episodes in this folder.", show_default=False)]
-Wanted = Annotated[
-    int | None, typer.Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")
-]
-StudyFile = Annotated[
-    Path | None, typer.Option("--study", help="The study's settings, a file (.toml).", show_default=False)
-]
+Record = Annotated[Path | None, Option(help="Save each finished episode in this folder.")]
+Speed = Annotated[float, Option(min=0.1, max=4.0, help="Times real time.")]
+Web = Annotated[bool, Option("--web", help="Play in a browser instead of a window.")]
+Guess = Annotated[bool, Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")]
+Collect = Annotated[Path | None, Option(help="Save submitted episodes in this folder.")]
+Wanted = Annotated[int | None, Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")]
+StudyFile = Annotated[Path | None, Option("--study", help="The study's settings, a file (.toml).")]
 Origin = Annotated[
-    str | None,
-    typer.Option(
-        help="The page's public address behind a proxy, such as https://study.example.org.", show_default=False
-    ),
+    str | None, Option(help="The page's public address behind a proxy, such as https://study.example.org.")
 ]
-Model = Annotated[str, typer.Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).", show_default=False)]
+Model = Annotated[str, Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).")]
 
 Wish = Literal["reset", "next", "discard", "quit"]
 

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import msgspec
 import typer
 from rich.table import Table
+from typer import Argument, Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
@@ -39,51 +40,37 @@ from magical_mj.utils.extras import check_extra
 SHOWN: Final = 20
 """The largest number of problems that are printed. The others are counted."""
 
-Folders = Annotated[
-    list[Path], typer.Argument(help="The folders of evaluations, or entries of the leaderboard.", show_default=False)
-]
+Folders = Annotated[list[Path], Argument(help="The folders of evaluations, or entries of the leaderboard.")]
 Report = Annotated[
-    Path | None, typer.Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
+    Path | None, Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
 ]
-Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
-Mixed = Annotated[
-    bool, typer.Option("--mixed-presets", help="Allow policies with different observations in one report.")
-]
+Published = Annotated[bool, Option("--published", help="Show the paper's own results as well.")]
+Mixed = Annotated[bool, Option("--mixed-presets", help="Allow policies with different observations in one report.")]
 Rescored = Annotated[
-    Rules | None,
-    typer.Option(
-        help="Score all episodes by these rules; those scored by other rules are replayed.", show_default=False
-    ),
+    Rules | None, Option(help="Score all episodes by these rules; those scored by other rules are replayed.")
 ]
-Videos = Annotated[
-    bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
-]
+Videos = Annotated[bool, Option("--videos", help="Make videos of each policy's best and worst episode in each task.")]
 Explain = Annotated[
-    bool,
-    typer.Option(
-        "--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md."
-    ),
+    bool, Option("--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md.")
 ]
 LastSolvable = Annotated[
     int,
-    typer.Option(
+    Option(
         min=0,
         help="With --explain: for so many failed episodes of each policy, task and variant, the last step from which "
         "the expert still solves it. Each takes seconds.",
     ),
 ]
-Side = Annotated[
-    str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
-]
-MethodFolders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
-EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, ending in .json.xz.", show_default=False)]
-Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
-Name = Annotated[str | None, typer.Option("--policy", help="The method to submit, if the folders hold several.")]
-Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
-Pages = Annotated[Path, typer.Option("--out", help="The folder for the pages.")]
-Replay = Annotated[int, typer.Option(min=1, help="The most episodes of an entry to replay.")]
-All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random sample.")]
-Sample = Annotated[int | None, typer.Option("--seed", min=0, help="The seed of the sample.", show_default="random")]
+Side = Annotated[str, Argument(help="DIR, or DIR:POLICY if the folder holds several policies.")]
+MethodFolders = Annotated[list[Path], Argument(help="Folders of evaluations of one method.")]
+EntryFile = Annotated[Path, Option("--out", help="The entry's file, ending in .json.xz.")]
+Card = Annotated[Path | None, Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
+Name = Annotated[str | None, Option("--policy", help="The method to submit, if the folders hold several.")]
+Entries = Annotated[Path, Argument(help="The folder with the entries (*.json.xz), or one.")]
+Pages = Annotated[Path, Option("--out", help="The folder for the pages.")]
+Replay = Annotated[int, Option(min=1, help="The most episodes of an entry to replay.")]
+All = Annotated[bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")]
+Sample = Annotated[int | None, Option("--seed", min=0, help="The seed of the sample.", show_default="random")]
 
 
 def make_report(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 import magical_mj
 from magical_mj.scene.bodies import GRIPPER
@@ -17,12 +18,10 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
     from magical_mj.demos import Demonstration
     from magical_mj.demos.shipped import DemonstrationSet
 
-Paths = Annotated[
-    list[Path] | None, typer.Argument(help="Files and folders.", show_default="those that come with the tasks")
-]
+Paths = Annotated[list[Path] | None, Argument(help="Files and folders.", show_default="those that come with the tasks")]
 Set = Annotated[
     Literal["1", "2", "graded"],
-    typer.Option("--set", help="Of those that come with the tasks: 1, 2 (more varied) or graded (all scores)."),
+    Option("--set", help="Of those that come with the tasks: 1, 2 (more varied) or graded (all scores)."),
 ]
 
 

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import ProgressColumn, Task, TimeElapsedColumn
 from rich.table import Column, Table
 from rich.text import Text
+from typer import Argument, Option
 
 from magical_mj import learners
 from magical_mj.cli import option
@@ -37,41 +38,31 @@ PAUSE: Final = 10.0
 """Seconds between two looks at the progress of other processes."""
 
 Method = Annotated[
-    str,
-    typer.Argument(
-        help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's.",
-        show_default=False,
-    ),
+    str, Argument(help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's.")
 ]
-Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
-Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
-MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for all the tasks.")]
-Simulator = Annotated[str, typer.Option(help=described(PPOSettings)["simulator"].description)]
-Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
-Change = Annotated[
-    list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
-]
+Tasks = Annotated[str, Option(help="A task; with --multi-task several, separated by commas, or all.")]
+Out = Annotated[Path, Option(help="The run's folder.")]
+MultiTask = Annotated[bool, Option("--multi-task", help="One policy for all the tasks.")]
+Simulator = Annotated[str, Option(help=described(PPOSettings)["simulator"].description)]
+Quick = Annotated[bool, Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
+Change = Annotated[list[str] | None, Option("--set", help="Any setting, such as ppo.clip=0.02.")]
 Own = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         "--demonstrations",
         help="A folder with your own demonstrations; all in the demo scene are used.",
         show_default="10 of those that come with each task",
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue the training in the folder.")]
-File = Annotated[
-    Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
-]
-Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
-Run = Annotated[Path, typer.Argument(help="The folder of a training.", show_default=False)]
-OnnxFile = Annotated[
-    Path | None, typer.Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
-]
-OneTask = Annotated[str, typer.Option("--task", help="The task, if the policy has several.", show_default=False)]
+Resume = Annotated[bool, Option("--resume", help="Continue the training in the folder.")]
+File = Annotated[Path, Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.")]
+Folder = Annotated[Path, Option(help="The folder for runs, evaluations and the report.")]
+Run = Annotated[Path, Argument(help="The folder of a training.")]
+OnnxFile = Annotated[Path | None, Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")]
+OneTask = Annotated[str, Option("--task", help="The task, if the policy has several.")]
 Jobs = Annotated[
     int | None,
-    typer.Option(
+    Option(
         min=1,
         help="Number of simultaneous runs, each on one core; a single run uses all cores.",
         show_default="one, or as many as a cluster can do",
@@ -238,13 +229,10 @@ class TrainingView:
 
 
 Runs = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.", show_default=False
-    ),
+    list[Path], Argument(help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.")
 ]
-Scenes = Annotated[int, typer.Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")]
-Sums = Annotated[Path | None, typer.Option("--out", help="A CSV file for all sums and scores.", show_default=False)]
+Scenes = Annotated[int, Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")]
+Sums = Annotated[Path | None, Option("--out", help="A CSV file for all sums and scores.")]
 
 
 def evaluate_reward(
