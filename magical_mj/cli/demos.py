@@ -36,25 +36,7 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
 Key = tuple[str, str, int]
 """Task, variant and number."""
 
-Recordings = Annotated[list[Path], Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.")]
-Count = Annotated[
-    int, Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
-]
-Policy = Annotated[str, Option(help="random, noop, module:object, the folder of a training, or a model file.")]
-Steps = Annotated[int, Option(min=1, max=LARGEST_SETTING, help="The least number of steps in each environment.")]
-Preset = Annotated[
-    str | None,
-    Option(
-        help="The policy's observations. An export may use another preset.",
-        show_default="the one of its training, or LoRes4E",
-    ),
-]
 Folder = Annotated[Path, Option("--out", help="The folder; existing files are kept.")]
-Least = Annotated[float, Option(min=0, max=1, help="The lowest score of a demonstration.")]
-Filmed = Annotated[int, Option("--count", min=1, help="The largest number of demonstrations in the video.")]
-Movie = Annotated[Path, Option("--out", help="The MP4 file.")]
-Speed = Annotated[int, Option(min=1, max=30, help="Times real time.")]
-Shifts = Annotated[str, Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
 
@@ -70,10 +52,12 @@ def generate(
     out: Folder,
     tasks: option.Tasks = "all",
     variants: option.Variants = "Demo",
-    count: Count = 25,
-    least_score: Least = 1.0,
+    count: Annotated[
+        int, Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
+    ] = 25,
+    least_score: Annotated[float, Option(min=0, max=1, help="The lowest score of a demonstration.")] = 1.0,
     body: option.Body = GRIPPER,
-    shifts: Shifts = "",
+    shifts: Annotated[str, Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")] = "",
     jobs: option.Jobs = None,
 ) -> None:
     """Record demonstrations of the expert. Called again, it continues; nothing is overwritten."""
@@ -97,11 +81,21 @@ def generate(
 @app.command()
 def rollouts(
     out: Folder,
-    policy: Policy = "random",
+    policy: Annotated[
+        str, Option(help="random, noop, module:object, the folder of a training, or a model file.")
+    ] = "random",
     tasks: option.Tasks = "all",
     variants: option.Variants = "Demo,All",
-    steps: Steps = 10_000,
-    preset: Preset = None,
+    steps: Annotated[
+        int, Option(min=1, max=LARGEST_SETTING, help="The least number of steps in each environment.")
+    ] = 10_000,
+    preset: Annotated[
+        str | None,
+        Option(
+            help="The policy's observations. An export may use another preset.",
+            show_default="the one of its training, or LoRes4E",
+        ),
+    ] = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Record episodes of a policy, as data without labels. Called again, it continues; nothing is overwritten.
@@ -202,7 +196,12 @@ def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str
 
 
 @app.command(name="import")
-def import_recordings(recordings: Recordings, out: Folder) -> None:
+def import_recordings(
+    recordings: Annotated[
+        list[Path], Argument(help="JSON files that the browser saved, or the original's demo-*.pkl.gz.")
+    ],
+    out: Folder,
+) -> None:
     """Import episodes that were saved in the browser, or released with the original, and replay them in MuJoCo."""
     episodes = [(file, *imported(file)) for file in recordings]  # all are replayed before any is written
     make_writable_folder(out)
@@ -327,14 +326,14 @@ def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> Chec
 
 @app.command()
 def video(
-    out: Movie,
+    out: Annotated[Path, Option("--out", help="The MP4 file.")],
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
     which: Set = "1",
-    count: Filmed = 1,
+    count: Annotated[int, Option("--count", min=1, help="The largest number of demonstrations in the video.")] = 1,
     size: option.Size = 384,
-    speed: Speed = 1,
+    speed: Annotated[int, Option(min=1, max=30, help="Times real time.")] = 1,
     renderer: option.Renderer = None,
     force: option.Force = False,
 ) -> None:

@@ -28,44 +28,6 @@ from magical_mj.utils.settings import LARGEST_SETTING
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration
 
-Target = Annotated[
-    Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
-    Option(
-        metavar="FORMAT",  # the list of names is wider than narrow terminals
-        help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
-    ),
-]
-Name = Annotated[
-    str | None,
-    Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
-]
-ExportPreset = Annotated[str | None, Option(help="The observations.", show_default="LoRes4E; State for Minari")]
-DropNoop = Annotated[bool, Option(help="For npz: leave out the steps with the no-op action.")]
-AsVideo = Annotated[bool, Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
-Fingers = Annotated[bool, Option("--fingers", help="For LeRobot: add the angles of the fingers.")]
-
-Intents = Annotated[str, Argument(help="A set, such as train, or intents; several with commas.")]
-PerIntent = Annotated[int, Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")]
-Scenes = Annotated[
-    int | None,
-    Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
-]
-IntentTarget = Annotated[
-    Literal["npz", "lerobot", "webdataset"] | None,
-    Option(
-        metavar="FORMAT",
-        help="npz (a numpy archive), lerobot or webdataset (an archive).",
-        show_default="only the actions are stored",
-    ),
-]
-IntentFile = Annotated[
-    Path | None, Option("--out", help="The file or the folder.", show_default="by intents and preset")
-]
-IntentPreset = Annotated[str, Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])]
-Actions = Annotated[
-    Path | None, Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder")
-]
-
 
 def export_demos(
     context: typer.Context,
@@ -73,12 +35,23 @@ def export_demos(
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
     which: Set = "1",
-    to: Target = "npz",
-    out: Name = None,
-    preset: ExportPreset = None,
-    drop_noop: DropNoop = True,
-    video: AsVideo = False,
-    fingers: Fingers = False,
+    to: Annotated[
+        Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
+        Option(
+            metavar="FORMAT",  # the list of names is wider than narrow terminals
+            help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
+        ),
+    ] = "npz",
+    out: Annotated[
+        str | None,
+        Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
+    ] = None,
+    preset: Annotated[str | None, Option(help="The observations.", show_default="LoRes4E; State for Minari")] = None,
+    drop_noop: Annotated[bool, Option(help="For npz: leave out the steps with the no-op action.")] = True,
+    video: Annotated[
+        bool, Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")
+    ] = False,
+    fingers: Annotated[bool, Option("--fingers", help="For LeRobot: add the angles of the fingers.")] = False,
     force: option.Force = False,
 ) -> None:
     """Export demonstrations for other tools."""
@@ -119,14 +92,31 @@ def export_demos(
 
 def make_intents(
     context: typer.Context,
-    intents: Intents = "train",
-    per_intent: PerIntent = 5,
-    scenes: Scenes = None,
+    intents: Annotated[str, Argument(help="A set, such as train, or intents; several with commas.")] = "train",
+    per_intent: Annotated[
+        int, Option(min=1, max=LARGEST_SETTING, help="Demonstrations of each intent in each variant.")
+    ] = 5,
+    scenes: Annotated[
+        int | None,
+        Option(min=1, max=8, help="Number of demo scenes in the variant Demo.", show_default="1, or as in INTENTS"),
+    ] = None,
     variants: option.Variants = "Demo",
-    to: IntentTarget = None,
-    out: IntentFile = None,
-    preset: IntentPreset = "State",
-    folder: Actions = None,
+    to: Annotated[
+        Literal["npz", "lerobot", "webdataset"] | None,
+        Option(
+            metavar="FORMAT",
+            help="npz (a numpy archive), lerobot or webdataset (an archive).",
+            show_default="only the actions are stored",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, Option("--out", help="The file or the folder.", show_default="by intents and preset")
+    ] = None,
+    preset: Annotated[str, Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])] = "State",
+    folder: Annotated[
+        Path | None,
+        Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
+    ] = None,
     jobs: option.Jobs = None,
     force: option.Force = False,
 ) -> None:

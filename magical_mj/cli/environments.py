@@ -29,27 +29,21 @@ MARGIN: Final = 28  # pixels above and left of the cells, for the labels
 TEXT_SIZE: Final = 15  # pixels
 ABSENT: Final = (242, 242, 242)  # the colour of cells without an environment
 
-Listed = Annotated[
-    str | None,
-    Argument(
-        metavar="[TASKS]", help="Tasks, separated by commas, also as package.module:SPEC.", show_default="all installed"
-    ),
-]
-Ids = Annotated[bool, Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-Intents = Annotated[bool, Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")]
-Grid = Annotated[bool, Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")]
-Picture = Annotated[
-    Path | None, Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
-]
-Size = Annotated[
-    int | None, Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid")
-]
-Model = Annotated[
-    Path | None, Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
-]
 
-
-def list_environments(tasks: Listed = None, ids: Ids = False, intents: Intents = False) -> None:
+def list_environments(
+    tasks: Annotated[
+        str | None,
+        Argument(
+            metavar="[TASKS]",
+            help="Tasks, separated by commas, also as package.module:SPEC.",
+            show_default="all installed",
+        ),
+    ] = None,
+    ids: Annotated[bool, Option("--ids", help="Print only the Gymnasium ids, one per line.")] = False,
+    intents: Annotated[
+        bool, Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")
+    ] = False,
+) -> None:
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
     if intents:
@@ -94,9 +88,16 @@ def view(
     task: option.OptionalTask = None,
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
-    grid: Grid = False,
-    out: Picture = None,
-    size: Size = None,
+    grid: Annotated[
+        bool, Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")
+    ] = False,
+    out: Annotated[
+        Path | None, Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
+    ] = None,
+    size: Annotated[
+        int | None,
+        Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid"),
+    ] = None,
     camera: option.Cameras = "allo,ego",
     shifts: option.Shifts = "",
     body: option.Body = GRIPPER,
@@ -127,7 +128,9 @@ def export(
     task: option.Task,
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
-    out: Model = None,
+    out: Annotated[
+        Path | None, Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
+    ] = None,
     shifts: option.Shifts = "",
     body: option.Body = GRIPPER,
     force: option.Force = False,

@@ -58,22 +58,15 @@ _POLICIES = (
     "several with commas."
 )
 
-Policies = Annotated[
-    str, Option("--policy", help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
-]
-AnyPolicy = Annotated[str, Option(help=_POLICIES)]
-Out = Annotated[Path, Option(help="The folder for the scores.")]
-Number = Annotated[
-    int,
-    Option("--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."),
-]
-Video = Annotated[Path | None, Option(help="Write an MP4 video of the episodes.")]
-As = Annotated[str, Option("--as", help="The task name that policies receive instead of the real one.")]
-Tour = Annotated[Path, Option("--out", help="The folder for all results; those of the same tour are replaced.")]
-Each = Annotated[int, Option("--episodes", min=1, help="Episodes of each agent in each environment.")]
 
-
-def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
+def evaluate(
+    policy: Annotated[
+        str, Option("--policy", help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
+    ],
+    out: Annotated[Path, Option(help="The folder for the scores.")],
+    like: Annotated[str, Option("--as", help="The task name that policies receive instead of the real one.")] = "",
+    **options: Any,
+) -> None:
     """Evaluate policies in the test scenes; all scores are stored in OUT/scores.jsonl."""
     if out.suffix in (".json", ".jsonl", ".csv"):
         raise typer.BadParameter(f"{out} is the name of a file; --out must be a folder, for {SCORES} and run.json.")
@@ -96,11 +89,16 @@ def rollout(
     context: typer.Context,
     task: option.Task,
     variant: option.Variant = "Demo",
-    policy: AnyPolicy = "expert",
-    episodes: Number = 1,
+    policy: Annotated[str, Option(help=_POLICIES)] = "expert",
+    episodes: Annotated[
+        int,
+        Option(
+            "--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."
+        ),
+    ] = 1,
     seed: option.Seed = 0,
     shifts: option.Shifts = "",
-    video: Video = None,
+    video: Annotated[Path | None, Option(help="Write an MP4 video of the episodes.")] = None,
     size: option.Size = 384,
     camera: option.Cameras = "allo,ego",
     force: option.Force = False,
@@ -201,7 +199,12 @@ def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
 
 
 def demo(
-    out: Tour = Path("out/demo"), tasks: option.Tasks = "all", episodes: Each = 3, jobs: option.Jobs = None
+    out: Annotated[
+        Path, Option("--out", help="The folder for all results; those of the same tour are replaced.")
+    ] = Path("out/demo"),
+    tasks: option.Tasks = "all",
+    episodes: Annotated[int, Option("--episodes", min=1, help="Episodes of each agent in each environment.")] = 3,
+    jobs: option.Jobs = None,
 ) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out, renderer="software")

@@ -37,18 +37,6 @@ KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 QUESTION: Final = "Do what the demonstrations did. What they want is shown at the end."
 AFTER: Final = "R again, N next scene, Esc quits"
 
-Record = Annotated[Path | None, Option(help="Save each finished episode in this folder.")]
-Speed = Annotated[float, Option(min=0.1, max=4.0, help="Times real time.")]
-Web = Annotated[bool, Option("--web", help="Play in a browser instead of a window.")]
-Guess = Annotated[bool, Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")]
-Collect = Annotated[Path | None, Option(help="Save submitted episodes in this folder.")]
-Wanted = Annotated[int | None, Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")]
-StudyFile = Annotated[Path | None, Option("--study", help="The study's settings, a file (.toml).")]
-Origin = Annotated[
-    str | None, Option(help="The page's public address behind a proxy, such as https://study.example.org.")
-]
-Model = Annotated[str, Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).")]
-
 Wish = Literal["reset", "next", "discard", "quit"]
 
 LINES: Final = 3  # of text below the pictures
@@ -66,20 +54,26 @@ def play(
     task: option.OptionalTask = None,
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
-    record: Record = None,
+    record: Annotated[Path | None, Option(help="Save each finished episode in this folder.")] = None,
     size: option.Size = 480,
-    speed: Speed = 1.0,
+    speed: Annotated[float, Option(min=0.1, max=4.0, help="Times real time.")] = 1.0,
     renderer: option.Renderer = None,
-    guess: Guess = False,
-    web: Web = False,
+    guess: Annotated[
+        bool, Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")
+    ] = False,
+    web: Annotated[bool, Option("--web", help="Play in a browser instead of a window.")] = False,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
-    collect: Collect = None,
-    wanted: Wanted = None,
-    study: StudyFile = None,
+    collect: Annotated[Path | None, Option(help="Save submitted episodes in this folder.")] = None,
+    wanted: Annotated[
+        int | None, Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")
+    ] = None,
+    study: Annotated[Path | None, Option("--study", help="The study's settings, a file (.toml).")] = None,
     host: option.Host = "127.0.0.1",
     port: option.Port = 8008,
-    origin: Origin = None,
+    origin: Annotated[
+        str | None, Option(help="The page's public address behind a proxy, such as https://study.example.org.")
+    ] = None,
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
 
@@ -372,7 +366,7 @@ def serve_page(
 
 def inspect(
     context: typer.Context,
-    model: Model,
+    model: Annotated[str, Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).")],
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
     host: option.Host = "127.0.0.1",

@@ -41,49 +41,38 @@ SHOWN: Final = 20
 """The largest number of problems that are printed. The others are counted."""
 
 Folders = Annotated[list[Path], Argument(help="The folders of evaluations, or entries of the leaderboard.")]
-Report = Annotated[
-    Path | None, Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
-]
-Published = Annotated[bool, Option("--published", help="Show the paper's own results as well.")]
-Mixed = Annotated[bool, Option("--mixed-presets", help="Allow policies with different observations in one report.")]
-Rescored = Annotated[
-    Rules | None, Option(help="Score all episodes by these rules; those scored by other rules are replayed.")
-]
-Videos = Annotated[bool, Option("--videos", help="Make videos of each policy's best and worst episode in each task.")]
-Explain = Annotated[
-    bool, Option("--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md.")
-]
-LastSolvable = Annotated[
-    int,
-    Option(
-        min=0,
-        help="With --explain: for so many failed episodes of each policy, task and variant, the last step from which "
-        "the expert still solves it. Each takes seconds.",
-    ),
-]
 Side = Annotated[str, Argument(help="DIR, or DIR:POLICY if the folder holds several policies.")]
-MethodFolders = Annotated[list[Path], Argument(help="Folders of evaluations of one method.")]
-EntryFile = Annotated[Path, Option("--out", help="The entry's file, ending in .json.xz.")]
-Card = Annotated[Path | None, Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
-Name = Annotated[str | None, Option("--policy", help="The method to submit, if the folders hold several.")]
-Entries = Annotated[Path, Argument(help="The folder with the entries (*.json.xz), or one.")]
-Pages = Annotated[Path, Option("--out", help="The folder for the pages.")]
-Replay = Annotated[int, Option(min=1, help="The most episodes of an entry to replay.")]
-All = Annotated[bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")]
-Sample = Annotated[int | None, Option("--seed", min=0, help="The seed of the sample.", show_default="random")]
 
 
 def make_report(
     context: typer.Context,
     folders: Folders,
-    out: Report = None,
-    published: Published = False,
-    mixed_presets: Mixed = False,
-    videos: Videos = False,
-    explain: Explain = False,
-    last_solvable: LastSolvable = 0,
+    out: Annotated[
+        Path | None, Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
+    ] = None,
+    published: Annotated[bool, Option("--published", help="Show the paper's own results as well.")] = False,
+    mixed_presets: Annotated[
+        bool, Option("--mixed-presets", help="Allow policies with different observations in one report.")
+    ] = False,
+    videos: Annotated[
+        bool, Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
+    ] = False,
+    explain: Annotated[
+        bool,
+        Option("--explain", help="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md."),
+    ] = False,
+    last_solvable: Annotated[
+        int,
+        Option(
+            min=0,
+            help="With --explain: for so many failed episodes of each policy, task and variant, the last step from "
+            "which the expert still solves it. Each takes seconds.",
+        ),
+    ] = 0,
     jobs: option.Jobs = None,
-    rules: Rescored = None,
+    rules: Annotated[
+        Rules | None, Option(help="Score all episodes by these rules; those scored by other rules are replayed.")
+    ] = None,
     trusted: option.Trusted = "",
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV), figures, videos and explanations."""
@@ -177,7 +166,12 @@ def verify_folders(folders: Folders, jobs: option.Jobs = None, trusted: option.T
     screen.print("complete, and all scores are confirmed")
 
 
-def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy: Name = None) -> None:
+def make_entry(
+    folders: Annotated[list[Path], Argument(help="Folders of evaluations of one method.")],
+    out: Annotated[Path, Option("--out", help="The entry's file, ending in .json.xz.")],
+    card: Annotated[Path | None, Option(help="A TOML file that describes the method; see docs/leaderboard.md.")] = None,
+    policy: Annotated[str | None, Option("--policy", help="The method to submit, if the folders hold several.")] = None,
+) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     make_writable_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy)
@@ -198,11 +192,13 @@ def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy
 
 def make_leaderboard(
     context: typer.Context,
-    folder: Entries,
-    out: Pages = Path("out/leaderboard"),
-    replay: Replay = MOST_REPLAYED,
-    everything: All = False,
-    seed: Sample = None,
+    folder: Annotated[Path, Argument(help="The folder with the entries (*.json.xz), or one.")],
+    out: Annotated[Path, Option("--out", help="The folder for the pages.")] = Path("out/leaderboard"),
+    replay: Annotated[int, Option(min=1, help="The most episodes of an entry to replay.")] = MOST_REPLAYED,
+    everything: Annotated[
+        bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")
+    ] = False,
+    seed: Annotated[int | None, Option("--seed", min=0, help="The seed of the sample.", show_default="random")] = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""

@@ -37,40 +37,21 @@ DAY: Final = 86400.0
 PAUSE: Final = 10.0
 """Seconds between two looks at the progress of other processes."""
 
-Method = Annotated[
-    str, Argument(help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's.")
-]
-Tasks = Annotated[str, Option(help="A task; with --multi-task several, separated by commas, or all.")]
-Out = Annotated[Path, Option(help="The run's folder.")]
-MultiTask = Annotated[bool, Option("--multi-task", help="One policy for all the tasks.")]
-Simulator = Annotated[str, Option(help=described(PPOSettings)["simulator"].description)]
-Quick = Annotated[bool, Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
-Change = Annotated[list[str] | None, Option("--set", help="Any setting, such as ppo.clip=0.02.")]
-Own = Annotated[
-    Path | None,
-    Option(
-        "--demonstrations",
-        help="A folder with your own demonstrations; all in the demo scene are used.",
-        show_default="10 of those that come with each task",
-    ),
-]
-Resume = Annotated[bool, Option("--resume", help="Continue the training in the folder.")]
-File = Annotated[Path, Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.")]
-Folder = Annotated[Path, Option(help="The folder for runs, evaluations and the report.")]
-Run = Annotated[Path, Argument(help="The folder of a training.")]
-OnnxFile = Annotated[Path | None, Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")]
-OneTask = Annotated[str, Option("--task", help="The task, if the policy has several.")]
-Jobs = Annotated[
-    int | None,
-    Option(
-        min=1,
-        help="Number of simultaneous runs, each on one core; a single run uses all cores.",
-        show_default="one, or as many as a cluster can do",
-    ),
-]
 
-
-def experiment(file: File, out: Folder, jobs: Jobs = None, trusted: option.Trusted = "", **where: Any) -> None:
+def experiment(
+    file: Annotated[Path, Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.")],
+    out: Annotated[Path, Option(help="The folder for runs, evaluations and the report.")],
+    jobs: Annotated[
+        int | None,
+        Option(
+            min=1,
+            help="Number of simultaneous runs, each on one core; a single run uses all cores.",
+            show_default="one, or as many as a cluster can do",
+        ),
+    ] = None,
+    trusted: option.Trusted = "",
+    **where: Any,
+) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = learners.plan_experiment(file, out, trusted=trusted.split(","))
     screen, began = console(), time.time()
@@ -103,16 +84,28 @@ option.add_options(experiment, EvaluationSettings, "backend", "address")
 
 def train(
     context: typer.Context,
-    method: Method,
-    tasks: Tasks,
-    out: Out,
-    demonstrations: Own = None,
-    multi_task: MultiTask = False,
-    simulator: Simulator = PPOSettings.simulator,
+    method: Annotated[
+        str,
+        Argument(help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's."),
+    ],
+    tasks: Annotated[str, Option(help="A task; with --multi-task several, separated by commas, or all.")],
+    out: Annotated[Path, Option(help="The run's folder.")],
+    demonstrations: Annotated[
+        Path | None,
+        Option(
+            "--demonstrations",
+            help="A folder with your own demonstrations; all in the demo scene are used.",
+            show_default="10 of those that come with each task",
+        ),
+    ] = None,
+    multi_task: Annotated[bool, Option("--multi-task", help="One policy for all the tasks.")] = False,
+    simulator: Annotated[str, Option(help=described(PPOSettings)["simulator"].description)] = PPOSettings.simulator,
     renderer: option.Renderer = None,
-    quick: Quick = False,
-    change: Change = None,
-    resume: Resume = False,
+    quick: Annotated[
+        bool, Option("--quick", help="Use a smaller network and a shorter training, for two cores.")
+    ] = False,
+    change: Annotated[list[str] | None, Option("--set", help="Any setting, such as ppo.clip=0.02.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Continue the training in the folder.")] = False,
     **options: Any,
 ) -> None:
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
@@ -163,7 +156,14 @@ def _describe_demonstrations(screen: Console, settings: TrainingSettings) -> Non
 option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
 
 
-def export(run: Run, out: OnnxFile = None, task: OneTask = "", force: option.Force = False) -> None:
+def export(
+    run: Annotated[Path, Argument(help="The folder of a training.")],
+    out: Annotated[
+        Path | None, Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
+    ] = None,
+    task: Annotated[str, Option("--task", help="The task, if the policy has several.")] = "",
+    force: option.Force = False,
+) -> None:
     """Write the policy of a training as an ONNX file for `evaluate --policy` and any ONNX runtime.
 
     It takes the most likely action, but `magical-mj evaluate --policy RUN` samples actions.
@@ -228,18 +228,15 @@ class TrainingView:
             self._progress.console.print(line, soft_wrap=True)
 
 
-Runs = Annotated[
-    list[Path], Argument(help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.")
-]
-Scenes = Annotated[int, Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")]
-Sums = Annotated[Path | None, Option("--out", help="A CSV file for all sums and scores.")]
-
-
 def evaluate_reward(
-    runs: Runs,
+    runs: Annotated[
+        list[Path], Argument(help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.")
+    ],
     variants: option.Variants = "all",
-    scenes: Scenes = 5,
-    out: Sums = None,
+    scenes: Annotated[
+        int, Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")
+    ] = 5,
+    out: Annotated[Path | None, Option("--out", help="A CSV file for all sums and scores.")] = None,
     jobs: option.Jobs = None,
     force: option.Force = False,
 ) -> None:
