@@ -40,13 +40,9 @@ MINUTE: Final = 60.0  # seconds between two such lines
 
 
 def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:
-    """Raise `BadParameter` if one of these options was given but has no effect.
+    """Raise `BadParameter` if one of these `options` of a command was given, but they have no effect (`fits`).
 
-    Args:
-        context: the context of the command.
-        fits: whether the options have an effect.
-        condition: when they have one, in words, such as "in a window".
-        options: the names of their parameters.
+    `condition` says when they have one, such as "in a window".
     """
     for name in options:
         source = context.get_parameter_source(name)
@@ -120,10 +116,7 @@ def check_suffix(path: Path | None, suffix: str) -> None:
 
 
 def output_path(out: Path | None, name: str) -> Path:
-    """The output file for an option "--out", which is a file or a folder. Default: the current folder.
-
-    In a folder, the file is `name`. Raises `BadParameter` if a file's suffix differs from that of `name`.
-    """
+    """The file of an option "--out": one with the suffix of `name`, or `name` in a folder, by default the current."""
     if out is None or out.is_dir() or not out.suffix:
         return (out or Path()) / name
     check_suffix(out, Path(name).suffix)
@@ -131,11 +124,7 @@ def output_path(out: Path | None, name: str) -> Path:
 
 
 def check_writable(path: Path, force: bool) -> Path:
-    """Returns `path` if a file can be written there. Commands call it before they start to work.
-
-    Raises:
-        OSError: if the path cannot be written to, or exists but `force` is false.
-    """
+    """Returns `path`, or raises an OSError if no file can be written there, or one exists but `force` is false."""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder; give the name of a file")
     if path.exists() and not force:

@@ -121,11 +121,7 @@ def rollouts(
 
 
 def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
-    """The episode of a player's only policy in the scene of a seed.
-
-    Raises:
-        DemonstrationError: if the policy failed.
-    """
+    """The episode of a player's only policy in the scene of a seed. A `DemonstrationError` if the policy failed."""
     from magical_mj.evaluation.worker import Unit
     from magical_mj.policies.interface import actions_of
 
@@ -145,18 +141,9 @@ def make_missing(
     doing: str,
     body: str = GRIPPER,
 ) -> list[str]:
-    """Writes the demonstrations of `paths` that are missing, the longest first.
+    """Writes the demonstrations of `paths`, in the folder `out`, that are missing. Returns the errors of failed ones.
 
-    Args:
-        paths: task, variant and number -> the file.
-        make: returns the demonstration of a task, a variant and a number.
-        out: the folder.
-        jobs: the number of worker processes.
-        doing: the label of the progress bar.
-        body: the robot's body in all of them.
-
-    Returns:
-        The errors of the demonstrations that could not be made.
+    `make` returns the demonstration for a key of `paths`. `doing` is the label of the progress bar.
     """
     if len(set(paths.values())) < len(paths):
         raise SettingsError("two of these tasks have the same name, so their files would as well: use two folders")
@@ -298,10 +285,7 @@ def verify_all(
 
 
 class Checked(NamedTuple):
-    """The outcome for one demonstration.
-
-    If it needs the code of a task that the command does not name, it was not `replayed`.
-    """
+    """The outcome for one demonstration, which was not `replayed` if it needs the code of a task that is not named."""
 
     verdict: Verdict | None
     problem: str | None

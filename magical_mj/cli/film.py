@@ -41,17 +41,10 @@ REPORT_SPEED: Final = 4  # times real time
 
 
 class Film:
-    """Makes the frames of episodes and sends them to a video.
+    """Makes the frames of episodes, shape (height, width, 3), and passes each to `send`.
 
-    Args:
-        send: receives each frame, shape (height, width, 3).
-        size: side of each view in pixels.
-        views: the views, from left to right.
-        pause: the number of times that the first and the last frame of an episode are repeated.
-
-    Attributes:
-        width, height: the size of a frame in pixels. The height is even, as the video format requires.
-        frames: the number of frames that were sent.
+    They show `views` of `size` pixels, from left to right. The first and the last frame of an episode are repeated
+    `pause` times. The height is even, as the video format requires.
     """
 
     def __init__(self, send: Callable[[Picture], object], size: int, views: Sequence[str], pause: int) -> None:
@@ -106,11 +99,7 @@ def film(
 ) -> Iterator[Film]:
     """A context that makes a video of episodes at `speed` times real time, with views of `size` pixels side by side.
 
-    If the block raises an error, the video is removed.
-
-    Raises:
-        MissingExtraError: if imageio-ffmpeg is not installed.
-        OSError: if the file cannot be written, or exists but `overwrite` is false.
+    If the block raises an error, the video is removed. An OSError if the file cannot be written.
     """
     check_extra("videos", "video")
     import imageio_ffmpeg

@@ -65,13 +65,7 @@ Port = Annotated[int, Option(min=0, max=65535, help="The port to listen on; 0: a
 
 
 def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
-    """Adds options for settings to a command that takes `**options`.
-
-    Args:
-        command: the command.
-        settings: the settings class.
-        names: the names of the settings. By default all; those that the command has as parameters are left out.
-    """
+    """Adds options for settings, by default all except the command's parameters, to a command with `**options`."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     parameters = {parameter.name: parameter for parameter in named}
     for name, setting in described(settings).items():

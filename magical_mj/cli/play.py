@@ -138,8 +138,8 @@ def watch(window: Window, env: Engine, actions: Iterable[int], line: str, size: 
 class Game:
     """Episodes that a person plays one after another. The clock of an episode starts with the first key.
 
-    A finished episode is reported and, if there is a folder, saved there at once, so that it is not lost if the window
-    is closed. The player can delete it afterwards. Of a puzzle, goal and score are shown after the first episode.
+    A finished episode is saved in the folder, if there is one, at once: it is not lost if the window is closed. Of a
+    puzzle, goal and score are shown after the first episode.
     """
 
     def __init__(self, env: Engine, task: str, seed: int, folder: Path | None, puzzle: Puzzle | None = None) -> None:
@@ -169,10 +169,9 @@ class Game:
         self._result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
         if self._puzzle is not None:
             self.goal = self._puzzle.intent.sentence
-            reached = (
-                None if demo.score == 1.0 else self._puzzle.reached_instead(self.env.initial_scene, self.env.scene)
-            )
-            self.remark = f"What you did instead: {reached.sentence}" if reached else ""
+            if demo.score < 1.0:
+                reached = self._puzzle.reached_instead(self.env.initial_scene, self.env.scene)
+                self.remark = f"What you did instead: {reached.sentence}" if reached else ""
             self._screen.print(self.goal, self.remark)
         self._screen.print(f"seed {demo.scene_seed}: {self._result}")
         if self._folder is None:
@@ -298,21 +297,16 @@ class Window:
         self._pygame.font.quit()
 
 
-def _is_puzzle(first: tuple[str, str, int]) -> bool:
-    return first[0].startswith("intent:")
-
-
 def _check_page(
     first: tuple[str, str, int] | None, environments: Sequence[Pair], collecting: bool, origin: str | None
 ) -> None:
     """Raises a `SettingsError` unless the page has these environments, and may have this address."""
-    if not set(environments) <= set(ENVIRONMENTS) or (
-        first is not None and first[0] not in TASKS and not _is_puzzle(first)
-    ):
+    is_puzzle = first is not None and first[0].startswith("intent:")
+    if not set(environments) <= set(ENVIRONMENTS) or not (first is None or first[0] in TASKS or is_puzzle):
         raise SettingsError("the page has the benchmark's own tasks, and any intent as TASK: play others in a window")
     if first is not None:
         check_seed_in_browser(first[2])
-        if not _is_puzzle(first) and first[:2] not in environments:
+        if not is_puzzle and first[:2] not in environments:
             raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
         if collecting:
             raise SettingsError(
@@ -351,7 +345,7 @@ def serve_page(
         environments = list(asked.pairs)
         collection = Collection(make_writable_folder(collect), asked)
     offered, fragment = list(puzzles()), "" if first is None else "#" + "-".join(map(str, first))
-    if first is not None and _is_puzzle(first):
+    if first is not None and first[0].startswith("intent:"):
         check_name("variant", first[1], VARIANTS)
         puzzle = puzzle_of(first[0])
         offered += [puzzle] * (puzzle not in offered)

@@ -78,9 +78,9 @@ def asked_for(tasks: str, variants: str) -> list[Pair] | None:
 
 
 def read_asked(source: Path | Demonstration, wanted: Collection[Pair] | None) -> Demonstration | str:
-    """The demonstration, read if it is a file. If it is not wanted, the name of its environment or task instead.
+    """The demonstration, read if it is a file; if it is not wanted, the name of its environment or task instead.
 
-    Only the code of the wanted tasks may run. With None, a file that needs a task's code is an error.
+    Only the code of the wanted tasks may run.
     """
     demo = source
     if isinstance(demo, Path):

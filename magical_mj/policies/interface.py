@@ -125,16 +125,9 @@ class BatchPolicy(Protocol):
 
 
 def play_actions(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
-    """Executes actions in a running episode, until the episode or the actions end.
+    """Executes actions in a running episode of an engine or environment, until the episode or the actions end.
 
-    Args:
-        env: an engine, or an environment with the `step` of Gymnasium. In a vector environment, all episodes must end
-            together.
-        actions: the actions. A generator may depend on the previous step, since each action is requested only after
-            the previous result was handled.
-
-    Yields:
-        Each action, and the result of the environment's step.
+    Yields each action with the result of its step. The next action is requested only after that.
     """
     for action in actions:
         result = env.step(action)

@@ -171,13 +171,11 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     """
     listed: list[Source] = []
     runs: Counter[str] = Counter()
-    for source in _parse_policies(policies):
-        if not isinstance(source.name, str) or not source.name.strip() or not source.name.isprintable():
-            raise SettingsError(
-                f"the name of a method must consist of printable characters, not {short_repr(source.name)}"
-            )
-        listed.append(replace(source, run=run + runs[source.name], trust=trust))
-        runs[source.name] += 1
+    for name, origin in _parse_policies(policies):
+        if not isinstance(name, str) or not name.strip() or not name.isprintable():
+            raise SettingsError(f"the name of a method must consist of printable characters, not {short_repr(name)}")
+        listed.append(Source(name, run + runs[name], origin, trust))
+        runs[name] += 1
     if not listed:
         raise SettingsError(f"give a policy: {ACCEPTED_POLICIES}")
     return listed
@@ -287,30 +285,31 @@ def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
     return frozenset(effect for effect, is_missing in missing.items() if is_missing)
 
 
-def _parse_policies(policies: Any) -> Iterator[Source]:
+def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
+    """The names and origins of policies. A mapping may have any keys."""
     if isinstance(policies, str | os.PathLike):
         yield from _parse_text(os.fsdecode(policies), is_path=isinstance(policies, os.PathLike))
     elif isinstance(policies, Mapping):
         for name, policy in policies.items():
-            yield from (replace(source, name=name) for source in _parse_policies(policy))
+            yield from ((name, origin) for _, origin in _parse_policies(policy))
     elif isinstance(policies, Sequence):
         for policy in policies:
             yield from _parse_policies(policy)
     else:
         policy = _instantiate(policies, policies.__name__) if isinstance(policies, type) else policies
-        yield Source(policy_name(policies), 0, policy)
+        yield policy_name(policies), policy
 
 
-def _parse_text(text: str, *, is_path: bool) -> Iterator[Source]:
+def _parse_text(text: str, *, is_path: bool) -> Iterator[tuple[str, str]]:
     """The policies in a text: one path, or a comma-separated list in which each item may be ``NAME=...``."""
     if is_path or os.path.exists(text):  # noqa: PTH110  (`Path.exists` raises errors for some texts)
-        yield Source(_default_name(text), 0, text)
+        yield _default_name(text), text
         return
     for part in filter(None, map(str.strip, text.split(","))):
         name, equals, origin = part.partition("=")
         if equals and not origin:  # `Path("")` would be the working directory
             raise SettingsError(f"{part} names no policy: {ACCEPTED_POLICIES}")
-        yield Source(name, 0, origin) if equals else Source(_default_name(part), 0, part)
+        yield (name, origin) if equals else (_default_name(part), part)
 
 
 def _default_name(origin: str) -> str:

@@ -89,10 +89,6 @@ class Model:
         del episodes
         self._history = None
 
-    def reset(self, episode: Episode) -> None:
-        """Starts an episode."""
-        self.reset_batch([episode])
-
     def act_batch(self, observations: Any) -> Any:
         """An action for each observation. Shape (n,)."""
         if self._remembers:
@@ -124,11 +120,9 @@ def torch_settings(threads: int | None = None) -> Iterator[None]:
             stack.enter_context(torch.autocast(device, enabled=False))
         if torch.empty(0).device.type != "cpu":
             stack.enter_context(torch.device("cpu"))
-        try:
-            _set_torch(threads or before[0], torch.float32, "highest")
-            yield
-        finally:
-            _set_torch(*before)
+        stack.callback(_set_torch, *before)
+        _set_torch(threads or before[0], torch.float32, "highest")
+        yield
 
 
 def _set_torch(threads: int, kind: Any, precision: str) -> None:

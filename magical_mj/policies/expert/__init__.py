@@ -83,10 +83,7 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
 def goal_picture(
     task: str, variant: str, scene: Scene, view: str, size: int, renderer: str | None
 ) -> NDArray[np.uint8]:
-    """The end of an expert's episode that starts in `scene` and has score 1: shape (size, size, 3), not writable.
-
-    Raises a `TaskError` if the task has no plan, or no expert solves the scene.
-    """
+    """The end of an expert's episode that starts in `scene` and has score 1: shape (size, size, 3), not writable."""
     with closing(Engine(task, variant, scene=scene, body=scene.robot.body, renderer=renderer)) as engine:
         for seed in range(EXPERTS):
             engine.reset(scene=scene)
