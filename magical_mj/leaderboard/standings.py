@@ -130,10 +130,8 @@ class Standing:
     @cached_property
     def scores(self) -> Mapping[str, Estimate]:
         """The mean over the environments of each of `COLUMNS` that were played, without columns that have none."""
-        scores = {}
-        for name, pairs in COLUMNS.items():
-            if any(pair in self.means for pair in pairs):
-                scores[name] = self.mean(pairs, above=name == ABOVE)
+        played = {name: pairs for name, pairs in COLUMNS.items() if any(pair in self.means for pair in pairs)}
+        scores = {name: self.mean(pairs, above=name == ABOVE) for name, pairs in played.items()}
         return scores | {name: Estimate(value) for name, value in self.printed.items()}
 
     def mean(self, pairs: Iterable[Pair], above: bool = False) -> Estimate:
@@ -174,14 +172,12 @@ class Standing:
     @cached_property
     def drops(self) -> Mapping[str, float]:
         """The decrease of the mean score from Demo to each test variant, on the tasks that have both."""
+        means = {pair: scores.mean() for pair, scores in self.means.items()}
         drops = {}
         for variant in VARIANTS[1:]:
-            both = [((task, "Demo"), (task, variant)) for task in TASKS]
-            both = [pair for pair in both if self.means.keys() >= set(pair)]
-            if both:
-                drops[variant] = float(
-                    np.mean([self.means[one].mean() - self.means[other].mean() for one, other in both])
-                )
+            tasks = [task for task in TASKS if (task, "Demo") in means and (task, variant) in means]
+            if tasks:
+                drops[variant] = float(np.mean([means[task, "Demo"] - means[task, variant] for task in tasks]))
         return drops
 
     @property
