@@ -18,14 +18,7 @@ from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.reports.explained import (
-    FOLDER,
-    Explanation,
-    explain_episodes,
-    explainable,
-    write_explanation,
-)
-from magical_mj.evaluation.reports.explained import PAGE as EXPLAINED
+from magical_mj.evaluation.reports import explained
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
 from magical_mj.evaluation.scores import EpisodeResult
@@ -91,27 +84,19 @@ def make_report(
             raise SettingsError(f"--videos: {refused[0]}")
         for problem in refused:
             complain(problem)
-    found = _explained(folders, rules, may_name, last_solvable, jobs) if explain else None
+    found = None
+    if explain:
+        with counting(screen, "replaying episodes") as watch:
+            found = explained.explain(folders, rules, may_name, lost=last_solvable, jobs=jobs, watch=watch)
     out = make_writable_folder(out or folders[0] / "report")
-    replaced = begin(out, [*file_names(episodes), *([FOLDER] if explain else [])])
+    replaced = begin(out, [*file_names(episodes), *([explained.FOLDER] if explain else [])])
     links = film_episodes(episodes, out)
     if found is not None:
-        names = zip(file_names(episodes), episodes, strict=True)
-        write_explanation(found, out / FOLDER, {episode.key: f"../{name}" for name, (_, episode) in names})
-        links = {"Which goal did a policy pursue?": f"{FOLDER}/{EXPLAINED}", **links}
+        films = {score.key: f"../{name}" for name, (_, score) in zip(file_names(episodes), episodes, strict=True)}
+        explained.write_explanation(found, out / explained.FOLDER, films)
+        links = {"Which goal did a policy pursue?": f"{explained.FOLDER}/{explained.PAGE}", **links}
     page = write_report(data, out, links)
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
-
-
-def _explained(
-    folders: list[Path], rules: Rules | None, trusted: Collection[str], last_solvable: int, jobs: int | None
-) -> Explanation:
-    """What the episodes were after; an error if that cannot be said of any."""
-    episodes, problems = explainable(folders, rules, trusted)
-    if not episodes:
-        raise SettingsError(f"--explain: no episode can be explained: {next(iter(problems), 'there are none')}")
-    with counting(console(), "replaying episodes") as watch:
-        return explain_episodes(episodes, problems, lost=last_solvable, jobs=jobs, watch=watch)
 
 
 def _to_film(

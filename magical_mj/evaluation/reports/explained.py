@@ -36,7 +36,7 @@ from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
-from magical_mj.utils.errors import counted
+from magical_mj.utils.errors import SettingsError, counted
 
 FOLDER: Final = "explained"
 PAGE: Final = "explained.md"
@@ -69,35 +69,33 @@ class Explanation:
     problems: Counter[str] = field(default_factory=Counter[str])
 
 
-def explainable(
-    folders: Iterable[Path], rules: Rules | None = None, trusted: Collection[str] = ()
-) -> tuple[list[EpisodeResult], Counter[str]]:
-    """The episodes of `episodes_of` that can be explained; and why others cannot, and how many."""
-    episodes, problems = list[EpisodeResult](), Counter[str]()
-    for folder in folders:
-        recorded = recorded_settings(folder)
-        for episode in episodes_of(folder, rules, trusted):
-            if problem := unfit(episode, recorded, trusted):
-                problems[problem] += 1
-            else:
-                episodes.append(episode)
-    return episodes, problems
-
-
-def explain_episodes(
-    episodes: Sequence[EpisodeResult],
-    problems: Counter[str],
+def explain(
+    folders: Iterable[Path],
+    rules: Rules | None = None,
+    trusted: Collection[str] = (),
     *,
     lost: int = 0,
     jobs: int | None = None,
     watch: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> Explanation:
-    """Replays and explains what `explainable` returns. `watch` is called with the numbers of replayed and all episodes.
+    """Replays the episodes of `episodes_of`, and explains them. `watch` is called with the numbers of done and of all.
 
     For `lost` unsolved episodes of each method, task and variant, it finds the last step from which the expert still
     solves them. Each takes seconds.
+
+    Raises:
+        SettingsError: if no episode can be explained.
     """
-    found = Explanation(problems=problems.copy())
+    found, episodes = Explanation(), list[EpisodeResult]()
+    for folder in folders:
+        recorded = recorded_settings(folder)
+        for episode in episodes_of(folder, rules, trusted):
+            if problem := unfit(episode, recorded, trusted):
+                found.problems[problem] += 1
+            else:
+                episodes.append(episode)
+    if not episodes:
+        raise SettingsError(f"--explain: no episode can be explained: {next(iter(found.problems), 'there are none')}")
     for done, result in enumerate(attribute(episodes, jobs=jobs), start=1):
         watch(done, len(episodes))
         if isinstance(result, Unexplained):
