@@ -6,9 +6,10 @@ import math
 import random
 import secrets
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -100,7 +101,7 @@ def verify(
             elif any(getattr(other, name) != getattr(episode, name) for name in COMPARED):
                 problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
-    findings.missing += _all_missing(stored)
+    findings.missing += _missing(stored)
     watch(0, len(chosen))
     for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs, trusted=trusted), start=1):
         findings.add(None if problem is None else f"{where}{problem}")
@@ -176,22 +177,30 @@ def _unfit_entry(entry: Entry) -> list[str]:
     return problems + ([f"it {entry.undeclared}"] if entry.undeclared else [])
 
 
-def _all_missing(stored: Sequence[_Stored]) -> list[str]:
-    """The missing episodes of each policy in all folders together."""
-    episodes: dict[str, list[EpisodeResult]] = defaultdict(list)
+def _missing(stored: Sequence[_Stored]) -> list[str]:
+    """A sentence for each run and environment that lacks episodes which the protocol requires, in all parts together.
+
+    Each run must have played all environments of the tasks. The settings may include runs without any episodes.
+    """
+    seeds: dict[tuple[str, int, str, str], set[int]] = defaultdict(set)
     runs: dict[str, set[int]] = defaultdict(set)
-    for part in stored:
-        for policy, numbers in part.runs.items():
-            runs[policy] |= numbers
-        for episode in part.episodes:
-            episodes[episode.policy].append(episode)
     tasks = {task for part in stored for task, _ in part.environments}
-    tasks |= {episode.task for part in stored for episode in part.episodes}
-    return [
-        f"{policy}, {gap}"
-        for policy in dict.fromkeys([*runs, *episodes])
-        for gap in missing(episodes[policy], tasks, runs[policy])
-    ]
+    for policy, numbers in chain.from_iterable(part.runs.items() for part in stored):
+        runs[policy] |= numbers
+    for episode in chain.from_iterable(part.episodes for part in stored):
+        tasks.add(episode.task)
+        if not episode.shift:
+            runs[episode.policy].add(episode.run)
+            seeds[episode.policy, episode.run, episode.task, episode.variant].add(episode.seed)
+    problems: list[str] = []
+    for policy, numbers in runs.items():
+        for run, (task, variant) in product(sorted(numbers), ENVIRONMENTS):
+            absent = set(range(SEEDS)) - seeds[policy, run, task, variant]
+            if task in tasks and absent:
+                which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
+                where = f"{policy}, run {run}, {task} {variant}"
+                problems.append(f"{where}: {which} of the {SEEDS} episodes are missing")
+    return problems
 
 
 def _contradictions(part: _Stored) -> list[str]:
@@ -219,24 +228,6 @@ def _contradictions(part: _Stored) -> list[str]:
         f"{name}: {first}" + (f"; and {len(others)} more" if others else "")
         for name, (first, *others) in problems.items()
     ]
-
-
-def missing(episodes: Iterable[EpisodeResult], tasks: Collection[str], runs: Iterable[int] = ()) -> list[str]:
-    """The episodes that the protocol requires and that are missing: a sentence for each run and environment.
-
-    Each run must have played all environments of these tasks. `runs` may include runs without any episodes.
-    """
-    seeds: dict[tuple[int, str, str], set[int]] = defaultdict(set)
-    for episode in (episode for episode in episodes if not episode.shift):
-        seeds[episode.run, episode.task, episode.variant].add(episode.seed)
-    problems = []
-    for run in sorted({*runs, *(run for run, _, _ in seeds)}):
-        for task, variant in ENVIRONMENTS:
-            absent = set(range(SEEDS)) - seeds[run, task, variant]
-            if task in tasks and absent:
-                which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
-                problems.append(f"run {run}, {task} {variant}: {which} of the {SEEDS} episodes are missing")
-    return problems
 
 
 def check_entries(
