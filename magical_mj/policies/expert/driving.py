@@ -222,29 +222,22 @@ def drive(
     At the end, the robot is at rest, and the point is `within` a tolerance (world units). It gives up after `limit`
     actions. `reverse` is described in `steer`.
     """
-    return all(
-        _drive(lookahead, point, gripper, limit, ahead, within if point is route[-1] else VIA, reverse)
-        for point in route
-    )
-
-
-def _drive(
-    lookahead: Lookahead, point: Point, gripper: Gripper, limit: int, ahead: float, within: float, reverse: bool
-) -> bool:
-    patience = Patience()
-    while True:
-        right, forward = lookahead.relative(point)
-        speed = lookahead.speed[0]
-        gap = math.hypot(right, forward - ahead - speed * abs(speed) / (2 * BRAKING))
-        if gap < within:
-            return True
-        bearing = math.atan2(-right, forward)
-        if patience.ends(gap + 0.3 * abs(bearing)) or len(lookahead.trace) >= limit:
-            return False
-        if patience.stuck:
-            lookahead.act(gripper, Turn.NONE, Drive.BACK)
-        else:
-            lookahead.act(*steer(lookahead, point, ahead, gripper, reverse=reverse))
+    for point in route:
+        patience, tolerance = Patience(), within if point is route[-1] else VIA
+        while True:
+            right, forward = lookahead.relative(point)
+            speed = lookahead.speed[0]
+            gap = math.hypot(right, forward - ahead - speed * abs(speed) / (2 * BRAKING))
+            if gap < tolerance:
+                break
+            bearing = math.atan2(-right, forward)
+            if patience.ends(gap + 0.3 * abs(bearing)) or len(lookahead.trace) >= limit:
+                return False
+            if patience.stuck:
+                lookahead.act(gripper, Turn.NONE, Drive.BACK)
+            else:
+                lookahead.act(*steer(lookahead, point, ahead, gripper, reverse=reverse))
+    return True
 
 
 class Patience:

@@ -74,9 +74,7 @@ def plan(engine: Engine, rng: np.random.Generator) -> Sweep:
     """The first sweep that brings all debris into the goal zone, or the best of all attempts."""
     best = Sweep([], -1.0)
     for number in range(SWEEPS):
-        sweep = _Attempt(engine, rng, steady=number == 0).sweep()
-        if sweep.score > best.score:
-            best = sweep
+        best = max(best, _Attempt(engine, rng, steady=number == 0).sweep(), key=lambda sweep: sweep.score)
         if best.score == 1.0:
             break
     return best
@@ -91,7 +89,7 @@ class _Attempt:
         self._left = (engine.horizon or 100) - engine.steps
         self._rng, self._steady = rng, steady
         body = body_named(engine.setup.body)
-        self._fingers = body.fingers
+        self._fingers, self._front = body.fingers, 0.38 if body.fingers else 0.05  # the front's distance ahead
         self._half = GRIPPER_HALF if body.fingers or not body.outline else float(body.corners[:, 0].max())
         self._actions: list[Action] = []
         often = not steady and rng.random() < (0.8 if self._half > 0.5 else 0.4)
@@ -104,8 +102,7 @@ class _Attempt:
             if not lanes:
                 break
             self._drive_lane(lanes[0])
-        score = float(arrived(self._simulation.scene).mean())
-        return Sweep(self._actions, score)
+        return Sweep(self._actions, float(arrived(self._simulation.scene).mean()))
 
     def _lanes(self) -> list[Lane]:
         """The lanes for debris outside the goal zone, in driving order."""
@@ -133,25 +130,19 @@ class _Attempt:
         """Drives below the lane's debris, and then to the top."""
         scene = self._simulation.scene
         lowest = min(scene.blocks[index].y for index in lane.debris)
-        below = lowest - HALF_DEBRIS - CLEARANCE - self._ahead()
+        below = lowest - HALF_DEBRIS - CLEARANCE - self._front
         x, y, angle = scene.robot.pose
         in_front = y < below + 0.02 and abs(x - lane.x) < 0.25 + 0.4 * max(0.0, below - y)
         if not in_front or abs(math.remainder(angle, 2 * math.pi)) > 0.6:
             side = self._half if self._half < 0.5 else 0.0
             lower = min((block.y for block in scene.blocks if block.y < 0.7), default=lowest)
             aside = (lower if self._half < 0.5 else lowest) - HALF_DEBRIS - CLEARANCE - side
-            depth = max(-HALF_WIDTH + max(0.2, self._ahead()), min(below, aside))
-            if y > depth + 0.05 and abs(x - lane.x) > 0.1:
-                straight = self._steady or self._rng.random() < 0.5
-                if straight:  # back out of the debris before going aside
-                    self._go(x, depth, reverse=True)
+            depth = max(-HALF_WIDTH + max(0.2, self._front), min(below, aside))
+            if y > depth + 0.05 and abs(x - lane.x) > 0.1 and (self._steady or self._rng.random() < 0.5):
+                self._go(x, depth, reverse=True)  # back out of the debris before going aside
             self._go(lane.x, depth, reverse=self._simulation.scene.robot.y > depth + 0.1)
         self._face(0.0)
         self._push(lane)
-
-    def _ahead(self) -> float:
-        """The distance of the front from the robot's centre."""
-        return 0.38 if self._fingers else 0.05
 
     def _push(self, lane: Lane) -> None:
         """Drives to the top along the lane."""
