@@ -130,12 +130,9 @@ def start(
 
 
 def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, name: str = "magical-mj") -> int:
-    """Runs an application and returns its exit code. An expected error is printed as one line on stderr.
+    """Runs an application, by default with this process's arguments, and returns its exit code.
 
-    Args:
-        arguments: the words of the command line. None: those of this process.
-        commands: the application.
-        name: its name in help and errors.
+    An expected error is printed as one line on stderr.
     """
     warnings.filterwarnings("ignore", module="glfw")  # our own error explains a missing display better
     for stream in (sys.stdout, sys.stderr):

@@ -132,10 +132,8 @@ def film(
 def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
     """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
 
-    An episode from a file was checked by `obstacle` before: its names are resolved here.
-
-    Raises:
-        EvaluationError: if the episode cannot be replayed, or its initial scene or score differs from the record.
+    An episode from a file was checked by `obstacle` before: its names are resolved here. If its scene or its score
+    differs from the record, an `EvaluationError` is raised.
     """
     environment = " ".join(filter(None, (score.task, score.variant, score.shift)))
     title = f"{environment}, seed {score.seed}: {score.policy}"

@@ -44,12 +44,9 @@ RECENT: Final = 64
 
 @dataclass(frozen=True)
 class Attribution:
-    """What one episode did.
+    """What one episode did between its first and last scene.
 
     Attributes:
-        episode: the stored episode.
-        initial: its first scene.
-        final: its last scene.
         ending: shares of `magical_mj.intents.readings.ENDINGS`, which sum to 1.
         moved: the blocks that ended elsewhere than they began.
         rivals: of a failed episode, the numbers of the task's rivals that its end satisfies and its start did not, in
@@ -174,7 +171,6 @@ class LastSolvable:
     """Where a failed episode was lost.
 
     Attributes:
-        attribution: the episode.
         last: the number of actions after which the expert still solved it in the remaining steps; None if it does not
             solve the scene at all.
         failure: one of `FAILURES`.

@@ -90,13 +90,10 @@ def replay(
         recorded: the episodes.
         rules: score them again by these rules, after as many steps as an episode has by them. None: by their own rules.
         jobs: the number of processes. None: one per core.
-        trusted: references such as "mine:SPEC" that the episodes may contain; see docs/trust.md.
+        trusted: see `obstacle`.
 
     Returns:
         The episodes in order of completion. If an episode has an `obstacle`, it is reported as its difference.
-
-    Raises:
-        UntrustedNameError: as `obstacle`.
     """
     refused: list[Replayed] = []
     playable: list[Recorded] = []
@@ -111,10 +108,7 @@ def replay(
 
 
 def in_chunks(recorded: Iterable[Recorded]) -> list[list[Recorded]]:
-    """Episodes of the same environment by their seeds, as many as a worker replays at a time; the longest chunks first.
-
-    So a scene of several entries is sampled and compiled once.
-    """
+    """Episodes of the same environment by their seeds, so that each scene is compiled once; the longest chunks first."""
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
         alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))

@@ -63,11 +63,7 @@ GRACE: Final = 1.0
 class Unit:
     """Episodes of one environment with one policy that are played together. A unit is repeatable and independent.
 
-    Attributes:
-        policy, run: identify the policy.
-        seeds: the seeds of the episodes.
-        shift: the label of the shift.
-        retry: how many times the episode has failed before.
+    `shift` is the label of the shift, `retry` the number of times that the episode has failed before.
     """
 
     policy: str
@@ -128,7 +124,6 @@ class Player:
 
     Attributes:
         policies: name and run -> the policy.
-        settings: the settings of the evaluation.
         demonstrations: task -> the demonstrations that policies receive. Empty if no policy uses any.
     """
 
@@ -275,8 +270,7 @@ def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
 def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruction: bool = False) -> Env:
     """The environment of a policy: if `observed`, the Gymnasium environment with the preset, else the engine.
 
-    With `instruction`, observations that are dicts contain the instruction, a sentence. The Gymnasium environment has
-    only the user's wrapper. Those of `gymnasium.make` only add checks at each step.
+    It has only the user's wrapper: those of `gymnasium.make` only add checks at each step.
     """
     how = _arguments(unit, settings)
     if observed:

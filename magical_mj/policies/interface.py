@@ -220,13 +220,9 @@ def reason(error: BaseException, where: str = "") -> str:
 
 
 def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The latest states at each step of an episode. Before the first step, its state is repeated.
+    """The latest states at each step of an episode, shape (steps, names) -> (steps, HISTORY, names), oldest first.
 
-    Args:
-        states: shape (steps, names).
-
-    Returns:
-        Shape (steps, HISTORY, names), oldest first.
+    Before the first step, its state is repeated.
     """
     steps = np.arange(len(states))[:, None] + np.arange(1 - HISTORY, 1)
     return states[np.maximum(steps, 0)]

@@ -66,10 +66,7 @@ class Model:
         remembers: whether observations are states, and `act` maps their `History.states`.
 
     Attributes:
-        tasks: the tasks of its training. Missing if the file does not contain them.
-        preset: the preset of its training. Missing if the file does not contain it.
-        demonstration_set: the set of the package's demonstrations of its training. Missing if it is unknown.
-        played_in: the variant whose scenes its training played. Missing if it is unknown.
+        tasks, preset, demonstration_set, played_in: facts about its training. Missing if the file lacks them.
     """
 
     tasks: tuple[str, ...]

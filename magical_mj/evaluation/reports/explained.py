@@ -56,13 +56,7 @@ Result = TypeVar("Result", Attribution, LastSolvable)
 
 @dataclass
 class Explanation:
-    """What the episodes of some evaluations were after.
-
-    Attributes:
-        attributions: of each episode.
-        last_solvable: where some of the failed episodes were lost, if that was wanted.
-        problems: why other episodes are not explained, and how many.
-    """
+    """What the episodes of some evaluations were after, where some failed ones were lost, and why others are missing."""
 
     attributions: list[Attribution] = field(default_factory=list[Attribution])
     last_solvable: list[LastSolvable] = field(default_factory=list[LastSolvable])

@@ -207,14 +207,10 @@ class PlanFollower:
 class Expert(PlanFollower):
     """The expert. It plans with the task's own score and subgoals.
 
-    Args:
-        env: an engine of the task.
-        task: a task's name, or "package.module:SPEC".
-        seed: the seed of the expert's random choices.
+    `seed` determines its random choices.
 
     Raises:
-        UnknownNameError: if the task does not exist.
-        TaskError: if the task has no plan.
+        UnknownNameError, TaskError: if the task does not exist, or has no plan.
         InvalidSceneError: if the engine's scene is not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
         SettingsError: if `env` is not an engine, or the expert cannot solve the task with its body.
