@@ -7,7 +7,7 @@ for each block, so that a score can count how many are right.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -100,6 +100,13 @@ class Conjunct:
         if self.selector == REST:
             return tuple(index for index in range(len(initial.blocks)) if index not in named)
         return selected(self.selector, initial)
+
+    def judged(self, blocks: Sequence[int], initial: Scene) -> list[int]:
+        """Those of its blocks that the relation can judge: not, for example, the reference of `near`."""
+        if (each := RELATIONS[self.relation].each) is None:
+            return list(blocks)
+        flags = each(self.argument, initial, initial)
+        return [index for index in blocks if flags[index] is not None]
 
 
 Each = Callable[[str, Scene, Scene], "list[bool | None]"]

@@ -17,9 +17,9 @@ import numpy as np
 
 from magical_mj.intents.contrast import demo_scenes
 from magical_mj.intents.diagnose import diagnosis
+from magical_mj.intents.distances import remaining
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
-from magical_mj.intents.remaining import distance
 from magical_mj.intents.scenes import (
     ALL_RULES,
     INNER_MARGIN,
@@ -149,7 +149,7 @@ def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper")
 
 def _distance(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     del rules
-    return distance(intent, initial, final)
+    return remaining(intent, initial, final)
 
 
 def _check(intent: Intent, scene: Scene) -> None:
