@@ -25,11 +25,11 @@ from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, ends_of
 from magical_mj.intents.canonical import implies
 from magical_mj.intents.contrast import further_scenes
 from magical_mj.intents.intent import conjunct_bits, intent_bits
+from magical_mj.intents.names import tasks_in
 from magical_mj.intents.plans import planned
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
 from magical_mj.intents.selectors import ALL, REST
-from magical_mj.intents.sets import tasks_in
 from magical_mj.intents.tasks import Task, spec_of
 from magical_mj.scene import Scene
 from tools.intents import TESTS

@@ -17,10 +17,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj.intents.diagnose import refutes, simplest_rivals
+from magical_mj.intents.contrast import refutes, simplest_rivals
 from magical_mj.intents.intent import Intent
+from magical_mj.intents.names import tasks_in
 from magical_mj.intents.plans import planned, solved
-from magical_mj.intents.sets import tasks_in
 from magical_mj.intents.tasks import Task, spec_of
 from magical_mj.scene import Scene
 from magical_mj.tasks.spec import TaskSpec

@@ -31,13 +31,13 @@ from magical_mj.demos import stored
 from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import DEMONSTRATIONS_GIVEN
-from magical_mj.intents import EIGHT, sets
+from magical_mj.intents import EIGHT
 from magical_mj.intents.intent import Intent, intent_of, parse
+from magical_mj.intents.names import FILE, NAMES, tasks_in
 from magical_mj.intents.plans import planned
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
-from magical_mj.intents.sets import FILE, NAMES, tasks_in
 from magical_mj.intents.tasks import PREFIX, Task, spec_of
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
@@ -261,7 +261,7 @@ def write() -> None:
     """Writes the file of the sets."""
     text = "\n".join(f"# {name}\n{chr(10).join(texts)}\n" for name, texts in draw().items())
     FILE.write_text(text, encoding="utf-8")
-    print(f"DIGEST in {Path(sets.__file__).name} should be {hashlib.sha256(text.encode()).hexdigest()}")
+    print(f"DIGEST in magical_mj/intents/names.py should be {hashlib.sha256(text.encode()).hexdigest()}")
 
 
 def show(number: int) -> None:

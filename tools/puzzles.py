@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from magical_mj.demos.recording import demonstrate
 from magical_mj.intents import rivals
-from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.names import tasks_in
 from magical_mj.intents.tasks import PREFIX, Task
 from magical_mj.policies.interface import letters_of
 from magical_mj.utils.errors import DemonstrationError

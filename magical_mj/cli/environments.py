@@ -72,7 +72,7 @@ def list_environments(
 
 def _intents(names: str | None) -> Iterator[str]:
     """Lines about sets of intents or single ones, by default all sets: the name, bits, text and sentence."""
-    from magical_mj.intents.sets import NAMES, tasks_in  # imported late: `list` is faster without
+    from magical_mj.intents.names import NAMES, tasks_in  # imported late: `list` is faster without
     from magical_mj.intents.tasks import task_of
 
     for name in listed(names or "all", NAMES):

@@ -19,8 +19,7 @@ from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import EIGHT, SETS, Intent
 from magical_mj.intents.expert_data import with_scenes
-from magical_mj.intents.names import has_intent, task_intent
-from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.names import has_intent, task_intent, tasks_in
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import sample_scene

@@ -13,30 +13,9 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Final
-
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.expert_data import dataset
 from magical_mj.intents.intent import Intent, parse
-from magical_mj.intents.sets import SETS
+from magical_mj.intents.names import EIGHT, SETS
 
 __all__ = ["EIGHT", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
-
-EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
-    {
-        task: parse(text)
-        for task, text in {
-            "MoveToCorner": "corner(all, top left)",
-            "MoveToRegion": "robot in()",
-            "MatchRegions": "in(colour=region, region) & out(colour!=region)",
-            "MakeLine": "line(all)",
-            "FindDupe": "in(starts=in, region) & in(any, like=both, region) & out(like!=both)",
-            "FixColour": "in(starts=matched, home) & out(starts=mismatched)",
-            "ClusterColour": "clustered(all, by=colour)",
-            "ClusterShape": "clustered(all, by=shape)",
-        }.items()
-    }
-)
-"""Task -> the intent that holds exactly where the task's score is 1."""

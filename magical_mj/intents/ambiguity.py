@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final, NamedTuple, Protocol
 
@@ -34,7 +35,7 @@ from magical_mj.utils.errors import SettingsError, short_repr
 
 MOST_IN_REGION: Final = 3
 """The largest number that rivals with "exactly" name."""
-Masks = NDArray[np.bool_]
+Flags = NDArray[np.bool_]
 
 
 class HasScenes(Protocol):
@@ -71,9 +72,12 @@ def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> li
             f"least one, not {short_repr(demonstrations)}"
         )
     table = _table(bits)
-    truths = [(_truths(table, start, start), _truths(table, start, end)) for start, end in ends]
-    found = [Intent((table.conjuncts[index],)) for index in np.flatnonzero(_consistent(truths))]
-    found += _pairs(table, truths, bits)
+    at_starts = np.array([_truths(table, start, start) for start, _ in ends])  # (episodes, kinds, selectors)
+    at_ends = np.logical_and.reduce([_truths(table, start, end) for start, end in ends])  # (kinds, selectors)
+    own = table.kind, table.selector
+    single = ~table.with_others & at_ends[own] & ~at_starts[:, *own].any(axis=0)
+    found = [Intent((table.conjuncts[number],)) for number in np.flatnonzero(single)]
+    found += _pairs(table, at_starts, at_ends, bits)
     return sorted(found, key=lambda intent: (intent.bits, str(intent)))
 
 
@@ -103,27 +107,22 @@ class Judge:
         conjuncts = sorted({one for intent in likes for one in intent.conjuncts}, key=lambda one: one.selector == REST)
         used = {one.selector for one in conjuncts if RELATIONS[one.relation].of_blocks and one.selector != REST}
         self._table = _table_of(conjuncts, sorted(used) or [ALL])
-        place = {conjunct: number for number, conjunct in enumerate(conjuncts)}
-        places = [sorted((place[intent.conjuncts[0]], place[intent.conjuncts[-1]])) for intent in likes]
-        self._places = np.array(places, np.int64).reshape(-1, 2)  # `others` come last
+        number_of = {conjunct: number for number, conjunct in enumerate(conjuncts)}
+        pairs = [sorted((number_of[intent.conjuncts[0]], number_of[intent.conjuncts[-1]])) for intent in likes]
+        one, two = np.array(pairs, np.int64).reshape(-1, 2).T  # `others` come last
+        self._one, self._two = self._table.positions(one, one), self._table.positions(one, two)
 
-    def reached(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+    def reached(self, initial: Scene, final: Scene) -> Flags:
         """Which intents the episode has reached at its end, and not at its start. Shape (intents,)."""
         return self.holds(initial, final) & ~self.holds(initial, initial)
 
-    def holds(self, initial: Scene, final: Scene) -> NDArray[np.bool_]:
+    def holds(self, initial: Scene, final: Scene) -> Flags:
         """Which intents hold in the final scene and are about something in the initial one. Shape (intents,)."""
         reached = np.zeros(len(self.intents), np.bool_)
         alone = [self.intents[number] for number in self._alone]
         reached[self._alone] = [intent.grounded(initial) and intent.holds(initial, final) for intent in alone]
         truths = _truths(self._table, initial, final)
-        one, two = self._places.T
-        holds = truths.holds[two]
-        for number, conjunct in enumerate(self._table.conjuncts):
-            if conjunct in truths.rest:
-                with_others = two == number
-                holds[with_others] = truths.rest[conjunct][self._table.selector[one[with_others]]]
-        reached[self._together] = truths.holds[one] & holds
+        reached[self._together] = truths[self._one] & truths[self._two]
         return reached
 
 
@@ -138,30 +137,45 @@ def _is_like_rivals(intent: Intent) -> bool:
 
 
 class _Table(NamedTuple):
-    """Conjuncts up to a number of bits, and where their truth values are found.
+    """Conjuncts, and the positions of their truth values in the arrays of `_truths`.
 
-    Conjuncts with the selector `others` come last: their truth depends on the selector of the other conjunct.
+    A kind is a conjunct without its selector, or with the selector `others`. The truth of the latter depends on the
+    selector of the other conjunct.
     """
 
     conjuncts: tuple[Conjunct, ...]
     bits: NDArray[np.float64]
+    with_others: Flags  # whether a conjunct has the selector `others`
+    kinds: tuple[Conjunct, ...]
     selectors: tuple[Selector, ...]
-    selector: NDArray[np.int64]  # the index of each conjunct's selector; -1 for `others` and of the robot
+    kind: NDArray[np.int64]  # the index of each conjunct's kind
+    selector: NDArray[np.int64]  # the index of its selector; -1 for `others`, and of the robot, where any will do
+
+    def positions(self, first: int | NDArray[np.int64], second: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+        """The positions of the second conjuncts of some pairs."""
+        selector = np.where(self.with_others[second], self.selector[first], self.selector[second])
+        return self.kind[second], selector
 
 
 @lru_cache(maxsize=8)
 def _table(bits: float) -> _Table:
-    conjuncts = sorted(
-        (conjunct for conjunct in all_conjuncts() if intent_bits([conjunct]) <= bits),
-        key=lambda conjunct: conjunct.selector == REST,
-    )
-    return _table_of(conjuncts, _selectors())
+    return _table_of([one for one in all_conjuncts() if intent_bits([one]) <= bits], _selectors())
 
 
 def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _Table:
-    index = {selector: number for number, selector in enumerate(selectors)}
-    of = [index.get(c.selector, -1) if RELATIONS[c.relation].of_blocks else -1 for c in conjuncts]
-    return _Table(tuple(conjuncts), np.array([conjunct_bits(c) for c in conjuncts]), tuple(selectors), np.array(of))
+    kinds = [one if one.selector == REST else replace(one, selector=ALL) for one in conjuncts]
+    kind_of = {kind: number for number, kind in enumerate(dict.fromkeys(kinds))}
+    selector_of = {selector: number for number, selector in enumerate(selectors)}
+    of = [selector_of.get(one.selector, -1) if RELATIONS[one.relation].of_blocks else -1 for one in conjuncts]
+    return _Table(
+        tuple(conjuncts),
+        np.array([conjunct_bits(one) for one in conjuncts]),
+        np.array([one.selector == REST for one in conjuncts], np.bool_),
+        tuple(kind_of),
+        tuple(selectors),
+        np.array([kind_of[kind] for kind in kinds], np.int64),
+        np.array(of, np.int64),
+    )
 
 
 @lru_cache(maxsize=1)
@@ -195,72 +209,53 @@ def all_conjuncts() -> Iterable[Conjunct]:
                     yield Conjunct(name, REST, argument)
 
 
-class _Truths(NamedTuple):
-    """Truth values in one pair of scenes; False also where a conjunct is about nothing."""
-
-    holds: NDArray[np.bool_]  # of each conjunct; False for those with `others`
-    rest: dict[Conjunct, NDArray[np.bool_]]  # of those with `others`, by the selector of the other conjunct
-
-
-def _truths(table: _Table, initial: Scene, final: Scene) -> _Truths:
-    masks, valid = _masks(table.selectors, initial)
-    cache: dict[object, NDArray[np.bool_]] = {}
-    holds = np.zeros(len(table.conjuncts), np.bool_)
-    rest: dict[Conjunct, NDArray[np.bool_]] = {}
-    for number, conjunct in enumerate(table.conjuncts):
-        each = RELATIONS[conjunct.relation].each
-        if conjunct.selector == REST and each is not None:
-            rest[conjunct] = _of_each(conjunct, each, ~masks, valid, initial, final)
-            continue
-        key = (conjunct.relation, conjunct.argument, conjunct.number, conjunct.any_of)
-        if key not in cache:
-            cache[key] = _of_selectors(conjunct, masks, valid, initial, final)
-        holds[number] = cache[key][max(table.selector[number], 0)]
-    return _Truths(holds, rest)
-
-
-def _masks(selectors: Sequence[Selector], scene: Scene) -> tuple[Masks, NDArray[np.bool_]]:
-    """Shape (selectors, blocks): which blocks each selects; and whether it means something in the scene."""
-    masks = np.zeros((len(selectors), len(scene.blocks)), np.bool_)
-    valid = np.ones(len(selectors), np.bool_)
-    for number, selector in enumerate(selectors):
+def _truths(table: _Table, initial: Scene, final: Scene) -> Flags:
+    """Whether conjuncts hold, by kind and selector, shape (kinds, selectors). False if one is about nothing."""
+    masks = np.zeros((len(table.selectors), len(initial.blocks)), np.bool_)
+    valid = np.ones(len(table.selectors), np.bool_)
+    for number, selector in enumerate(table.selectors):
         try:
-            masks[number, list(selected(selector, scene))] = True
+            masks[number, list(selected(selector, initial))] = True
         except UngroundedError:
             valid[number] = False
-    return masks, valid
+    truths = [_of_selectors(kind, masks, valid, initial, final) for kind in table.kinds]
+    return np.array(truths, np.bool_).reshape(-1, len(valid))
 
 
-def _of_selectors(
-    conjunct: Conjunct, masks: Masks, valid: NDArray[np.bool_], initial: Scene, final: Scene
-) -> NDArray[np.bool_]:
-    """Whether the conjunct holds with each selector instead of its own, shape (selectors,)."""
-    relation = RELATIONS[conjunct.relation]
+def _of_selectors(kind: Conjunct, masks: Flags, valid: Flags, initial: Scene, final: Scene) -> Flags:
+    """Whether a conjunct holds with each selector, shape (selectors,).
+
+    Args:
+        kind: the conjunct; with `others`, each selector is the other conjunct's.
+        masks: the selected blocks, shape (selectors, blocks).
+        valid: whether each selector means something.
+        initial: the initial scene.
+        final: the final scene.
+    """
+    relation = RELATIONS[kind.relation]
     if relation.each is not None:
-        return _of_each(conjunct, relation.each, masks, valid, initial, final)
-    if relation.robot is not None or conjunct.relation == "clustered":
-        return np.full(len(valid), _all(conjunct.parts, initial, final))
-    unique, place = np.unique(masks, axis=0, return_inverse=True)
+        return _of_each(kind, relation.each, ~masks if kind.selector == REST else masks, initial, final) & valid
+    if not relation.of_blocks or kind.relation == "clustered":
+        return np.full(len(valid), _all(kind.parts, initial, final))
+    unique, position = np.unique(masks, axis=0, return_inverse=True)
     together = np.zeros(len(unique), np.bool_)
     for number, mask in enumerate(unique):
         blocks = tuple(np.flatnonzero(mask).tolist())
-        if len(blocks) >= max(relation.least, conjunct.number):
-            together[number] = _all(relation.together, conjunct, blocks, initial, final)
-    return together[place.reshape(-1)] & valid
+        if len(blocks) >= max(relation.least, kind.number):
+            together[number] = _all(relation.together, kind, blocks, initial, final)
+    return together[position.reshape(-1)] & valid
 
 
-def _of_each(
-    conjunct: Conjunct, each: Each, masks: Masks, valid: NDArray[np.bool_], initial: Scene, final: Scene
-) -> NDArray[np.bool_]:
+def _of_each(kind: Conjunct, each: Each, masks: Flags, initial: Scene, final: Scene) -> Flags:
     try:
-        flags = each(conjunct.argument, initial, final)
+        flags = each(kind.argument, initial, final)
     except UngroundedError:
-        return np.zeros(len(valid), np.bool_)
+        return np.zeros(len(masks), np.bool_)
     about = np.array([flag is not None for flag in flags], np.bool_)
     true = np.array([bool(flag) for flag in flags], np.bool_)
     concerned = masks & about
-    holds = (concerned & true).any(axis=1) if conjunct.any_of else (true | ~concerned).all(axis=1)
-    return holds & valid & concerned.any(axis=1)
+    holds = (concerned & true).any(axis=1) if kind.any_of else (true | ~concerned).all(axis=1)
+    return np.logical_and(holds, concerned.any(axis=1))
 
 
 def _all(parts: Callable[..., Iterable[bool]], *about: object) -> bool:
@@ -271,39 +266,19 @@ def _all(parts: Callable[..., Iterable[bool]], *about: object) -> bool:
         return False
 
 
-def _consistent(truths: Sequence[tuple[_Truths, _Truths]]) -> NDArray[np.bool_]:
-    """Which conjuncts hold at the end of all episodes and at the start of none, shape (conjuncts,)."""
-    return np.logical_and.reduce([end.holds & ~start.holds for start, end in truths])
-
-
-def _pairs(table: _Table, truths: Sequence[tuple[_Truths, _Truths]], bits: float) -> list[Intent]:
-    """The consistent intents of two conjuncts."""
-    at_ends = np.logical_and.reduce([end.holds for _, end in truths])
-    starts = np.stack([start.holds for start, _ in truths], axis=1)  # (conjuncts, episodes)
-    kept = np.flatnonzero(at_ends)
+def _pairs(table: _Table, at_starts: Flags, at_ends: Flags, bits: float) -> list[Intent]:
+    """The consistent intents of two conjuncts, from the truth values at the starts of episodes and at all ends."""
+    kept = np.flatnonzero(~table.with_others & at_ends[table.kind, table.selector])
+    others = np.flatnonzero(table.with_others)
     found = []
-    for place, first in enumerate(kept):
-        seconds = kept[place + 1 :]
+    for number, first in enumerate(kept.tolist()):
+        seconds = np.concatenate([kept[number + 1 :], others if table.selector[first] >= 0 else others[:0]])
+        kind, selector = table.positions(first, seconds)
+        start = at_starts[:, table.kind[first], table.selector[first], None]
+        new = ~(start & at_starts[:, kind, selector]).any(axis=0)
         short = intent_bits(()) + table.bits[first] + table.bits[seconds] <= bits
-        new = ~(starts[first] & starts[seconds]).any(axis=1)
-        found += [(int(first), int(second)) for second in seconds[short & new]]
-        found += [(int(first), rest) for rest in _with_others(table, truths, int(first), bits)]
-    pairs = [(table.conjuncts[one], table.conjuncts[two]) for one, two in found]
-    return [intent_of([*pair]) for pair in pairs if not implies(*pair) and not implies(*pair[::-1])]
-
-
-def _with_others(table: _Table, truths: Sequence[tuple[_Truths, _Truths]], first: int, bits: float) -> Iterable[int]:
-    """The conjuncts with `others` that are consistent together with the first."""
-    selector = table.selector[first]
-    if selector < 0:
-        return
-    for number in range(len(table.conjuncts) - 1, -1, -1):
-        conjunct = table.conjuncts[number]
-        if conjunct.selector != REST:
-            return
-        short = intent_bits(()) + table.bits[first] + table.bits[number] <= bits
-        if short and all(
-            end.rest[conjunct][selector] and not (start.holds[first] and start.rest[conjunct][selector])
-            for start, end in truths
-        ):
-            yield number
+        found += [
+            (table.conjuncts[first], table.conjuncts[second])
+            for second in seconds[at_ends[kind, selector] & new & short]
+        ]
+    return [intent_of([*pair]) for pair in found if not implies(*pair) and not implies(*pair[::-1])]

@@ -36,7 +36,7 @@ def implies(one: Conjunct, other: Conjunct) -> bool:
     ):
         return False
     if relation.each is None:
-        return relation.robot is not None
+        return not relation.of_blocks
     if other.any_of:
         return narrower(one.selector, other.selector)
     return not one.any_of and narrower(other.selector, one.selector)

@@ -1,34 +1,42 @@
-"""Several demo scenes of an intent: drawn like test scenes, or chosen to refute other readings."""
+"""Scenes that refute rivals of an intent: several demo scenes, and the test scenes of the variant Diagnose.
+
+Demo scenes are drawn like test scenes, or chosen to refute other readings.
+
+In scenes of Diagnose, to pursue a rival of the intent does not satisfy the intent. The rivals are the simplest ones
+that the first demo scene leaves. A plan of the rival proves each scene: its end satisfies the rival, but not the
+intent. So a policy that learnt the rival fails there.
+"""
 
 from __future__ import annotations
 
-from itertools import compress
+from functools import lru_cache
+from itertools import compress, islice
 from typing import Final
 
 import numpy as np
 
 from magical_mj.intents.ambiguity import Judge, rivals
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.plans import planned
-from magical_mj.intents.scenes import ALL_RULES, colours_rule, demo_scene, redrawn
+from magical_mj.intents.plans import planned, solved
+from magical_mj.intents.scenes import ALL_RULES, colours_rule, redrawn
 from magical_mj.scene import Scene
 
-BITS: Final = 22.0
-"""The longest rivals that scenes are chosen to refute."""
+CHOICE_BITS: Final = 22.0
+"""The longest rivals that demo scenes are chosen to refute."""
 SIMPLEST: Final = 500
 """The number of the simplest remaining rivals that count in a choice."""
 CANDIDATES: Final = 12
 """The number of scenes that are compared for each choice."""
-
-
-def demo_scenes(intent: Intent, rng: np.random.Generator, number: int, *, contrasting: bool) -> tuple[Scene, ...]:
-    """Demo scenes of an intent. The first does not depend on the number; the others are `further_scenes`.
-
-    Raises:
-        IntentError: if no scene was found.
-    """
-    first = demo_scene(intent, rng)
-    return (first, *further_scenes(intent, rng, first, number - 1, contrasting=contrasting))
+DIAGNOSED_BITS: Final = 24.0
+"""The longest rivals of Diagnose."""
+RIVALS: Final = 10
+"""The number of rivals of Diagnose."""
+CHECKED: Final = 60
+"""The number of the simplest rivals among which they are, if so many can be refuted."""
+SCENES: Final = 10
+"""The number of scenes that show whether a rival can be refuted."""
+DRAWS: Final = 100
+"""The number of scenes that are drawn for a rival before another one is tried."""
 
 
 def further_scenes(
@@ -41,7 +49,7 @@ def further_scenes(
     """
     if not contrasting:
         return [redrawn(intent, rng, first, colours_rule) for _ in range(number)]
-    scenes, left = list[Scene](), rivals([planned(intent, first)], BITS) if number else []
+    scenes, left = list[Scene](), rivals([planned(intent, first)], CHOICE_BITS) if number else []
     while len(scenes) < number:
         candidates = [redrawn(intent, rng, first, *ALL_RULES) for _ in range(CANDIDATES)]
         judge = Judge(left)
@@ -50,3 +58,40 @@ def further_scenes(
         left = list(compress(left, reached[best]))
         scenes.append(candidates[best])
     return scenes
+
+
+def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) -> Scene:
+    """A scene that refutes one of the simplest rivals, in turn by seed. Without rivals, any scene.
+
+    Args:
+        intent: the intent.
+        rng: the random generator.
+        demo: the first demo scene, perhaps with another body of the robot.
+        seed: selects the rival. If no scene is found for it, the next one is tried.
+    """
+    simplest = simplest_rivals(intent, demo)
+    for number in range(len(simplest)):
+        rival = simplest[(seed + number) % len(simplest)]
+        for _ in range(DRAWS):
+            scene = redrawn(intent, rng, demo, *ALL_RULES)
+            if refutes(intent, rival, scene):
+                return scene
+    return redrawn(intent, rng, demo, *ALL_RULES)
+
+
+@lru_cache(maxsize=512)
+def simplest_rivals(intent: Intent, demo: Scene) -> tuple[Intent, ...]:
+    """The simplest rivals that a demonstration in the demo scene leaves, as far as scenes can refute them."""
+    rng = np.random.Generator(np.random.PCG64(0))
+    scenes = [redrawn(intent, rng, demo, *ALL_RULES) for _ in range(SCENES)]
+    found = rivals([planned(intent, demo)], DIAGNOSED_BITS)[:CHECKED]
+    refuted = (rival for rival in found if any(refutes(intent, rival, scene) for scene in scenes))
+    return tuple(islice(refuted, RIVALS))
+
+
+def refutes(intent: Intent, rival: Intent, scene: Scene) -> bool:
+    """Whether a plan of the rival satisfies it in a scene, but not the intent."""
+    if not rival.grounded(scene) or rival.holds(scene, scene):
+        return False
+    end = solved(rival, scene)
+    return end is not None and not intent.holds(scene, end)

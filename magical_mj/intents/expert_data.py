@@ -19,7 +19,7 @@ from magical_mj.demos.learning import stream
 from magical_mj.demos.stored import Stored, Watch
 from magical_mj.envs.presets import preset_named
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.sets import SETS
+from magical_mj.intents.names import SETS
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.policies.interface import Observations
 from magical_mj.tasks.languages import canonical_name

@@ -85,10 +85,7 @@ class Intent:
             UngroundedError: if a selector means nothing in the initial scene.
         """
         named = self._named(initial)
-        return [
-            conjunct.blocks(initial, named) if RELATIONS[conjunct.relation].of_blocks else ()
-            for conjunct in self.conjuncts
-        ]
+        return [conjunct.blocks(initial, named) for conjunct in self.conjuncts]
 
     def grounded(self, initial: Scene) -> bool:
         """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
@@ -99,11 +96,7 @@ class Intent:
 
     def _named(self, initial: Scene) -> tuple[int, ...]:
         """The blocks that the conjuncts without the selector `others` name."""
-        named = [
-            conjunct.blocks(initial)
-            for conjunct in self.conjuncts
-            if RELATIONS[conjunct.relation].of_blocks and conjunct.selector != REST
-        ]
+        named = [conjunct.blocks(initial) for conjunct in self.conjuncts if conjunct.selector != REST]
         return tuple(sorted({index for blocks in named for index in blocks}))
 
     @cached_property

@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from magical_mj.intents.distances import ARRANGED, Floats, Slack, distances, slack_of
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.places import ARRANGED, Floats, Slack, distances, slack_of
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.selectors import block_of
 from magical_mj.scene import GoalRegion, Scene
@@ -122,10 +122,10 @@ class _Attempt:
         """The subgoals of all blocks that move."""
         for conjunct, blocks in self._conjuncts:
             if not (conjunct.any_of or conjunct.relation in ("exactly", *ARRANGED)):
-                self._want(conjunct, self._about(conjunct, blocks))
+                self._want(conjunct, conjunct.judged(blocks, self._initial))
         for conjunct, blocks in self._conjuncts:
             if conjunct.any_of:
-                self._want(conjunct, self._cheapest(conjunct, self._about(conjunct, blocks), 1))
+                self._want(conjunct, self._cheapest(conjunct, conjunct.judged(blocks, self._initial), 1))
         for conjunct, blocks in self._of("exactly"):
             inner = self._cheapest(conjunct, blocks, conjunct.number)
             self._want(conjunct, inner)
@@ -137,14 +137,6 @@ class _Attempt:
 
     def _of(self, *relations: str) -> list[tuple[Conjunct, tuple[int, ...]]]:
         return [(conjunct, blocks) for conjunct, blocks in self._conjuncts if conjunct.relation in relations]
-
-    def _about(self, conjunct: Conjunct, blocks: Sequence[int]) -> list[int]:
-        """The blocks that the conjunct can judge."""
-        each = RELATIONS[conjunct.relation].each
-        if each is None:
-            return list(blocks)
-        flags = each(conjunct.argument, self._initial, self._initial)
-        return [index for index in blocks if flags[index] is not None]
 
     def _want(self, conjunct: Conjunct, blocks: Sequence[int]) -> None:
         for index in blocks:

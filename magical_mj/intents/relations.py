@@ -7,7 +7,7 @@ for each block, so that a score can count how many are right.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -82,32 +82,37 @@ class Conjunct:
             UngroundedError: if it means nothing in the initial scene, or is about no block, though something is wanted
                 of one.
         """
-        relation = RELATIONS[self.relation]
-        if relation.robot is not None:
-            return [relation.robot(self.argument, initial, final)]
-        blocks = self.blocks(initial, named)
+        relation, blocks = RELATIONS[self.relation], self.blocks(initial, named)
         if relation.each is not None:
             flags = relation.each(self.argument, initial, final)
             parts = [flag for flag in (flags[index] for index in blocks) if flag is not None]
             if not parts and relation.least:
                 raise UngroundedError(f"{self} is about no block")
             return [any(parts)] if self.any_of else parts
-        if len(blocks) < max(relation.least, self.number):
+        if relation.of_blocks and len(blocks) < max(relation.least, self.number):
             raise UngroundedError(f"{self} is about {len(blocks)} blocks")
         return relation.together(self, blocks, initial, final)
 
     def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
-        """The blocks that it is about."""
+        """The blocks that it is about; none for relations of the robot."""
+        if not RELATIONS[self.relation].of_blocks:
+            return ()
         if self.selector == REST:
             return tuple(index for index in range(len(initial.blocks)) if index not in named)
         return selected(self.selector, initial)
+
+    def judged(self, blocks: Sequence[int], initial: Scene) -> list[int]:
+        """Those of its blocks that the relation can judge: not, for example, the reference of `near`."""
+        if (each := RELATIONS[self.relation].each) is None:
+            return list(blocks)
+        flags = each(self.argument, initial, initial)
+        return [index for index in blocks if flags[index] is not None]
 
 
 Each = Callable[[str, Scene, Scene], "list[bool | None]"]
 """(argument, initial, final) -> for each block of the scene whether it holds; None: it is not about this block."""
 Together = Callable[[Conjunct, tuple[int, ...], Scene, Scene], list[bool]]
 """(conjunct, blocks, initial, final) -> whether it holds, for each object."""
-OfRobot = Callable[[str, Scene, Scene], bool]
 
 
 def _nothing(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
@@ -116,13 +121,13 @@ def _nothing(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final:
 
 @dataclass(frozen=True)
 class Relation:
-    """How a relation is written, and judged by one of three functions.
+    """How a relation is written, and judged by one of two functions.
 
     Attributes:
         arguments: the values that it takes; ("",) if it takes none.
         each: judges each block by itself, such as whether it is in the region.
-        together: judges the selected blocks together, such as whether they form a line.
-        robot: judges the robot, such as whether it is in the region.
+        together: judges the selected blocks together, such as whether they form a line; or the robot.
+        of_blocks: whether it has a selector. The others are about the robot.
         prefix: what stands before an argument in texts, such as "to=".
         least: the fewest blocks about which it says something; 0: it also holds if there are none.
     """
@@ -130,14 +135,9 @@ class Relation:
     arguments: tuple[str, ...] = ("",)
     each: Each | None = None
     together: Together = _nothing
-    robot: OfRobot | None = None
+    of_blocks: bool = True
     prefix: str = ""
     least: int = 1
-
-    @property
-    def of_blocks(self) -> bool:
-        """Whether it has a selector."""
-        return self.robot is None
 
     @property
     def quantified(self) -> bool:
@@ -217,16 +217,16 @@ def _untouched(argument: str, initial: Scene, final: Scene) -> list[bool | None]
     return [_way(here, there) <= STAYED for here, there in zip(final.blocks, initial.blocks, strict=True)]
 
 
-def _robot_in(argument: str, initial: Scene, final: Scene) -> bool:
-    return the_region(final).contains(final.robot)
+def _robot_in(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    return [the_region(final).contains(final.robot)]
 
 
-def _robot_near(argument: str, initial: Scene, final: Scene) -> bool:
-    return _way(final.robot, final.blocks[block_of(argument, initial)]) <= NEAR
+def _robot_near(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    return [_way(final.robot, final.blocks[block_of(conjunct.argument, initial)]) <= NEAR]
 
 
-def _robot_wall(argument: str, initial: Scene, final: Scene) -> bool:
-    return _at_wall(final.robot, argument, final.half_width)
+def _robot_wall(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+    return [_at_wall(final.robot, conjunct.argument, final.half_width)]
 
 
 def _way(thing: Block | Robot, other: Block | Robot) -> float:
@@ -245,8 +245,8 @@ RELATIONS: Final = {
     "line": Relation(together=_line, least=LEAST_LINE),
     "clustered": Relation(("colour", "shape"), together=_clustered, prefix="by="),
     "untouched": Relation(each=_untouched, least=0),
-    "robot in": Relation(robot=_robot_in),
-    "robot near": Relation(_BLOCKS, robot=_robot_near, prefix="to="),
-    "robot wall": Relation((*WALLS, ANY), robot=_robot_wall),
+    "robot in": Relation(together=_robot_in, of_blocks=False),
+    "robot near": Relation(_BLOCKS, together=_robot_near, of_blocks=False, prefix="to="),
+    "robot wall": Relation((*WALLS, ANY), together=_robot_wall, of_blocks=False),
 }
 """All relations by name, in the order in which canonical texts list them."""

@@ -15,17 +15,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.intents.contrast import demo_scenes
-from magical_mj.intents.diagnose import diagnosis
+from magical_mj.intents.contrast import diagnosis, further_scenes
+from magical_mj.intents.distances import remaining
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
-from magical_mj.intents.remaining import distance
 from magical_mj.intents.scenes import (
     ALL_RULES,
     INNER_MARGIN,
     accepts,
     colours_rule,
     count_rule,
+    demo_scene,
     missing,
     redrawn,
     shapes_rule,
@@ -110,14 +110,14 @@ def spec_of(task: Task) -> TaskSpec:
     """
     intent = task.intent
     rng = np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), task.seed]))
-    demos = demo_scenes(intent, rng, task.demos, contrasting=task.contrasting)
-    regions = len(demos[0].regions)
+    demo = demo_scene(intent, rng)
+    further = further_scenes(intent, rng, demo, task.demos - 1, contrasting=task.contrasting)
     return TaskSpec(
         name=task.name,
         summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # as those of other tasks
-        demo=demos[0],
-        further_demos=demos[1:],
-        steps=_horizon(intent, demos[0]),
+        demo=demo,
+        further_demos=tuple(further),
+        steps=_horizon(intent, demo),
         score=partial(_score, intent),
         distance=partial(_distance, intent),
         check=partial(_check, intent),
@@ -127,8 +127,8 @@ def spec_of(task: Task) -> TaskSpec:
         shape=partial(shapes_rule, intent),
         count=partial(count_rule, intent),
         diagnose=partial(diagnosis, intent),
-        region_size=size_of(regions),
-        inner_margin=INNER_MARGIN if regions else 0.0,
+        region_size=size_of(len(demo.regions)),
+        inner_margin=INNER_MARGIN if demo.regions else 0.0,
     )
 
 
@@ -149,7 +149,7 @@ def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper")
 
 def _distance(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     del rules
-    return distance(intent, initial, final)
+    return remaining(intent, initial, final)
 
 
 def _check(intent: Intent, scene: Scene) -> None:

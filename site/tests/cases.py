@@ -26,8 +26,8 @@ from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.intents import SETS, Intent
 from magical_mj.intents.ambiguity import all_conjuncts
+from magical_mj.intents.names import tasks_in
 from magical_mj.intents.selectors import REST
-from magical_mj.intents.sets import tasks_in
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories

@@ -29,7 +29,7 @@ from magical_mj.evaluation.entry import read_entry
 from magical_mj.evaluation.reports.explained import Explanation, write_explanation
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT, parse
-from magical_mj.intents.diagnose import simplest_rivals
+from magical_mj.intents.contrast import simplest_rivals
 from magical_mj.intents.readings import ENDINGS, READINGS
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import actions_of, letters_of

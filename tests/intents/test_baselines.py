@@ -11,7 +11,7 @@ import pytest
 
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.intents import parse
-from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.names import tasks_in
 from tools import intent_baselines, intent_checks, intent_scenes
 from tools.intent_baselines import (
     BASELINES,

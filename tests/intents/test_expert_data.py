@@ -17,7 +17,7 @@ import magical_mj
 from magical_mj.demos import stored
 from magical_mj.intents import dataset, parse
 from magical_mj.intents.expert_data import FILE
-from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.names import tasks_in
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, IntentError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell

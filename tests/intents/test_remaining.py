@@ -10,7 +10,7 @@ import pytest
 
 import magical_mj
 from magical_mj.intents import EIGHT, SETS, parse
-from magical_mj.intents.remaining import distance
+from magical_mj.intents.distances import remaining
 from magical_mj.intents.selectors import UngroundedError
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import task_spec
@@ -32,7 +32,7 @@ def test_it_is_the_distance_of_the_task_that_says_the_same(task: str) -> None:
     for seed in range(40):
         initial = magical_mj.sample_scene(task, "All", seed)
         now = spread(initial, rng, 0.4 if seed % 2 else 1.0)
-        assert distance(EIGHT[task], initial, now) == task_spec(task).remaining((initial, now), "paper")
+        assert remaining(EIGHT[task], initial, now) == task_spec(task).remaining((initial, now), "paper")
 
 
 def test_it_is_0_exactly_if_the_intent_holds() -> None:
@@ -43,7 +43,7 @@ def test_it_is_0_exactly_if_the_intent_holds() -> None:
         for side in (0.05, 0.3, 0.6, 1.0):
             now = spread(initial, rng, side) if side > 0.05 else initial
             try:
-                left = distance(intent, initial, now)
+                left = remaining(intent, initial, now)
             except UngroundedError:
                 continue
             assert (left == 0.0) == intent.holds(initial, now), intent
@@ -72,9 +72,9 @@ def test_distances_by_hand(text: str, wanted: float) -> None:
     region = GoalRegion("green", -0.3, 0.0, 0.3, 0.4)
     red, blue = Block("star", "red", -0.2, -0.4, 0.0), Block("circle", "blue", -0.4, 0.05, 0.0)
     scene = Scene(Robot(0.0, -0.5, 0.0), (red, blue), (region,))
-    assert distance(parse(text), scene, scene) == pytest.approx(wanted)
+    assert remaining(parse(text), scene, scene) == pytest.approx(wanted)
     moved = scene.moved(blocks=[(-0.2, -0.9, 0.0), blue.pose])
-    assert distance(parse("untouched(all)"), scene, moved) == pytest.approx(WRONG + 0.5 - 0.15)
+    assert remaining(parse("untouched(all)"), scene, moved) == pytest.approx(WRONG + 0.5 - 0.15)
 
 
 def test_dense_rewards_of_an_intent_add_up() -> None:

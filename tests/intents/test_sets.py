@@ -7,10 +7,10 @@ import hashlib
 import pytest
 
 from magical_mj.intents import EIGHT, SETS, Intent, parse
+from magical_mj.intents.names import DIGEST, FILE, NAMES, tasks_in
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.intents.scenes import accepts
-from magical_mj.intents.sets import DIGEST, FILE, NAMES, tasks_in
 from magical_mj.protocol import INTENTS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import environments, listed_tasks, task_name, task_spec

@@ -10,7 +10,7 @@ import pytest
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.intents import parse, rivals
-from magical_mj.intents.diagnose import refutes, simplest_rivals
+from magical_mj.intents.contrast import refutes, simplest_rivals
 from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
 from magical_mj.policies.expert import Expert

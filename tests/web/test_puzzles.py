@@ -12,7 +12,7 @@ from magical_mj import Engine
 from magical_mj.cli import main
 from magical_mj.cli.play import Window
 from magical_mj.intents import parse
-from magical_mj.intents.sets import tasks_in
+from magical_mj.intents.names import tasks_in
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import task_spec
 from magical_mj.web.puzzles import VARIANTS, goal_data, puzzle_of, puzzle_scenes, puzzles
