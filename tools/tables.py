@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -19,12 +20,12 @@ from tools import demonstration_sets, learnt_rewards, pretraining, scores
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
-    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} per axis (the arena is 2 wide), "
-    f"±{c.JITTER_ANGLE:.3f} rad, and ±{c.JITTER_REGION_SIZE} of the regions' sides",
-    "layout": "all poses, and the sizes of goal regions",
+    "jitter": f"all poses a little: ±{c.JITTER_POSITION} per axis (the arena is 2 wide), "
+    f"±{math.degrees(c.JITTER_ANGLE):.0f}°",
+    "layout": "all poses and the sizes of goal regions",
     "colour": "colours",
     "shape": "shapes",
-    "count": "how many blocks, and in FixColour regions",
+    "count": "the number of blocks, in FixColour also of regions",
     "dynamics": "motor forces and the blocks' friction",
 }
 
@@ -34,9 +35,8 @@ def tasks() -> str:
     rows = []
     for task in TASKS:
         spec = task_spec(task)
-        variants = sum(name == task for name, _ in ENVIRONMENTS)
-        rows.append((f"**{task}**", _sentence(spec.summary), str(spec.horizon()), str(variants)))
-    return table(("Task", "Goal", "Steps", "Variants"), rows)
+        rows.append((f"**{task}**", _sentence(spec.summary), str(spec.horizon())))
+    return table(("Task", "Goal", "Steps"), rows)
 
 
 def variants() -> str:
@@ -44,7 +44,7 @@ def variants() -> str:
     rows = []
     for variant, axes in VARIANTS.items():
         missing = [task for task in TASKS if (task, variant) not in ENVIRONMENTS]
-        words = "; ".join(AXES[axis] for axis in axes)
+        words = ", ".join(AXES[axis] for axis in axes)
         if variant == "All":
             words = "everything that can vary in the task, at once"
         rows.append((f"**{variant}**", _sentence(words or "nothing: the scene of the demonstrations"), _but(missing)))
