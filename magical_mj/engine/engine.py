@@ -19,16 +19,10 @@ from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
 from magical_mj.shifts.registry import Shifts, shift_class, split_body
-from magical_mj.shifts.shift import Shift
+from magical_mj.shifts.shift import overrides
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import (
-    ClosedError,
-    InvalidSceneError,
-    PhysicsError,
-    SettingsError,
-    StateError,
-)
+from magical_mj.utils.errors import ClosedError, InvalidSceneError, PhysicsError, SettingsError, StateError
 from magical_mj.variants import check_seed
 
 
@@ -79,12 +73,7 @@ class Setup:
         return scene
 
     def sample(self, seed: int) -> Scene:
-        """The scene of this seed.
-
-        Raises:
-            InvalidSeedError: if the seed is not an integer, or negative.
-            SettingsError: without a task.
-        """
+        """The scene of this seed. Raises a `SettingsError` without a task."""
         if self.task is None:
             raise SettingsError("a plain scene has no seeds: give a scene or a state")
         return sample_scene(self.task, self.variant, seed, self.body)
@@ -95,61 +84,46 @@ class Setup:
         seed: int | None = None,
         scene: Scene | None = None,
         draws: Draws | None = None,
-    ) -> tuple[Scene, EpisodeShifts | None]:
-        """The initial scene of an episode, and its shifts.
+    ) -> tuple[Scene, EpisodeShifts]:
+        """The initial scene of an episode, and its shifts with these strengths. Both are drawn from the seed.
 
-        Args:
-            shifts: the strengths of the shifts.
-            seed: draws the scene and the values of the shifts.
-            scene: the initial scene instead. Shifts do not change it, and draw their values from seed 0.
-            draws: the values of the shifts instead.
+        Shifts do not change a given scene, and draw their values from seed 0, unless their `draws` are given.
 
         Raises:
             InvalidSceneError: if an episode cannot start in the scene.
         """
         if draws is None:
             draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
-        episode = EpisodeShifts(draws) if draws else None
+        episode = EpisodeShifts(draws)
         if scene is not None or seed is None:
             return self.check(scene), episode
-        drawn = self.sample(seed)
-        return (drawn if episode is None or self.task is None else episode.scene(drawn, self.task)), episode
+        return episode.scene(self.sample(seed), str(self.task)), episode
 
-    def instruction(self, shifts: EpisodeShifts | None) -> str:
+    def instruction(self, shifts: EpisodeShifts) -> str:
         """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
-        if self.task is None:
-            return ""
-        sentence = task_spec(self.task).summary
-        return sentence if shifts is None else shifts.instruction(sentence, self.task)
+        return "" if self.task is None else shifts.instruction(task_spec(self.task).summary, self.task)
 
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last scene.
-
-        Raises:
-            InvalidSceneError: without a task.
-        """
+        """The score in [0, 1] of an episode with these scenes. Raises an `InvalidSceneError` without a task."""
         if self.task is None:
             raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
         return task_spec(self.task).checked_score(scenes, self.rules)
 
     @np.errstate(all="ignore")
     def remaining(self, scenes: Sequence[Scene]) -> float:
-        """What remains to be done in an episode with these scenes, in world units; 0 exactly if its score is 1.
-
-        Raises:
-            InvalidSceneError: without a task.
-            TaskError: if the task has no formula for it.
-        """
+        """What remains to be done in an episode with these scenes; see `Engine.remaining`."""
         if self.task is None:
             raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
         return task_spec(self.task).remaining(scenes, self.rules)
 
-    def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
-        """Checks the arguments of a reset.
+    def check_start(
+        self, *, seed: object = None, scene: object = None, state: State | None = None, limit: int | None = None
+    ) -> None:
+        """Checks the arguments of a reset in an environment whose episodes end after `limit` steps.
 
         Raises:
-            SettingsError: if there is more than one of them.
+            SettingsError: if more than one of seed, scene and state is given.
             StateError: if the state is invalid, or its episode has ended.
         """
         starts = {"seed": seed, "scene": scene, "state": state}
@@ -158,14 +132,17 @@ class Setup:
             raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
         if state is not None:
             check_state(state)
-            check_goes_on(state, self.horizon)
+            if limit is not None and state.steps >= limit:
+                raise StateError(
+                    f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than "
+                    f"{limit}"
+                )
             self.trajectory_of(state)
 
     def trajectory_of(self, state: State) -> list[Scene]:
         """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
 
-        Raises:
-            StateError: if the state lacks these scenes, because it comes from another task or a plain scene.
+        Raises a `StateError` if the state lacks them, because it comes from another task or a plain scene.
         """
         if not self.trajectory:
             return []
@@ -175,14 +152,6 @@ class Setup:
                 f"give a state from get_state() of an environment of {self.task}"
             )
         return list(state.trajectory)
-
-
-def check_goes_on(state: State, limit: int | None) -> None:
-    """Raises a `StateError` if the state's episode has ended, which it does after `limit` steps."""
-    if limit is not None and state.steps >= limit:
-        raise StateError(
-            f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than {limit}"
-        )
 
 
 class Engine:
@@ -211,6 +180,7 @@ class Engine:
         seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
         steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
+        limit: the number of actions after which an episode ends, at most the horizon, which is the default.
         shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
@@ -238,7 +208,7 @@ class Engine:
         task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
         strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body, speeds)
-        if unable := [name for name in strengths if setup.speeds and shift_class(name).action is not Shift.action]:
+        if unable := [name for name in strengths if setup.speeds and overrides(shift_class(name), "action")]:
             raise SettingsError(f"the shift {unable[0]!r} changes which of the 18 actions is taken, and not speeds")
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
@@ -248,28 +218,24 @@ class Engine:
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
-        """An engine for a plain scene. Without a task it has no score and no horizon.
-
-        Raises:
-            InvalidSceneError: if the scene is illegal.
-        """
+        """An engine for a plain scene, without score and horizon. Raises `InvalidSceneError` if it is illegal."""
         engine, setup = cls.__new__(cls), Setup(None)
         setup.check(scene)
-        engine._begin(setup, scene, None, renderer, {})
+        engine._begin(setup, scene, EpisodeShifts(), renderer, {})
         return engine
 
     def _begin(
         self,
         setup: Setup,
         scene: Scene,
-        shifts: EpisodeShifts | None,
+        shifts: EpisodeShifts,
         renderer: str | None,
         strengths: dict[str, int],
     ) -> None:
         check_renderer(renderer)
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
-        self.horizon = setup.horizon
+        self.horizon = self.limit = setup.horizon
         self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, speeds=setup.speeds)
         self.shifts = strengths
         self.seed: int | None = None
@@ -310,7 +276,7 @@ class Engine:
     @property
     def draws(self) -> Draws:
         """The values that the shifts of this episode have drawn: for each shift its factors and its seed."""
-        return {} if self.simulation.shifts is None else self.simulation.shifts.draws
+        return self.simulation.shifts.draws
 
     @property
     def instruction(self) -> str:
@@ -319,8 +285,8 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended, at its horizon or because the simulation became unstable."""
-        return self._broken or (self.horizon is not None and self.steps >= self.horizon)
+        """Whether the episode has ended, at its limit or because the simulation became unstable."""
+        return self._broken or (self.limit is not None and self.steps >= self.limit)
 
     def reset(
         self,
@@ -345,9 +311,9 @@ class Engine:
             SettingsError: if more than one of seed, scene and state is given.
         """
         simulation = self.simulation
-        self.setup.check_start(seed=seed, scene=scene, state=state)
+        self.setup.check_start(seed=seed, scene=scene, state=state, limit=self.limit)
         if state is not None:
-            self._restore(state)
+            self.set_state(state)
             return
         if seed is not None:
             seed = check_seed(seed)
@@ -386,11 +352,7 @@ class Engine:
         return tuple(self._trajectory) or (self.initial_scene, self.scene)
 
     def score(self) -> float:
-        """The score in [0, 1] if the episode ended now.
-
-        Raises:
-            InvalidSceneError: without a task.
-        """
+        """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
         return self.setup.score(self.scored_scenes)
 
     def remaining(self) -> float:
@@ -451,11 +413,8 @@ class Engine:
                 scene, the current episode ends.
             InvalidSceneError: if the state's scene does not belong to this task.
         """
-        check_state(state)
-        self._restore(state)
-
-    def _restore(self, state: State) -> None:
         simulation = self.simulation
+        check_state(state)
         trajectory = self.setup.trajectory_of(state)
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)
@@ -463,8 +422,7 @@ class Engine:
             simulation.start(*start)
             self.seed = None
         simulation.restore(state.simulation)
-        if simulation.shifts is not None:
-            simulation.shifts.resume(int(state.steps), state.commands)
+        simulation.shifts.resume(int(state.steps), state.commands)
         self.steps, self._broken, self._trajectory = int(state.steps), False, trajectory
         self._measured = None, 0.0
 
@@ -477,8 +435,8 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: the arguments of `restored`."""
-        state = self.get_state()
-        return restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
+        episode = self.seed, self.get_state(), self._broken, self.limit
+        return restored, (self.setup, self.shifts, *episode, self.simulation.renderer)
 
     def close(self) -> None:
         """Frees the simulation. Can be called more than once."""
@@ -488,11 +446,17 @@ class Engine:
 
 
 def restored(
-    setup: Setup, shifts: dict[str, int], seed: int | None, state: State, broken: bool, renderer: str | None
+    setup: Setup,
+    shifts: dict[str, int],
+    seed: int | None,
+    state: State,
+    broken: bool,
+    limit: int | None,
+    renderer: str | None,
 ) -> Engine:
     """A copy of an engine, made from the values that `Engine.__reduce__` returns."""
     engine = Engine.__new__(Engine)
-    engine._begin(setup, state.scene, EpisodeShifts(state.draws) if state.draws else None, renderer, shifts)
+    engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
-    engine.seed, engine._broken = seed, broken
+    engine.seed, engine._broken, engine.limit = seed, broken, limit
     return engine

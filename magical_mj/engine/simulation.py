@@ -111,7 +111,7 @@ class Simulation:
         scene_model: the initial scene of the current episode, and its coordinates.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's data of that model.
-        shifts: the shifts of the current episode; None if there are none.
+        shifts: the shifts of the current episode.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Simulation:
     ) -> None:
         self.scene_model, self.model, self.data = scene_model, model, data or mujoco.MjData(model)
         self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
-        self.shifts: EpisodeShifts | None = None
+        self.shifts = EpisodeShifts()
         self._views: Views | None = None
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
@@ -142,7 +142,7 @@ class Simulation:
         """The simulation of an episode that starts in this scene, with these shifts."""
         scene_model = SceneModel(scene)
         simulation = cls(scene_model, copy(compiled_model(scene_model.structure)), renderer=renderer, speeds=speeds)
-        simulation.shifts = shifts
+        simulation.shifts = shifts or simulation.shifts
         simulation._begin()
         return simulation
 
@@ -156,8 +156,8 @@ class Simulation:
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
-        changed = self.shifts is not None and self.shifts.changes_model
-        before, self.shifts = self.scene_model.structure, shifts
+        changed, self.shifts = self.shifts.changes_model, shifts or EpisodeShifts()
+        before = self.scene_model.structure
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
@@ -173,7 +173,7 @@ class Simulation:
         `mj_forward` is called twice: its solver starts from the previous solution, and protocol 1 is defined so.
         """
         model, data = self.model, self.data
-        self.scene_model.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, change=self.shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
@@ -203,20 +203,16 @@ class Simulation:
         if self.speeds:
             self._command_speeds(action)
             return
-        number, scene = action_number(action), self.scene_model.scene
-        if self.shifts is not None:
-            number = self.shifts.action(number)
-        self.data.ctrl[self.scene_model.coordinates.ctrl] = control_signal(
-            number, scene.robot.body, scene.dynamics.veer
-        )
+        number, scene = self.shifts.action(action_number(action)), self.scene_model.scene
+        controls = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        self.data.ctrl[self.scene_model.coordinates.ctrl] = controls
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
         scene_model, data = self.scene_model, self.data
         size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
-            number = action_number(action)
-            vector = to_vector(number if self.shifts is None else self.shifts.action(number))[:size]
+            vector = to_vector(self.shifts.action(action_number(action)))[:size]
         else:
             vector = as_speeds(action, size)
         fingers = scene_model.fingers(data.qpos) if scene_model.has_fingers else None
@@ -259,7 +255,7 @@ class Simulation:
         """A picture of the current state, in a fresh array or in `out`; see `rendering.renderer.Views.draw`."""
         if self._views is None or self._views.model is not self.model:
             self._views = Views(self.model, self.renderer, self._cameras)
-        if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
+        if not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
         uncovered = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
         target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
@@ -282,18 +278,11 @@ class Simulation:
         """Frees the simulation's renderer. The drawing context is shared and remains."""
         self._views = None
 
-    def state(self, steps: int, trajectory: Sequence[Scene] = ()) -> State:
-        """The current state of the episode.
-
-        Args:
-            steps: the number of control steps so far.
-            trajectory: the scenes so far, if the score depends on all of them.
-        """
+    def state(self, steps: int, trajectory: Sequence[Scene]) -> State:
+        """The current state of an episode after this number of actions; see `State` for its trajectory."""
+        draws, commands = self.shifts.draws, {name: tuple(last) for name, last in self.shifts.commands.items()}
         scene, saved = self.scene_model.scene, self.save()
-        if self.shifts is None:
-            return State(scene, steps, saved, trajectory=tuple(trajectory))
-        commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}
-        return State(scene, steps, saved, draws=self.shifts.draws, commands=commands, trajectory=tuple(trajectory))
+        return State(scene, steps, saved, draws=draws, commands=commands, trajectory=tuple(trajectory))
 
     def save(self) -> NDArray[np.float64]:
         """MuJoCo's complete current state in a fresh array. Shape (state size + number of trees,).
@@ -312,20 +301,19 @@ class Simulation:
         Raises:
             StateError: if it is not a state of this model.
         """
-        size = mujoco.mj_stateSize(self.model, _INTEGRATION)
-        length = size + self.model.ntree
+        before = self.save()
+        length, trees = len(before), self.model.ntree
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (length,)
         if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # with larger numbers, MuJoCo resets silently
             raise StateError(
                 f"a state of this scene must be an array of {length} finite float64, from -{MAX_NUMBER:g} to "
                 f"{MAX_NUMBER:g}; see get_state()"
             )
-        asleep = saved[size:]
+        asleep = saved[length - trees :]
         sleeping = asleep >= 0
         together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
         if not together or asleep.min() < _SMALLEST_INTEGER or (asleep % 1).any():
             raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
-        before = self.save()
         try:
             self._put(saved)
         except mujoco.FatalError as error:
@@ -334,11 +322,11 @@ class Simulation:
 
     def _put(self, saved: NDArray[np.float64]) -> None:
         model, data = self.model, self.data
-        size = mujoco.mj_stateSize(model, _INTEGRATION)
+        state, asleep = np.split(saved, [len(saved) - model.ntree])
         mujoco.mj_resetData(model, data)
-        mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
+        mujoco.mj_setState(model, data, state, _INTEGRATION)
         mujoco.mj_fwdPosition(model, data)  # before any body sleeps: MuJoCo does not update sleeping bodies
-        data.tree_asleep[:] = saved[size:]
+        data.tree_asleep[:] = asleep
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
 

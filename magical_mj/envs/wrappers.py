@@ -83,7 +83,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             raise SettingsError(f"ScoreAtTheEnd wraps only environments of magical_mj, not {self.unwrapped}")
         self._inner = env
         if env.spec is not None:
-            check_named(env.spec.id, env.spec.kwargs)
+            check_id(env.spec.id, env.spec.kwargs)
         if env.spec is not None and env.spec.max_episode_steps is not None:
             limit = check_limit(env.spec.max_episode_steps, engine.setup)
             if isinstance(env, gymnasium.wrappers.TimeLimit):
@@ -112,7 +112,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return observation, reward, terminated, truncated, info
 
 
-def check_named(id_: str, settings: Mapping[str, Any]) -> None:
+def check_id(id_: str, settings: Mapping[str, Any]) -> None:
     """Raises a `SettingsError` if the settings contradict the id of an environment, for example in its task or body."""
     named = gymnasium.registry[id_].kwargs if id_ in gymnasium.registry else {}
     given = {**named, **settings}

@@ -51,9 +51,8 @@ class Environment(composer.Environment):
 
         Args:
             task: the composer task.
-            seed: the seed of the first scene, unless the scene is fixed, and of the generator that draws the seeds of
-                later scenes. None: the generator draws the first seed as well, so that adapters can seed it before the
-                first reset.
+            seed: the seed of the first scene and of the generator that draws the seeds of later scenes. None: the
+                generator draws the first seed as well, so that adapters can seed it before the first reset.
             fixed: whether every episode starts in the same scene.
             recompile: composer's `recompile_mjcf_every_episode`.
         """
@@ -146,7 +145,7 @@ class Environment(composer.Environment):
                 given, or if the tree was changed in a way that the scene does not allow.
         """
         self._opened()
-        self.task.setup.check_start(seed=seed, scene=scene, state=state)
+        self.task.setup.check_start(seed=seed, scene=scene, state=state, limit=self.horizon)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
             return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
@@ -165,7 +164,7 @@ class Environment(composer.Environment):
         return self._start(*setup.begin(strengths, check_seed(seed)), seed=seed)
 
     def _start(
-        self, scene: Scene, shifts: EpisodeShifts | None, seed: int | None = None, state: State | None = None
+        self, scene: Scene, shifts: EpisodeShifts, seed: int | None = None, state: State | None = None
     ) -> dm_env.TimeStep:
         task = self.task
         task.start(scene, shifts, state)
@@ -237,12 +236,13 @@ class Environment(composer.Environment):
                 f"this environment's model was changed ({', '.join(changed[:5])}), and an engine contains only the "
                 "scene. dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder) writes everything"
             )
-        return restored(task.setup, task.settings.strengths, self.seed, state, False, task.settings.renderer)
+        settings, horizon = task.settings, self.horizon
+        return restored(task.setup, settings.strengths, self.seed, state, False, horizon, settings.renderer)
 
     def _foreign_numbers(self) -> list[str]:
         """The names of numbers that differ between the compiled model and the model of the current episode's scene."""
         task = self.task
-        shifts = None if task.shifts is None or self._never_reset else EpisodeShifts(task.shifts.draws)
+        shifts = EpisodeShifts({} if self._never_reset else task.shifts.draws)
         own = Simulation.of(self.initial_scene, shifts=shifts, speeds=task.setup.speeds)
         return different_numbers(self.physics.model.ptr, own.model)
 
@@ -261,11 +261,7 @@ class Environment(composer.Environment):
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For pickling: the values that `clone` copies.
-
-        Raises:
-            StateError: if the options of an observable cannot be pickled.
-        """
+        """For pickling: the values that `clone` copies."""
         parts = self._parts()
         for name, options in parts[-1].items():
             try:
@@ -277,15 +273,10 @@ class Environment(composer.Environment):
         return _copied, parts
 
     def _parts(self) -> tuple[Any, ...]:
-        """The arguments of `_copied`: those of loading, the generators, the state, and the observables' options.
-
-        Raises:
-            StateError: if users have made changes that cannot be copied.
-        """
+        """The arguments of `_copied`: those of loading, the generators, the state, and the observables' options."""
         self._opened()
         task = self.task
-        shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
-        loaded = task.settings, self.initial_scene, shifts
+        loaded = task.settings, self.initial_scene, EpisodeShifts(task.shifts.draws)
         if changes := self._changes(SceneTask(*loaded)):
             raise StateError(
                 f"this environment was changed, so it cannot be copied or pickled: {', '.join(changes)}. Load another "
@@ -297,18 +288,14 @@ class Environment(composer.Environment):
         return loaded, seeds, self._fixed, self._recompile, state, options
 
     def _changes(self, fresh: SceneTask) -> list[str]:
-        """Descriptions of users' changes that cannot be copied.
-
-        Args:
-            fresh: a new task with the same arguments.
-        """
+        """Descriptions of users' changes that cannot be copied, compared with a new task with the same arguments."""
         task = self.task
         kinds = (self, Environment), (task, SceneTask)
-        changes = [f"the class {type(own).__name__}" for own, kind in kinds if type(own) is not kind]
         added = (vars(self).keys() - self._attributes) | (vars(task).keys() - vars(fresh).keys())
+        known = fresh.observables
+        changes = [f"the class {type(own).__name__}" for own, kind in kinds if type(own) is not kind]
         changes += [f"the attribute {name!r}" for name in sorted(added)]
         changes += [f"a hook {name}" for name, _ in self._hooks_added]
-        known = fresh.observables
         for name, entry in task.observables.items():
             if type(entry) is not type(known.get(name)):
                 changes.append(f"the observable {name!r}")

@@ -43,18 +43,7 @@ FIXED_TIMESTEPS: Final = (
 
 @dataclass(frozen=True)
 class Settings:
-    """The arguments of `load` or `load_scene`, checked.
-
-    Attributes:
-        setup: task, variant, rules and body.
-        strengths: the strengths of the shifts by name.
-        observations, image_size, reward, renderer: the arguments of `load`.
-
-    Raises:
-        UnknownNameError: for an unknown observation or reward.
-        TaskError: for dense rewards of a task that has no formula for them.
-        SettingsError: if the observations are not a list or tuple.
-    """
+    """The arguments of `load` or `load_scene`, checked."""
 
     setup: Setup
     strengths: dict[str, int]
@@ -81,11 +70,6 @@ class SceneTask(composer.Task):
     If a hook or an observable needs every substep, the ten substeps of an action are substeps of composer.
     Otherwise they are one substep, because composer's own loop takes longer than the physics.
 
-    Args:
-        settings: the arguments of `load`.
-        scene: the initial scene of the first episode.
-        shifts: the shifts of the first episode.
-
     Attributes:
         scene_model: the initial scene of this episode, and its coordinates.
         shifts: the shifts of this episode.
@@ -94,19 +78,19 @@ class SceneTask(composer.Task):
         substeps_hooked: whether users have added hooks to substeps.
     """
 
-    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
+    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts) -> None:
         self.settings, self.setup = settings, settings.setup
         self.steps, self._trajectory = 0, list[Scene]()
         self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None
-        self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
+        self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None  # a model and its copy before shifts
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
         self._observers = list[int]()
         self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
-    def start(self, scene: Scene, shifts: EpisodeShifts | None, state: State | None = None) -> None:
+    def start(self, scene: Scene, shifts: EpisodeShifts, state: State | None = None) -> None:
         """Sets the scene of the next episode, and a state of an episode with this initial scene to continue from."""
         if "state" in self.settings.observations:
             StateEncoder(scene)  # raises an error if the vector is too short, before anything is changed
@@ -229,9 +213,9 @@ class SceneTask(composer.Task):
             raise SettingsError(FIXED_TIMESTEPS)
         if self._compiled is not None and self._compiled[0] is model:
             write_numbers(model, self._compiled[1])
-        elif self.shifts is not None and self.shifts.changes_model:
+        elif self.shifts.changes_model:
             self._compiled = model, copy(model)
-        self.scene_model.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, nested=True, change=self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
         self.steps, self._trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
@@ -244,8 +228,7 @@ class SceneTask(composer.Task):
         """Restores a state of an episode with this initial scene."""
         self.simulation(physics).restore(state.simulation)
         self.steps, self._trajectory = int(state.steps), self.setup.trajectory_of(state)
-        if self.shifts is not None:
-            self.shifts.resume(self.steps, state.commands)
+        self.shifts.resume(self.steps, state.commands)
 
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
