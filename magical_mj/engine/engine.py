@@ -3,155 +3,25 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.simulation import Simulation, State, check_state
+from magical_mj.engine.episode import Setup, State
+from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
-from magical_mj.scene import Scene, check_scene_type
-from magical_mj.scene.bodies import GRIPPER, check_body_name
-from magical_mj.scene.geometry import check_scene
-from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
+from magical_mj.scene import Scene
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.episode import Draws, EpisodeShifts
 from magical_mj.shifts.registry import Shifts, shift_class, split_body
 from magical_mj.shifts.shift import overrides
-from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
+from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import ClosedError, InvalidSceneError, PhysicsError, SettingsError, StateError
+from magical_mj.utils.errors import ClosedError, PhysicsError, SettingsError, StateError
 from magical_mj.variants import check_seed
-
-
-@dataclass(frozen=True)
-class Setup:
-    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
-
-    The task is None for plain scenes: these have no score and no horizon, and contain the robot's body.
-    """
-
-    task: str | None
-    variant: str = "Demo"
-    rules: Rules = "paper"
-    body: str = GRIPPER
-    speeds: bool = False
-    """Whether vectors of x-magical's speeds are actions, too. They always are in its own task."""
-
-    def __post_init__(self) -> None:
-        """Checks the names."""
-        if self.task is not None:
-            object.__setattr__(self, "variant", variant_name(self.variant))
-            environment_axes(self.task, self.variant)
-            check_body_name(self.body)
-            object.__setattr__(self, "speeds", self.speeds or task_spec(self.task).speeds)
-        check_rules(self.rules)
-
-    @property
-    def horizon(self) -> int | None:
-        """The number of actions of an episode; None if it never ends."""
-        return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
-
-    @property
-    def trajectory(self) -> bool:
-        """Whether the score depends on the scenes of all steps."""
-        return self.task is not None and task_spec(self.task).trajectory
-
-    def check(self, scene: object) -> Scene:
-        """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
-        scene = check_scene_type(scene)
-        check_scene(scene)
-        if self.task is not None:
-            task_spec(self.task).check(scene)
-            if scene.robot.body != self.body:
-                raise InvalidSceneError(
-                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
-                    f"{self.body!r}: make another environment with body={scene.robot.body!r}"
-                )
-        return scene
-
-    def sample(self, seed: int) -> Scene:
-        """The scene of this seed. Raises a `SettingsError` without a task."""
-        if self.task is None:
-            raise SettingsError("a plain scene has no seeds: give a scene or a state")
-        return sample_scene(self.task, self.variant, seed, self.body)
-
-    def begin(
-        self,
-        shifts: Mapping[str, int],
-        seed: int | None = None,
-        scene: Scene | None = None,
-        draws: Draws | None = None,
-    ) -> tuple[Scene, EpisodeShifts]:
-        """The initial scene of an episode, and its shifts with these strengths. Both are drawn from the seed.
-
-        Shifts do not change a given scene, and draw their values from seed 0, unless their `draws` are given.
-
-        Raises:
-            InvalidSceneError: if an episode cannot start in the scene.
-        """
-        if draws is None:
-            draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
-        episode = EpisodeShifts(draws)
-        if scene is not None or seed is None:
-            return self.check(scene), episode
-        return episode.scene(self.sample(seed), str(self.task)), episode
-
-    def instruction(self, shifts: EpisodeShifts) -> str:
-        """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
-        return "" if self.task is None else shifts.instruction(task_spec(self.task).summary, self.task)
-
-    @np.errstate(all="ignore")  # no result depends on the caller's settings
-    def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes. Raises an `InvalidSceneError` without a task."""
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
-        return task_spec(self.task).checked_score(scenes, self.rules)
-
-    @np.errstate(all="ignore")
-    def remaining(self, scenes: Sequence[Scene]) -> float:
-        """What remains to be done in an episode with these scenes; see `Engine.remaining`."""
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
-        return task_spec(self.task).remaining(scenes, self.rules)
-
-    def check_start(
-        self, *, seed: object = None, scene: object = None, state: State | None = None, limit: int | None = None
-    ) -> None:
-        """Checks the arguments of a reset in an environment whose episodes end after `limit` steps.
-
-        Raises:
-            SettingsError: if more than one of seed, scene and state is given.
-            StateError: if the state is invalid, or its episode has ended.
-        """
-        starts = {"seed": seed, "scene": scene, "state": state}
-        names = [name for name, value in starts.items() if value is not None]
-        if len(names) > 1:
-            raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
-        if state is not None:
-            check_state(state)
-            if limit is not None and state.steps >= limit:
-                raise StateError(
-                    f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than "
-                    f"{limit}"
-                )
-            self.trajectory_of(state)
-
-    def trajectory_of(self, state: State) -> list[Scene]:
-        """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
-
-        Raises a `StateError` if the state lacks them, because it comes from another task or a plain scene.
-        """
-        if not self.trajectory:
-            return []
-        if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
-            raise StateError(
-                f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
-                f"give a state from get_state() of an environment of {self.task}"
-            )
-        return list(state.trajectory)
 
 
 class Engine:
@@ -178,7 +48,6 @@ class Engine:
         variant: the variant.
         rules: the rules of score and horizon.
         seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
-        steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
         limit: the number of actions after which an episode ends, at most the horizon, which is the default.
         shifts: the strengths of the shifts by name, without `body`.
@@ -236,15 +105,10 @@ class Engine:
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
         self.horizon = self.limit = setup.horizon
-        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, speeds=setup.speeds)
+        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, setup)
         self.shifts = strengths
         self.seed: int | None = None
-        self._start_counting()
-
-    def _start_counting(self) -> None:
-        self.steps, self._broken = 0, False
-        self._trajectory = [self.initial_scene] if self.setup.trajectory else []
-        self._measured: tuple[Any, float] = None, 0.0
+        self._broken = False
 
     @property
     def simulation(self) -> Simulation:
@@ -272,6 +136,11 @@ class Engine:
     def initial_scene(self) -> Scene:
         """The initial scene of this episode."""
         return self.simulation.scene_model.scene
+
+    @property
+    def steps(self) -> int:
+        """The number of actions since the start of the episode."""
+        return self.simulation.steps
 
     @property
     def draws(self) -> Draws:
@@ -322,8 +191,7 @@ class Engine:
         start = self.setup.begin(self.shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
         simulation.start(*start)
-        self.seed = seed
-        self._start_counting()
+        self.seed, self._broken = seed, False
 
     def step(self, action: Any) -> bool:
         """Executes one action of 1/8 s. Returns whether the episode has ended.
@@ -341,19 +209,16 @@ class Engine:
         except PhysicsError:
             self._broken = True
             raise
-        self.steps += 1
-        if self._trajectory:
-            self._trajectory.append(self.scene)
         return self.over
 
     @property
     def scored_scenes(self) -> tuple[Scene, ...]:
         """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
-        return tuple(self._trajectory) or (self.initial_scene, self.scene)
+        return self.simulation.scored_scenes
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
-        return self.setup.score(self.scored_scenes)
+        return self.simulation.score()
 
     def remaining(self) -> float:
         """What remains to be done, in world units: 0 exactly if the score is 1. See the task's module.
@@ -362,10 +227,7 @@ class Engine:
             InvalidSceneError: without a task.
             TaskError: if the task has no formula for it.
         """
-        state = self.steps, self.data.qpos.tobytes()
-        if self._measured[0] != state:  # dense rewards ask before and after each step
-            self._measured = state, self.setup.remaining(self.scored_scenes)
-        return self._measured[1]
+        return self.simulation.remaining()
 
     def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
         """The state vector, in a fresh array of shape (len(STATE_NAMES),).
@@ -400,7 +262,7 @@ class Engine:
 
     def get_state(self) -> State:
         """The exact current state of the episode. Takes about 1/40 of a step's time."""
-        return self.simulation.state(self.steps, self._trajectory)
+        return self.simulation.state()
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine or of another one with the same task. The episode continues exactly.
@@ -414,17 +276,14 @@ class Engine:
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         simulation = self.simulation
-        check_state(state)
-        trajectory = self.setup.trajectory_of(state)
+        self.setup.check_start(state=state)
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
             simulation.start(*start)
             self.seed = None
-        simulation.restore(state.simulation)
-        simulation.shifts.resume(int(state.steps), state.commands)
-        self.steps, self._broken, self._trajectory = int(state.steps), False, trajectory
-        self._measured = None, 0.0
+        simulation.resume(state)
+        self._broken = False
 
     def clone(self) -> Engine:
         """A copy in the same state, with the same future. Takes as long as making a new engine."""

@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.engine.engine import Setup
+from magical_mj.engine.episode import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.shifts.registry import split_body
 from magical_mj.utils.errors import InvalidActionError, SettingsError, as_integer, short_repr

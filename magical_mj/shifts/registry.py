@@ -69,10 +69,7 @@ def shift_plugins() -> Mapping[str, EntryPoint]:
 
 
 def shift_class(name: str) -> type[Shift]:
-    """The class of a shift.
-
-    Args:
-        name: one of `SHIFTS`, the name of an installed package's shift, or ``"package.module:NAME"``.
+    """The class of one of `SHIFTS`, of an installed package's shift, or of ``"package.module:NAME"``.
 
     Raises:
         UnknownNameError: for unknown names.

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
-from magical_mj.engine.engine import Engine, Setup, restored
-from magical_mj.engine.simulation import Simulation, check_state, different_numbers
+from magical_mj.engine.engine import Engine, restored
+from magical_mj.engine.episode import Setup
+from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.rendering.backend import check_renderer
@@ -102,7 +103,7 @@ class Environment(composer.Environment):
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
-        return self.task.score(self._opened())
+        return self.task.simulation(self._opened()).score()
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the current state; see `magical_mj.Engine.render`. Segmentations are not available here."""
@@ -181,7 +182,7 @@ class Environment(composer.Environment):
         timestep = super().reset()
         self._never_reset = False
         if state is not None:
-            task.resume(self.physics, state)  # again: composer's reset has computed accelerations since
+            task.simulation(self.physics).resume(state)  # again: composer's reset has computed accelerations since
         self._over = task.should_terminate_episode(self.physics)
         return timestep
 
@@ -218,8 +219,7 @@ class Environment(composer.Environment):
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         physics = self._opened()
-        check_state(state)
-        self.task.setup.trajectory_of(state)
+        self.task.setup.check_start(state=state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
         self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
@@ -243,7 +243,7 @@ class Environment(composer.Environment):
         """The names of numbers that differ between the compiled model and the model of the current episode's scene."""
         task = self.task
         shifts = EpisodeShifts({} if self._never_reset else task.shifts.draws)
-        own = Simulation.of(self.initial_scene, shifts=shifts, speeds=task.setup.speeds)
+        own = Simulation.of(self.initial_scene, shifts=shifts)
         return different_numbers(self.physics.model.ptr, own.model)
 
     def clone(self) -> Environment:
