@@ -3,186 +3,25 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.simulation import Simulation, State, check_state
+from magical_mj.engine.episode import Setup, State
+from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
-from magical_mj.scene import Scene, check_scene_type
-from magical_mj.scene.bodies import GRIPPER, check_body_name
-from magical_mj.scene.geometry import check_scene
-from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
+from magical_mj.scene import Scene
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.episode import Draws, EpisodeShifts
 from magical_mj.shifts.registry import Shifts, shift_class, split_body
-from magical_mj.shifts.shift import Shift
-from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
+from magical_mj.shifts.shift import overrides
+from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import (
-    ClosedError,
-    InvalidSceneError,
-    PhysicsError,
-    SettingsError,
-    StateError,
-)
+from magical_mj.utils.errors import ClosedError, PhysicsError, SettingsError, StateError
 from magical_mj.variants import check_seed
-
-
-@dataclass(frozen=True)
-class Setup:
-    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
-
-    The task is None for plain scenes: these have no score and no horizon, and contain the robot's body.
-    """
-
-    task: str | None
-    variant: str = "Demo"
-    rules: Rules = "paper"
-    body: str = GRIPPER
-    speeds: bool = False
-    """Whether vectors of x-magical's speeds are actions, too. They always are in its own task."""
-
-    def __post_init__(self) -> None:
-        """Checks the names."""
-        if self.task is not None:
-            object.__setattr__(self, "variant", variant_name(self.variant))
-            environment_axes(self.task, self.variant)
-            check_body_name(self.body)
-            object.__setattr__(self, "speeds", self.speeds or task_spec(self.task).speeds)
-        check_rules(self.rules)
-
-    @property
-    def horizon(self) -> int | None:
-        """The number of actions of an episode; None if it never ends."""
-        return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
-
-    @property
-    def trajectory(self) -> bool:
-        """Whether the score depends on the scenes of all steps."""
-        return self.task is not None and task_spec(self.task).trajectory
-
-    def check(self, scene: object) -> Scene:
-        """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
-        scene = check_scene_type(scene)
-        check_scene(scene)
-        if self.task is not None:
-            task_spec(self.task).check(scene)
-            if scene.robot.body != self.body:
-                raise InvalidSceneError(
-                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
-                    f"{self.body!r}: make another environment with body={scene.robot.body!r}"
-                )
-        return scene
-
-    def sample(self, seed: int) -> Scene:
-        """The scene of this seed.
-
-        Raises:
-            InvalidSeedError: if the seed is not an integer, or negative.
-            SettingsError: without a task.
-        """
-        if self.task is None:
-            raise SettingsError("a plain scene has no seeds: give a scene or a state")
-        return sample_scene(self.task, self.variant, seed, self.body)
-
-    def begin(
-        self,
-        shifts: Mapping[str, int],
-        seed: int | None = None,
-        scene: Scene | None = None,
-        draws: Draws | None = None,
-    ) -> tuple[Scene, EpisodeShifts | None]:
-        """The initial scene of an episode, and its shifts.
-
-        Args:
-            shifts: the strengths of the shifts.
-            seed: draws the scene and the values of the shifts.
-            scene: the initial scene instead. Shifts do not change it, and draw their values from seed 0.
-            draws: the values of the shifts instead.
-
-        Raises:
-            InvalidSceneError: if an episode cannot start in the scene.
-        """
-        if draws is None:
-            draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
-        episode = EpisodeShifts(draws) if draws else None
-        if scene is not None or seed is None:
-            return self.check(scene), episode
-        drawn = self.sample(seed)
-        return (drawn if episode is None or self.task is None else episode.scene(drawn, self.task)), episode
-
-    def instruction(self, shifts: EpisodeShifts | None) -> str:
-        """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
-        if self.task is None:
-            return ""
-        sentence = task_spec(self.task).summary
-        return sentence if shifts is None else shifts.instruction(sentence, self.task)
-
-    @np.errstate(all="ignore")  # no result depends on the caller's settings
-    def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes. Most tasks use only the first and the last scene.
-
-        Raises:
-            InvalidSceneError: without a task.
-        """
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
-        return task_spec(self.task).checked_score(scenes, self.rules)
-
-    @np.errstate(all="ignore")
-    def remaining(self, scenes: Sequence[Scene]) -> float:
-        """What remains to be done in an episode with these scenes, in world units; 0 exactly if its score is 1.
-
-        Raises:
-            InvalidSceneError: without a task.
-            TaskError: if the task has no formula for it.
-        """
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
-        return task_spec(self.task).remaining(scenes, self.rules)
-
-    def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
-        """Checks the arguments of a reset.
-
-        Raises:
-            SettingsError: if there is more than one of them.
-            StateError: if the state is invalid, or its episode has ended.
-        """
-        starts = {"seed": seed, "scene": scene, "state": state}
-        names = [name for name, value in starts.items() if value is not None]
-        if len(names) > 1:
-            raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
-        if state is not None:
-            check_state(state)
-            check_goes_on(state, self.horizon)
-            self.trajectory_of(state)
-
-    def trajectory_of(self, state: State) -> list[Scene]:
-        """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
-
-        Raises:
-            StateError: if the state lacks these scenes, because it comes from another task or a plain scene.
-        """
-        if not self.trajectory:
-            return []
-        if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
-            raise StateError(
-                f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
-                f"give a state from get_state() of an environment of {self.task}"
-            )
-        return list(state.trajectory)
-
-
-def check_goes_on(state: State, limit: int | None) -> None:
-    """Raises a `StateError` if the state's episode has ended, which it does after `limit` steps."""
-    if limit is not None and state.steps >= limit:
-        raise StateError(
-            f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than {limit}"
-        )
 
 
 class Engine:
@@ -209,8 +48,8 @@ class Engine:
         variant: the variant.
         rules: the rules of score and horizon.
         seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
-        steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
+        limit: the number of actions after which an episode ends, at most the horizon, which is the default.
         shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
@@ -238,7 +77,7 @@ class Engine:
         task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
         strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body, speeds)
-        if unable := [name for name in strengths if setup.speeds and shift_class(name).action is not Shift.action]:
+        if unable := [name for name in strengths if setup.speeds and overrides(shift_class(name), "action")]:
             raise SettingsError(f"the shift {unable[0]!r} changes which of the 18 actions is taken, and not speeds")
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
@@ -248,37 +87,28 @@ class Engine:
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
-        """An engine for a plain scene. Without a task it has no score and no horizon.
-
-        Raises:
-            InvalidSceneError: if the scene is illegal.
-        """
+        """An engine for a plain scene, without score and horizon. Raises `InvalidSceneError` if it is illegal."""
         engine, setup = cls.__new__(cls), Setup(None)
         setup.check(scene)
-        engine._begin(setup, scene, None, renderer, {})
+        engine._begin(setup, scene, EpisodeShifts(), renderer, {})
         return engine
 
     def _begin(
         self,
         setup: Setup,
         scene: Scene,
-        shifts: EpisodeShifts | None,
+        shifts: EpisodeShifts,
         renderer: str | None,
         strengths: dict[str, int],
     ) -> None:
         check_renderer(renderer)
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
-        self.horizon = setup.horizon
-        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, speeds=setup.speeds)
+        self.horizon = self.limit = setup.horizon
+        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, setup)
         self.shifts = strengths
         self.seed: int | None = None
-        self._start_counting()
-
-    def _start_counting(self) -> None:
-        self.steps, self._broken = 0, False
-        self._trajectory = [self.initial_scene] if self.setup.trajectory else []
-        self._measured: tuple[Any, float] = None, 0.0
+        self._broken = False
 
     @property
     def simulation(self) -> Simulation:
@@ -308,9 +138,14 @@ class Engine:
         return self.simulation.scene_model.scene
 
     @property
+    def steps(self) -> int:
+        """The number of actions since the start of the episode."""
+        return self.simulation.steps
+
+    @property
     def draws(self) -> Draws:
         """The values that the shifts of this episode have drawn: for each shift its factors and its seed."""
-        return {} if self.simulation.shifts is None else self.simulation.shifts.draws
+        return self.simulation.shifts.draws
 
     @property
     def instruction(self) -> str:
@@ -319,8 +154,8 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended, at its horizon or because the simulation became unstable."""
-        return self._broken or (self.horizon is not None and self.steps >= self.horizon)
+        """Whether the episode has ended, at its limit or because the simulation became unstable."""
+        return self._broken or (self.limit is not None and self.steps >= self.limit)
 
     def reset(
         self,
@@ -345,9 +180,9 @@ class Engine:
             SettingsError: if more than one of seed, scene and state is given.
         """
         simulation = self.simulation
-        self.setup.check_start(seed=seed, scene=scene, state=state)
+        self.setup.check_start(seed=seed, scene=scene, state=state, limit=self.limit)
         if state is not None:
-            self._restore(state)
+            self.set_state(state)
             return
         if seed is not None:
             seed = check_seed(seed)
@@ -356,8 +191,7 @@ class Engine:
         start = self.setup.begin(self.shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
         simulation.start(*start)
-        self.seed = seed
-        self._start_counting()
+        self.seed, self._broken = seed, False
 
     def step(self, action: Any) -> bool:
         """Executes one action of 1/8 s. Returns whether the episode has ended.
@@ -375,23 +209,16 @@ class Engine:
         except PhysicsError:
             self._broken = True
             raise
-        self.steps += 1
-        if self._trajectory:
-            self._trajectory.append(self.scene)
         return self.over
 
     @property
     def scored_scenes(self) -> tuple[Scene, ...]:
         """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
-        return tuple(self._trajectory) or (self.initial_scene, self.scene)
+        return self.simulation.scored_scenes
 
     def score(self) -> float:
-        """The score in [0, 1] if the episode ended now.
-
-        Raises:
-            InvalidSceneError: without a task.
-        """
-        return self.setup.score(self.scored_scenes)
+        """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
+        return self.simulation.score()
 
     def remaining(self) -> float:
         """What remains to be done, in world units: 0 exactly if the score is 1. See the task's module.
@@ -400,10 +227,7 @@ class Engine:
             InvalidSceneError: without a task.
             TaskError: if the task has no formula for it.
         """
-        state = self.steps, self.data.qpos.tobytes()
-        if self._measured[0] != state:  # dense rewards ask before and after each step
-            self._measured = state, self.setup.remaining(self.scored_scenes)
-        return self._measured[1]
+        return self.simulation.remaining()
 
     def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
         """The state vector, in a fresh array of shape (len(STATE_NAMES),).
@@ -438,7 +262,7 @@ class Engine:
 
     def get_state(self) -> State:
         """The exact current state of the episode. Takes about 1/40 of a step's time."""
-        return self.simulation.state(self.steps, self._trajectory)
+        return self.simulation.state()
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine or of another one with the same task. The episode continues exactly.
@@ -451,22 +275,15 @@ class Engine:
                 scene, the current episode ends.
             InvalidSceneError: if the state's scene does not belong to this task.
         """
-        check_state(state)
-        self._restore(state)
-
-    def _restore(self, state: State) -> None:
         simulation = self.simulation
-        trajectory = self.setup.trajectory_of(state)
+        self.setup.check_start(state=state)
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
             simulation.start(*start)
             self.seed = None
-        simulation.restore(state.simulation)
-        if simulation.shifts is not None:
-            simulation.shifts.resume(int(state.steps), state.commands)
-        self.steps, self._broken, self._trajectory = int(state.steps), False, trajectory
-        self._measured = None, 0.0
+        simulation.resume(state)
+        self._broken = False
 
     def clone(self) -> Engine:
         """A copy in the same state, with the same future. Takes as long as making a new engine."""
@@ -477,8 +294,8 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: the arguments of `restored`."""
-        state = self.get_state()
-        return restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
+        episode = self.seed, self.get_state(), self._broken, self.limit
+        return restored, (self.setup, self.shifts, *episode, self.simulation.renderer)
 
     def close(self) -> None:
         """Frees the simulation. Can be called more than once."""
@@ -488,11 +305,17 @@ class Engine:
 
 
 def restored(
-    setup: Setup, shifts: dict[str, int], seed: int | None, state: State, broken: bool, renderer: str | None
+    setup: Setup,
+    shifts: dict[str, int],
+    seed: int | None,
+    state: State,
+    broken: bool,
+    limit: int | None,
+    renderer: str | None,
 ) -> Engine:
     """A copy of an engine, made from the values that `Engine.__reduce__` returns."""
     engine = Engine.__new__(Engine)
-    engine._begin(setup, state.scene, EpisodeShifts(state.draws) if state.draws else None, renderer, shifts)
+    engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
-    engine.seed, engine._broken = seed, broken
+    engine.seed, engine._broken, engine.limit = seed, broken, limit
     return engine

@@ -13,7 +13,8 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterator, Mapping
+import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree.ElementTree import Comment, Element, SubElement
@@ -317,14 +318,11 @@ def _attributes(element: Element, pad: str) -> str:
     return text
 
 
-def _wrapped(value: str, group: int, width: int) -> Iterator[str]:
-    """The lines of a wrapped list of numbers; groups are never split."""
+def _wrapped(value: str, group: int, width: int) -> list[str]:
+    """The lines of a wrapped list of numbers. Two spaces separate groups, which are never split."""
+    if group == 1:
+        return textwrap.wrap(value, width - 1, break_on_hyphens=False)
     entries = value.split()
-    row = ""
-    for start in range(0, len(entries), group):
-        item = " ".join(entries[start : start + group])
-        if row and len(row) + len(item) + 2 > width:
-            yield row
-            row = ""
-        row += ("  " if row and group > 1 else " " if row else "") + item
-    yield row
+    groups = ("_".join(entries[start : start + group]) for start in range(0, len(entries), group))
+    lines = textwrap.wrap("  ".join(groups), width, break_on_hyphens=False)
+    return [line.replace("_", " ") for line in lines]

@@ -1,14 +1,10 @@
-"""The simulation of a scene: MuJoCo's model and data, with actions, pictures, and states that can be saved.
-
-A `State` is plain data. Restoring it continues the episode: for search, for an expert's corrections, for resets.
-"""
+"""The simulation of an episode: MuJoCo's model and data, with actions, scores, pictures, and states to save."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
@@ -20,113 +16,55 @@ from numpy.typing import NDArray
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal, speed_signal
 from magical_mj.assets.scene_model import SceneModel, compiled_model
+from magical_mj.engine.episode import Setup, State
 from magical_mj.rendering.picture import Picture
 from magical_mj.rendering.renderer import Views
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.scene.state_vector import VIEWS, StateEncoder
-from magical_mj.shifts.episode import Draws, EpisodeShifts
+from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.shifts.shift import Frame
-from magical_mj.utils.errors import PhysicsError, StateError, as_integer, short_repr
+from magical_mj.utils.errors import PhysicsError, StateError
 
 _SMALLEST_INTEGER: Final = np.iinfo(np.int32).min
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 _NO_ACTUATION: Final = mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """Everything that determines how an episode continues. `get_state` returns it, `set_state` restores it exactly.
-
-    It contains only numbers. So it can be copied, pickled, sent to another process, or saved in a file field by field
-    (the scene as `scene.to_json()`). It can be restored in every environment with the same task, or with the same scene
-    without a task. The environments may have different observations. The generator that draws the scenes of later
-    episodes is not part of the state.
-
-    Attributes:
-        scene: the episode's initial scene.
-        steps: the number of control steps so far.
-        simulation: MuJoCo's state: positions, velocities, actuators, the solver's warm start, and which blocks sleep.
-            A vector with the same length for all states of episodes with this scene.
-        frames: the stacks of frames of the environment, by name; empty if it has none.
-        draws: the values that the shifts of the episode have drawn; see `magical_mj.shifts`.
-        commands: for each shift that changes actions, the last commands that it received.
-        trajectory: the scenes of the episode so far, the current one last, if the task's score depends on all scenes;
-            otherwise empty.
-    """
-
-    scene: Scene
-    steps: int
-    simulation: NDArray[np.float64]
-    frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
-    draws: Draws = field(default_factory=dict[str, dict[str, float]])
-    commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]])
-    trajectory: tuple[Scene, ...] = ()
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both episodes are in exactly the same state. Frames are not compared: they follow from the rest."""
-        if not isinstance(other, State):
-            return NotImplemented
-        return self._identity() == other._identity()
-
-    def __hash__(self) -> int:
-        return hash(self._identity())
-
-    def _identity(self) -> tuple[object, ...]:
-        shifts = repr(self.draws), repr(self.commands)
-        return self.scene, self.steps, self.simulation.tobytes(), *shifts, self.trajectory
-
-
-def check_state(state: object) -> None:
-    """Raises `StateError` unless it is a `State` with fields of the right types. `restore` checks the simulation."""
-    if not (
-        isinstance(state, State)
-        and isinstance(state.scene, Scene)
-        and as_integer(state.steps) is not None
-        and isinstance(state.frames, Mapping)
-        and isinstance(state.draws, Mapping)
-        and isinstance(state.commands, Mapping)
-        and isinstance(state.trajectory, tuple)
-        and all(isinstance(scene, Scene) for scene in state.trajectory)
-    ):
-        raise StateError(
-            "a state must be a result of get_state(): a scene, the number of steps (0 or more), the simulation's "
-            f"numbers, and frames by name; not {short_repr(state)}"
-        )
-
-
 class Simulation:
-    """The simulation of a scene. After `start`, the scene's objects are at rest in their initial poses.
+    """The simulation of an episode. After `start`, the scene's objects are at rest in their initial poses.
 
     Args:
+        setup: the setup of the episodes.
         scene_model: the initial scene and its coordinates.
         model: the scene's compiled model.
         data: MuJoCo's data of this model; None: new data.
         renderer: "opengl", "software" or None, as for `magical_mj.Engine`.
         cameras: the names of the views' cameras in the model, where they differ from the views' names.
-        speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
 
     Attributes:
         scene_model: the initial scene of the current episode, and its coordinates.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's data of that model.
-        shifts: the shifts of the current episode; None if there are none.
+        shifts: the shifts of the current episode.
+        steps: the number of actions since the start of the episode.
+        trajectory: the scenes of the episode so far if the score depends on all of them; otherwise empty.
     """
 
     def __init__(
         self,
+        setup: Setup,
         scene_model: SceneModel,
         model: mujoco.MjModel,
         data: mujoco.MjData | None = None,
         renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
-        *,
-        speeds: bool = False,
     ) -> None:
-        self.scene_model, self.model, self.data = scene_model, model, data or mujoco.MjData(model)
-        self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
-        self.shifts: EpisodeShifts | None = None
+        self.setup, self.scene_model, self.model, self.data = setup, scene_model, model, data or mujoco.MjData(model)
+        self.renderer, self._cameras = renderer, cameras
+        self.shifts, self.steps, self.trajectory = EpisodeShifts(), 0, list[Scene]()
+        self._measured: tuple[Any, float] = None, 0.0
         self._views: Views | None = None
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
@@ -136,13 +74,13 @@ class Simulation:
         scene: Scene,
         renderer: str | None = None,
         shifts: EpisodeShifts | None = None,
-        *,
-        speeds: bool = False,
+        setup: Setup | None = None,
     ) -> Simulation:
         """The simulation of an episode that starts in this scene, with these shifts."""
         scene_model = SceneModel(scene)
-        simulation = cls(scene_model, copy(compiled_model(scene_model.structure)), renderer=renderer, speeds=speeds)
-        simulation.shifts = shifts
+        model = copy(compiled_model(scene_model.structure))
+        simulation = cls(setup or Setup(None), scene_model, model, renderer=renderer)
+        simulation.shifts = shifts or simulation.shifts
         simulation._begin()
         return simulation
 
@@ -156,8 +94,8 @@ class Simulation:
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
-        changed = self.shifts is not None and self.shifts.changes_model
-        before, self.shifts = self.scene_model.structure, shifts
+        changed, self.shifts = self.shifts.changes_model, shifts or EpisodeShifts()
+        before = self.scene_model.structure
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
@@ -173,7 +111,7 @@ class Simulation:
         `mj_forward` is called twice: its solver starts from the previous solution, and protocol 1 is defined so.
         """
         model, data = self.model, self.data
-        self.scene_model.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, change=self.shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
@@ -182,17 +120,28 @@ class Simulation:
             mujoco.mj_forward(model, data)
         finally:
             model.opt.disableflags = enabled
+        self.start_counting()
+
+    def start_counting(self) -> None:
+        """Starts the records of a new episode."""
+        self.steps, self.trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
+        self._measured = None, 0.0
 
     def copy(self) -> Simulation:
-        """A copy in the same state that shares the model. It has no shifts, so it executes actions as commanded."""
-        return Simulation(
-            self.scene_model, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds
-        )
+        """A copy of the model and data. It has no shifts and no records, and executes actions as commanded."""
+        return Simulation(self.setup, self.scene_model, self.model, copy(self.data), self.renderer, self._cameras)
 
     def act(self, action: Any) -> None:
-        """Simulates one action of 1/8 s; see `command` and `advance`."""
+        """Simulates one action of 1/8 s; see `command`, `advance` and `record`."""
         self.command(action)
         self.advance(SUBSTEPS)
+        self.record()
+
+    def record(self) -> None:
+        """Counts an action after it was simulated, and stores the scene if the score depends on it."""
+        self.steps += 1
+        if self.trajectory:
+            self.trajectory.append(self.scene)
 
     def command(self, action: Any) -> None:
         """Writes the controls of an action.
@@ -200,23 +149,19 @@ class Simulation:
         Raises:
             InvalidActionError: if the action is neither one of the 18 nor, with `speeds`, a vector of speeds.
         """
-        if self.speeds:
+        if self.setup.speeds:
             self._command_speeds(action)
             return
-        number, scene = action_number(action), self.scene_model.scene
-        if self.shifts is not None:
-            number = self.shifts.action(number)
-        self.data.ctrl[self.scene_model.coordinates.ctrl] = control_signal(
-            number, scene.robot.body, scene.dynamics.veer
-        )
+        number, scene = self.shifts.action(action_number(action)), self.scene_model.scene
+        controls = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        self.data.ctrl[self.scene_model.coordinates.ctrl] = controls
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
         scene_model, data = self.scene_model, self.data
         size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
-            number = action_number(action)
-            vector = to_vector(number if self.shifts is None else self.shifts.action(number))[:size]
+            vector = to_vector(self.shifts.action(action_number(action)))[:size]
         else:
             vector = as_speeds(action, size)
         fingers = scene_model.fingers(data.qpos) if scene_model.has_fingers else None
@@ -259,7 +204,7 @@ class Simulation:
         """A picture of the current state, in a fresh array or in `out`; see `rendering.renderer.Views.draw`."""
         if self._views is None or self._views.model is not self.model:
             self._views = Views(self.model, self.renderer, self._cameras)
-        if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
+        if not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
         uncovered = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
         target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
@@ -282,18 +227,34 @@ class Simulation:
         """Frees the simulation's renderer. The drawing context is shared and remains."""
         self._views = None
 
-    def state(self, steps: int, trajectory: Sequence[Scene] = ()) -> State:
-        """The current state of the episode.
+    @property
+    def scored_scenes(self) -> tuple[Scene, ...]:
+        """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
+        return tuple(self.trajectory) or (self.scene_model.scene, self.scene)
 
-        Args:
-            steps: the number of control steps so far.
-            trajectory: the scenes so far, if the score depends on all of them.
-        """
-        scene, saved = self.scene_model.scene, self.save()
-        if self.shifts is None:
-            return State(scene, steps, saved, trajectory=tuple(trajectory))
-        commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}
-        return State(scene, steps, saved, draws=self.shifts.draws, commands=commands, trajectory=tuple(trajectory))
+    def score(self) -> float:
+        """The score if the episode ended now."""
+        return self.setup.score(self.scored_scenes)
+
+    def remaining(self) -> float:
+        """What remains to be done; see `magical_mj.Engine.remaining`."""
+        state = self.steps, self.data.qpos.tobytes()
+        if self._measured[0] != state:  # dense rewards ask before and after each step
+            self._measured = state, self.setup.remaining(self.scored_scenes)
+        return self._measured[1]
+
+    def state(self) -> State:
+        """The current state of the episode."""
+        draws, commands = self.shifts.draws, {name: tuple(last) for name, last in self.shifts.commands.items()}
+        scene, saved, trajectory = self.scene_model.scene, self.save(), tuple(self.trajectory)
+        return State(scene, self.steps, saved, draws=draws, commands=commands, trajectory=trajectory)
+
+    def resume(self, state: State) -> None:
+        """Continues from a state of an episode with the same initial scene and the same values of shifts."""
+        trajectory = self.setup.trajectory_of(state)
+        self.restore(state.simulation)
+        self.steps, self.trajectory, self._measured = int(state.steps), trajectory, (None, 0.0)
+        self.shifts.resume(self.steps, state.commands)
 
     def save(self) -> NDArray[np.float64]:
         """MuJoCo's complete current state in a fresh array. Shape (state size + number of trees,).
@@ -312,20 +273,19 @@ class Simulation:
         Raises:
             StateError: if it is not a state of this model.
         """
-        size = mujoco.mj_stateSize(self.model, _INTEGRATION)
-        length = size + self.model.ntree
+        before = self.save()
+        length, trees = len(before), self.model.ntree
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (length,)
         if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # with larger numbers, MuJoCo resets silently
             raise StateError(
                 f"a state of this scene must be an array of {length} finite float64, from -{MAX_NUMBER:g} to "
                 f"{MAX_NUMBER:g}; see get_state()"
             )
-        asleep = saved[size:]
+        asleep = saved[length - trees :]
         sleeping = asleep >= 0
         together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
         if not together or asleep.min() < _SMALLEST_INTEGER or (asleep % 1).any():
             raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
-        before = self.save()
         try:
             self._put(saved)
         except mujoco.FatalError as error:
@@ -334,11 +294,11 @@ class Simulation:
 
     def _put(self, saved: NDArray[np.float64]) -> None:
         model, data = self.model, self.data
-        size = mujoco.mj_stateSize(model, _INTEGRATION)
+        state, asleep = np.split(saved, [len(saved) - model.ntree])
         mujoco.mj_resetData(model, data)
-        mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
+        mujoco.mj_setState(model, data, state, _INTEGRATION)
         mujoco.mj_fwdPosition(model, data)  # before any body sleeps: MuJoCo does not update sleeping bodies
-        data.tree_asleep[:] = saved[size:]
+        data.tree_asleep[:] = asleep
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
 

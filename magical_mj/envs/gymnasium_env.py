@@ -16,8 +16,6 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
-from magical_mj.engine.engine import check_goes_on
-from magical_mj.engine.simulation import check_state
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
@@ -127,7 +125,6 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._remaining = 0.0  # before the last step, for dense rewards
         settings: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
         self._engine = Engine(task, variant, seed=0, speeds=action == "speeds", **settings)
-        self._limit = self._engine.setup.horizon or 0
         if limit is not None:
             self.limit = limit
         self._action: ActionForm = action
@@ -163,11 +160,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     @property
     def limit(self) -> int:
         """The number of steps of an episode. If it continues from a state, the steps before the state count."""
-        return self._limit
+        return self._engine.limit or 0
 
     @limit.setter
     def limit(self, steps: int) -> None:
-        self._limit = check_limit(steps, self._engine.setup)
+        self._engine.limit = check_limit(steps, self._engine.setup)
 
     @cached_property
     def variation_space(self) -> VariationSpace:
@@ -214,20 +211,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         start = check_options(options, *STARTS)
         if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
             raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
-        scene, state, variation = (
-            _scene_option(start, self._engine.setup.body),
-            start.get("state"),
-            start.get("variation"),
-        )
+        scene, state = _scene_option(start, self._engine.setup.body), start.get("state")
+        variation = start.get("variation")
         steps = 0 if self.over else self._engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
             self._engine.reset(scene=scene, draws=draws)
         elif scene is not None or state is not None:
-            if state is not None:
-                check_state(state)
-                check_goes_on(state, self._limit)
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
         else:
@@ -306,12 +297,12 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         over = self._engine.step(action)
         self._fresh_seed = None
         self._stacks.push(self._draw)
-        return over or self.over
+        return over
 
     @property
     def over(self) -> bool:
         """Whether the episode has ended."""
-        return self._engine.over or self._engine.steps >= self._limit
+        return self._engine.over
 
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated (always False), truncated and info of a step."""
@@ -342,17 +333,16 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
-        shifts = self._engine.simulation.shifts
-        if self._instruction or (shifts is not None and shifts.changes_instruction):
+        if self._instruction or self._engine.simulation.shifts.changes_instruction:
             info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
     def _notice_cut(self, steps: int) -> None:
         """Warns if consecutive episodes are reset at this step, probably by a wrapper such as `TimeLimit`."""
         self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
-        if self._cut == (steps, CUTS) and steps > self._limit / 2:
+        if self._cut == (steps, CUTS) and steps > self.limit / 2:
             warnings.warn(
-                f"the last {CUTS} episodes were reset after {steps} of {self._limit} steps. If a wrapper such as "
+                f"the last {CUTS} episodes were reset after {steps} of {self.limit} steps. If a wrapper such as "
                 "TimeLimit ends them, their eval_score is 0.0: apply magical_mj.wrappers.ScoreAtTheEnd outside that "
                 "wrapper, or give max_episode_steps to gymnasium.make",
                 stacklevel=3,
@@ -370,7 +360,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
         seed = check_seed(variation.get("seed", seed))
         scene, shifts = engine.setup.begin(engine.shifts, seed)
-        values = space.values_of(scene, {} if shifts is None else shifts.draws, seed % MAX_SEED)
+        values = space.values_of(scene, shifts.draws, seed % MAX_SEED)
         for name, part in variation.items():
             check_name("key of a variation", name, space.spaces)
             values[name] = {**values[name], **part} if isinstance(part, Mapping) else part
@@ -379,9 +369,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def _draw(self, view: str, out: Images) -> None:
         self._engine.render(view, len(out), out=out if out.shape[2] == 3 else out[..., 0])
 
-    def _check_observable(self, scene: Scene | None) -> None:
+    def _check_observable(self, scene: object) -> None:
         """Raises an `InvalidSceneError` if the state vector is too short for a scene, before anything is changed."""
-        if scene is not None and self._preset.layout == "state":
+        if isinstance(scene, Scene) and self._preset.layout == "state":
             StateEncoder(scene)
 
     def state(self) -> NDArray[np.float32]:
@@ -425,11 +415,7 @@ def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
 
 
 def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:
-    """Checks the options of an environment's `reset`. Unknown ones cause a warning, since libraries pass their own.
-
-    Raises:
-        SettingsError: if they are neither a mapping nor None.
-    """
+    """Checks the options of an environment's `reset`. Unknown ones cause a warning, since libraries pass their own."""
     names = " and ".join(f'"{name}"' for name in known)
     if options is None:
         return {}

@@ -85,13 +85,7 @@ def preset_named(name: str) -> Preset:
 def observation_space(
     preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
 ) -> spaces.Space[Any]:
-    """The space of a preset's observations.
-
-    Args:
-        preset: the preset.
-        shapes: the shapes of its stacks by name; not used for the state vector.
-        instruction: whether dicts contain the sentence that describes the task.
-    """
+    """The space of a preset's observations with stacks of these shapes, and with the instruction if it is a dict."""
     if preset.layout == "state":
         entries = len(STATE_NAMES) + (len(START_NAMES) if preset.start else 0)
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (entries,), np.float32)
@@ -124,20 +118,12 @@ class FrameStack:
 
     The stack is a window into a longer buffer. For each new stack, the window moves by one frame, so all older frames
     keep their memory. Only the newest frames are drawn, directly into the buffer.
-
-    Args:
-        frames: each view with its number of frames, in stacking order.
-        size: side of the frames in pixels.
-        depth: the number of channels of a frame.
-        channels_first: stacks of shape (channels, size, size) instead of (size, size, channels).
     """
 
     MOVES: Final = 16
     """The number of moves of the window before it returns to the start of the buffer."""
 
-    def __init__(
-        self, frames: tuple[tuple[str, int], ...], size: int, depth: int = 3, *, channels_first: bool = False
-    ) -> None:
+    def __init__(self, frames: tuple[tuple[str, int], ...], size: int, depth: int, *, channels_first: bool) -> None:
         count = depth * sum(number for _, number in frames)
         self.has_history = any(number > 1 for _, number in frames)
         """Whether a stack depends on the previous stack."""
@@ -182,10 +168,6 @@ class Stacks:
 
     The layout "dict" has a stack for each view, named after it. The layout "state" has none. Other layouts have one
     stack. Its name describes its frames, such as "allo1+ego3", since the stacks of two presets can have equal shapes.
-
-    Args:
-        preset: the preset.
-        size: side of the frames in pixels.
     """
 
     def __init__(self, preset: Preset, size: int) -> None:

@@ -71,11 +71,7 @@ class VariationSpace(spaces.Dict):
         )
 
     def values_of(self, scene: Scene, draws: Draws, seed: int) -> Variation:
-        """The variation of an episode.
-
-        Raises:
-            InvalidSceneError: if the scene has more blocks, regions or pebbles than the space has entries for.
-        """
+        """The variation of an episode. Raises an `InvalidSceneError` if its scene has more objects than the space."""
         values: Variation = {"seed": seed, "scene": _scene_values(scene)}
         for name in self.spaces.keys() - values.keys():
             drawn = draws.get(name, {})
@@ -85,8 +81,7 @@ class VariationSpace(spaces.Dict):
     def sample(self, mask: Any = None, probability: Any = None) -> Variation:
         """A random variation that `reset` accepts: a scene of the variant All, with all shifts at their full strength.
 
-        Raises:
-            SettingsError: if a mask is given. To draw some factors only, pass their names to `reset`.
+        Masks are refused: to draw some factors only, pass their names to `reset`.
         """
         if mask is not None or probability is not None:
             raise SettingsError(

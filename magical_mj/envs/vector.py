@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
-from magical_mj.envs.wrappers import check_named
+from magical_mj.envs.wrappers import check_id
 from magical_mj.scene.actions import ACTIONS, as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
@@ -47,12 +47,12 @@ def make_vec(
         >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
         >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
     """
-    known = isinstance(environment, str) and environment in gymnasium.registry
-    if known:
+    if isinstance(environment, str) and environment in gymnasium.registry:
+        id_ = environment
         settings |= {name: value for name, value in (("variant", variant), ("preset", preset)) if value is not None}
-    chosen = "Demo" if variant is None else variant, "LoRes4E" if preset is None else preset
-    name = environment if known else env_id(environment, *chosen)
-    return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
+    else:
+        id_ = env_id(environment, "Demo" if variant is None else variant, "LoRes4E" if preset is None else preset)
+    return cast("VectorEnv", gymnasium.make_vec(id_, num_envs, "vector_entry_point", **settings))
 
 
 def make_vector(
@@ -129,17 +129,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The spec with the arguments of `gymnasium.make_vec`.
-
-        Raises:
-            SettingsError: if an argument contradicts the id, for example another body.
-        """
+        """The spec with the arguments of `gymnasium.make_vec`, which may not contradict the id."""
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         try:
-            check_named(spec.id, spec.kwargs)
+            check_id(spec.id, spec.kwargs)
         except SettingsError:
             self.close()
             raise

@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.engine.engine import Setup
+from magical_mj.engine.episode import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.shifts.registry import split_body
 from magical_mj.utils.errors import InvalidActionError, SettingsError, as_integer, short_repr
@@ -83,7 +83,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             raise SettingsError(f"ScoreAtTheEnd wraps only environments of magical_mj, not {self.unwrapped}")
         self._inner = env
         if env.spec is not None:
-            check_named(env.spec.id, env.spec.kwargs)
+            check_id(env.spec.id, env.spec.kwargs)
         if env.spec is not None and env.spec.max_episode_steps is not None:
             limit = check_limit(env.spec.max_episode_steps, engine.setup)
             if isinstance(env, gymnasium.wrappers.TimeLimit):
@@ -112,7 +112,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return observation, reward, terminated, truncated, info
 
 
-def check_named(id_: str, settings: Mapping[str, Any]) -> None:
+def check_id(id_: str, settings: Mapping[str, Any]) -> None:
     """Raises a `SettingsError` if the settings contradict the id of an environment, for example in its task or body."""
     named = gymnasium.registry[id_].kwargs if id_ in gymnasium.registry else {}
     given = {**named, **settings}

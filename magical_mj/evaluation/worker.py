@@ -286,7 +286,7 @@ def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> s
     """The digest of an episode's initial scene."""
     if not shift:
         return sample_scene(task, variant, seed, body).digest()
-    from magical_mj.engine.engine import Setup  # imported late: it loads the simulator
+    from magical_mj.engine.episode import Setup  # imported late: it loads the simulator
 
     strengths, body = split_body(shift, task, body)
     return Setup(task, variant, body=body).begin(strengths, seed)[0].digest()

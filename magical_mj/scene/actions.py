@@ -152,8 +152,7 @@ def to_discrete(vector: ArrayLike) -> int:
 def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
     """An x-magical action as numbers: (speed, turn), and grip for a gripper. Shape (size,).
 
-    Raises:
-        InvalidActionError: for another shape, or entries that are not finite numbers.
+    Raises an `InvalidActionError` for another shape, or entries that are not finite numbers.
     """
     entries = _finite(action, size)
     if entries is None:

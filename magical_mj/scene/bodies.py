@@ -107,8 +107,7 @@ BODIES: Final[Mapping[str, Body]] = MappingProxyType(
 def body_named(name: str) -> Body:
     """The body with this name, or the object of ``"package.module:BODY"``, whose module is imported.
 
-    Raises:
-        InvalidSceneError: if the body does not exist.
+    Raises an `InvalidSceneError` if it does not exist.
     """
     if name in BODIES:
         return BODIES[name]
@@ -122,11 +121,7 @@ def body_named(name: str) -> Body:
 
 
 def check_body_name(name: object) -> str:
-    """The name, if it is valid for a body. Nothing is imported.
-
-    Raises:
-        InvalidSceneError: if it is invalid.
-    """
+    """The name, if it is valid for a body; otherwise an `InvalidSceneError` is raised. Nothing is imported."""
     if isinstance(name, str) and (name in BODIES or is_reference(name)):
         return str(name)
     raise InvalidSceneError(str(unknown_name("body", name, (*BODIES, "package.module:BODY"))))

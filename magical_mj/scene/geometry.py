@@ -217,12 +217,9 @@ def solids(scene: Scene) -> dict[str, Solid]:
 
 @np.errstate(all="ignore")  # tiny numbers may underflow, independent of the caller's settings
 def check_scene(scene: Scene) -> None:
-    """Raises unless the scene is legal: all objects are inside the walls, and no two solids overlap.
+    """Raises an `InvalidSceneError` unless all objects are inside the walls, and no two solids overlap.
 
     Contacts in the simulation are slightly soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
-
-    Raises:
-        InvalidSceneError: with the object that is outside, or the two that overlap.
     """
     _check_fingers(scene.robot)
     for body in (scene.robot, *scene.blocks):

@@ -332,11 +332,7 @@ def _set_numbers(owner: object, *names: str) -> None:
 
 
 def _as_number(name: str, value: Any) -> float:
-    """`value` as a float. Numbers of numpy and other libraries are accepted, booleans and strings are not.
-
-    Raises:
-        InvalidSceneError: if it is not a finite number, or greater than `MAX_NUMBER`.
-    """
+    """`value` as a float. Numbers of numpy and other libraries are accepted, booleans and strings are not."""
     kind = getattr(getattr(value, "dtype", None), "kind", "f")  # the kind of numpy's scalars and arrays
     try:
         if isinstance(value, bool) or kind not in "fiu" or getattr(value, "ndim", 0) or not hasattr(value, "__float__"):

@@ -60,18 +60,13 @@ FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index
 
 
 class StateEncoder:
-    """Computes the state vectors of one episode.
+    """Computes the state vectors of one episode. With `start`, the poses of the initial scene follow in the vector.
 
-    Args:
-        scene: the initial scene.
-        start: whether its poses follow in the vector.
+    Raises an `InvalidSceneError` if the scene has more blocks or regions than the vector.
 
     Attributes:
         fixed: the constant entries; the others are 0. Shape (len(STATE_NAMES),), or with a start (len(STATE_NAMES) +
             len(START_NAMES),).
-
-    Raises:
-        InvalidSceneError: if the scene has more blocks or regions than the vector.
     """
 
     def __init__(self, scene: Scene, *, start: bool = False) -> None:

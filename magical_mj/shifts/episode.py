@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.registry import SHIFTS, shift_class
-from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw
+from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
 from magical_mj.utils.imports import errors_of_task, with_location
@@ -32,10 +33,7 @@ def draw_shifts(shifts: Mapping[str, int], seed: int) -> dict[str, dict[str, flo
 
 
 class EpisodeShifts:
-    """The shifts of one episode, applied in order.
-
-    Args:
-        draws: their drawn values.
+    """The shifts of one episode, applied in order. There may be none.
 
     Attributes:
         draws: their drawn values.
@@ -48,7 +46,7 @@ class EpisodeShifts:
         changes_instruction: whether a shift changes the instruction.
     """
 
-    def __init__(self, draws: Draws) -> None:
+    def __init__(self, draws: Draws = MappingProxyType({})) -> None:
         self.draws = {name: dict(values) for name, values in draws.items()}
         self._shifts = {name: shift_class(name)(values) for name, values in self.draws.items()}
         self._with_action, self._with_picture, self._with_ground = map(self._with, ("action", "picture", "ground"))
@@ -63,8 +61,7 @@ class EpisodeShifts:
 
     def _with(self, method: str) -> list[str]:
         """The names of the shifts that override a method."""
-        base = getattr(Shift, method)
-        return [name for name, shift in self._shifts.items() if getattr(type(shift), method) is not base]
+        return [name for name, shift in self._shifts.items() if overrides(type(shift), method)]
 
     def _call(self, name: str, method: str, *arguments: Any) -> Any:
         """Calls a method of a shift. This package's errors pass through, all others become a `ShiftError`."""
@@ -191,11 +188,7 @@ def _plain_ground(half_width: float) -> Picture:
 
 
 def _checked(what: str, picture: Any, shape: tuple[int, ...]) -> Picture:
-    """A picture returned by a shift, as a contiguous array.
-
-    Raises:
-        ShiftError: if it is not a uint8 array of this shape.
-    """
+    """A picture returned by a shift, as a contiguous array. Raises a `ShiftError` unless it is uint8 of this shape."""
     if not isinstance(picture, np.ndarray) or picture.shape != shape or picture.dtype != np.uint8:
         got = f"of shape {picture.shape}, {picture.dtype}" if isinstance(picture, np.ndarray) else short_repr(picture)
         raise ShiftError(f"{what} must return an array of shape {shape}, uint8, not {got}")

@@ -12,16 +12,10 @@ from typing import Any, Final, Literal
 from magical_mj.scene.bodies import BODIES, check_body_name
 from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
-from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
+from magical_mj.shifts.shift import STRENGTHS, Factor, Shift, overrides
 from magical_mj.shifts.words import Words
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import (
-    SettingsError,
-    ShiftError,
-    as_integer,
-    short_repr,
-    unknown_name,
-)
+from magical_mj.utils.errors import SettingsError, ShiftError, as_integer, short_repr, unknown_name
 from magical_mj.utils.imports import announced, imported, is_reference, reference_in_folder, reference_of
 
 SHIFT_PROTOCOL: Final = 1
@@ -40,14 +34,10 @@ def effects(kind: type[Shift]) -> frozenset[Effect]:
 
     A user's `model` may change both the simulation and the pictures. That of built-in shifts changes only pictures.
     """
-
-    def has(*methods: str) -> bool:
-        return any(getattr(kind, method) is not getattr(Shift, method) for method in methods)
-
     changed: dict[Effect, bool] = {
-        "simulation": has("scene", "action") or (kind not in AXES and has("model")),
-        "pictures": has("model", "ground", "picture"),
-        "instruction": has("instruction"),
+        "simulation": overrides(kind, "scene", "action") or (kind not in AXES and overrides(kind, "model")),
+        "pictures": overrides(kind, "model", "ground", "picture"),
+        "instruction": overrides(kind, "instruction"),
     }
     return frozenset(effect for effect, is_changed in changed.items() if is_changed)
 
@@ -79,10 +69,7 @@ def shift_plugins() -> Mapping[str, EntryPoint]:
 
 
 def shift_class(name: str) -> type[Shift]:
-    """The class of a shift.
-
-    Args:
-        name: one of `SHIFTS`, the name of an installed package's shift, or ``"package.module:NAME"``.
+    """The class of one of `SHIFTS`, of an installed package's shift, or of ``"package.module:NAME"``.
 
     Raises:
         UnknownNameError: for unknown names.
@@ -109,7 +96,7 @@ def shift_class(name: str) -> type[Shift]:
             f"{name}.factors must be a tuple of one or more magical_mj.shifts.Factor, not {short_repr(factors)}; "
             "without factors, the strength is the only one"
         )
-    if all(getattr(kind, method) is getattr(Shift, method) for method in METHODS):
+    if not overrides(kind, *METHODS):
         raise ShiftError(f"{name} changes nothing: override at least one of the methods {', '.join(METHODS)}")
     return kind
 
@@ -162,22 +149,14 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
 
 
 def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], str]:
-    """The strengths of shifts, and the robot's body: the one in `shifts`, otherwise `body`.
-
-    Raises:
-        UnknownNameError, ShiftError, SettingsError, InvalidSceneError: see `parse_shifts`.
-    """
+    """The strengths of shifts, and the robot's body: the one in `shifts`, otherwise `body`. See `parse_shifts`."""
     levels = parse_shifts(shifts, task)
     body = str(levels.pop(BODY, body))
     return {name: int(strength) for name, strength in levels.items()}, body
 
 
 def arms(shifts: Shifts, *, control: bool) -> dict[str, Shifts]:
-    """The shifts of each arm of an evaluation. The endings of their names are "", and "-unshifted" for the control.
-
-    Raises:
-        SettingsError: if a control is wanted and there are no shifts.
-    """
+    """The shifts of each arm of an evaluation. The endings of their names are "", and "-unshifted" for the control."""
     if control and not shifts:
         raise SettingsError("a control is played without the shifts: give shifts, or leave out control")
     return {"": shifts, "-unshifted": None} if control else {"": shifts}

@@ -110,7 +110,7 @@ class Shift:
     @classmethod
     def supports(cls, task: str) -> str | None:
         """None if the shift can be applied to this task, otherwise the reason why not, for an error message."""
-        if task_spec(task).speeds and cls.action is not Shift.action:
+        if task_spec(task).speeds and overrides(cls, "action"):
             return "it replaces discrete actions, and the task's actions are speeds"
         return None
 
@@ -182,6 +182,11 @@ HISTORY: Final = 16
 
 BATCH: Final = 256
 """The number of steps that `Shift.uniform` draws at once, since creating a generator takes most of the time."""
+
+
+def overrides(kind: type[Shift], *methods: str) -> bool:
+    """Whether a class of shifts overrides any of these methods."""
+    return any(getattr(kind, method) is not getattr(Shift, method) for method in methods)
 
 
 def draw(kind: type[Shift], seed: int, strength: int) -> dict[str, float]:

@@ -160,10 +160,7 @@ def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
 def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
     """The content of a file from an untrusted source.
 
-    Raises:
-        OSError: if the file does not exist, or cannot be read.
-        MagicalError: the given type, if it has more than `most` bytes, or is not a plain file: reading a pipe could
-            block forever.
+    Raises the given `error` if the file has more than `most` bytes, or is not a plain file: reading a pipe could block.
     """
     if path.exists() and not path.is_file():
         raise error(f"{path} is not a plain file: it is a folder, a pipe or a device")

@@ -50,12 +50,9 @@ def is_reference(text: object) -> bool:
 
 
 def check_named(reference: object, origin: object, trusted: Collection[str] = ()) -> None:
-    """Checks a name from a file (`origin`) before it is resolved.
+    """Raises an `UntrustedNameError` if a name in a file (`origin`) is a reference that the user has not typed.
 
-    All names except references are accepted: an announced name belongs to the benchmark or to an installed package.
-
-    Raises:
-        UntrustedNameError: if it is a reference that is not among the `trusted` ones, which the user has typed.
+    Other names are accepted: an announced name belongs to the benchmark or to an installed package.
     """
     if isinstance(reference, str) and is_reference(reference) and reference not in trusted:
         raise UntrustedNameError(reference, origin)
@@ -64,8 +61,7 @@ def check_named(reference: object, origin: object, trusted: Collection[str] = ()
 def resolve(reference: str) -> Any:
     """The object of a reference ``"package.module:NAME"`` typed by the user. The working folder is searched as well.
 
-    Raises:
-        ImportError: if the module or object does not exist. Errors raised by the module itself pass through.
+    Raises an `ImportError` if the module or object does not exist. Errors raised by the module itself pass through.
     """
     module, _, name = reference.partition(":")
     if module.endswith(".py"):
@@ -113,10 +109,8 @@ def announced(
 def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
     """The object of an entry point, or without one, of the user's reference `name`.
 
-    Raises:
-        UnknownNameError: if its module or the object in it does not exist.
-        MissingExtraError: if its module needs an extra that is not installed.
-        MagicalError: of the type `failed`, if its module raises another error.
+    Raises an `UnknownNameError` if the module or the object does not exist, and `failed` if the module raises an error,
+    unless this is a `MissingExtraError`.
     """
     try:
         return resolve(name) if point is None else resolve_installed(reference_of(point))
@@ -135,8 +129,7 @@ def reference_of(point: EntryPoint) -> str:
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
-    It refers to the first object whose definition in the file matches `definition`. The first group is the object's
-    name. The file is read, but not imported. Empty if nothing matches.
+    It is the name in the first match of `definition` in the file, which is not imported; empty if there is none.
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")

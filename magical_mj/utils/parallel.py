@@ -13,6 +13,7 @@ Functions may return a `Timed` or a `Split` instead of a result.
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import queue
@@ -29,6 +30,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import IO, Any, Final, Generic, Literal, TypeVar, get_args
 
 import cloudpickle
@@ -133,19 +135,25 @@ def map_here(function: Callable[[Piece], Any], pieces: Sequence[Piece]) -> Gener
             yield result
 
 
+def _results(submit: Callable[[Piece], Future[Any]], pieces: Sequence[Piece], most: float) -> Generator[Any]:
+    """The results of the work items, of which at most `most` are submitted at once."""
+    waiting, running = deque(pieces), set[Future[Any]]()
+    while waiting or running:
+        while waiting and len(running) < most:
+            running.add(submit(waiting.popleft()))
+        done, running = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            result = future.result()
+            if isinstance(result, Split):
+                waiting.extendleft(reversed(result.pieces))
+            else:
+                yield result
+
+
 def _map_locally(function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int) -> Generator[Any]:
-    waiting, running, pickled = deque(pieces), set[Future[Any]](), cloudpickle.dumps(function)
+    pickled = cloudpickle.dumps(function)
     with closing(Pool(jobs)) as pool:
-        while waiting or running:
-            while waiting and len(running) < AHEAD * jobs:
-                running.add(pool.submit_pickled(pickled, waiting.popleft()))
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                result = future.result()
-                if isinstance(result, Split):
-                    waiting.extendleft(reversed(result.pieces))
-                else:
-                    yield result
+        yield from _results(partial(pool.submit_pickled, pickled), pieces, AHEAD * jobs)
         pool.finish()
 
 
@@ -155,7 +163,6 @@ def _map_on_dask(
     """At most `jobs` items are on the cluster at once; None: all."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
-    from distributed import as_completed as completed
 
     try:
         client = Client(address)
@@ -168,20 +175,13 @@ def _map_on_dask(
             raise WorkerError(f"the dask cluster has no workers: start some with `dask worker {address}`") from error
         name = secrets.token_hex(8)
         pickled = client.submit(bytes, cloudpickle.dumps(function), key=f"function-{name}")  # once for all items
-        waiting, running = deque(pieces), completed()
+        executor = client.get_executor(pure=False)
         try:
-            while waiting or running.count():
-                while waiting and (jobs is None or running.count() < jobs):
-                    running.add(client.submit(_do_on_cluster, name, pickled, waiting.popleft(), pure=False))
-                result = next(running).result()
-                if isinstance(result, Split):
-                    waiting.extendleft(reversed(result.pieces))
-                else:
-                    yield result
+            yield from _results(partial(executor.submit, _do_on_cluster, name, pickled), pieces, jobs or math.inf)
         except KilledWorker as error:
             raise WorkerError(f"several workers of the cluster died of the same work item: {error}") from error
         finally:
-            running.clear()
+            executor.shutdown(wait=False)
             with suppress(OSError, TimeoutError):  # the cluster may be gone
                 client.run(_end_on_cluster, name)
 
@@ -367,25 +367,18 @@ def serve() -> None:
         os.register_at_fork(after_in_child=let_go)
     pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
-    function: Any = None
+    function = b""
     while (message := pieces.get()) is not None:
         sent, piece = message
-        function = function if sent is None else _Unpickled(sent)
+        function = function if sent is None else sent
         for answer in _answers(function, piece):
             answers.write(answer)
             answers.flush()
 
 
-class _Unpickled:
-    """A pickled function, which is unpickled at its first call."""
-
-    def __init__(self, pickled: bytes) -> None:
-        self._pickled, self._function = pickled, None
-
-    def __call__(self, piece: Any) -> Any:
-        if self._function is None:
-            self._function, self._pickled = pickle.loads(self._pickled), b""  # noqa: S301 from our caller
-        return self._function(piece)
+@lru_cache(maxsize=1)
+def _unpickled(function: bytes) -> Callable[[Any], Any]:
+    return pickle.loads(function)  # noqa: S301 from the process that started this one
 
 
 def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
@@ -395,10 +388,10 @@ def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
     _kill_group(os.getpid())  # the caller's process is gone
 
 
-def _answers(function: Callable[[Any], Any], piece: bytes) -> Iterator[bytes]:
+def _answers(function: bytes, piece: bytes) -> Iterator[bytes]:
     """A worker's pickled answers: a time limit if there is one, then the result or the error."""
     try:
-        result = function(pickle.loads(piece))  # noqa: S301 from the process that started this one
+        result = _unpickled(function)(pickle.loads(piece))  # noqa: S301 as well
         if isinstance(result, Timed):
             yield _readable("timed", (result.seconds, result.late))
             result = result.call()

@@ -131,12 +131,7 @@ def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
 
 
 def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
-    """Settings with these values, and defaults for all others.
-
-    Raises:
-        UnknownNameError: if a setting does not exist. The message suggests the closest name.
-        SettingsError: if a value is invalid.
-    """
+    """Settings with these values, and defaults for all others. Raises an error for unknown names and invalid values."""
     for name in values:
         check_name("setting", name, annotated(settings))
     return settings(**values)

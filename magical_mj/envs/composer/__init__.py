@@ -26,10 +26,7 @@ def _prepare() -> None:
     """Sets MUJOCO_GL for dm_control, which reads it once, when it is imported.
 
     Without a display and without MUJOCO_GL, dm_control would choose GLFW, which fails. So it gets a backend that works,
-    or a warning if dm_control has been imported already.
-
-    Raises:
-        RenderingError: if the import would fail because of MUJOCO_GL or PYOPENGL_PLATFORM.
+    or a warning if dm_control has been imported already. Values that would make the import fail raise an error.
     """
     if sys.platform != "linux":
         return

@@ -61,17 +61,13 @@ Pairs = dict[str, dict[str, str]]
 
 @dataclass
 class Tree:
-    """The MJCF tree of an entity in one of its forms.
-
-    Attributes:
-        root: the root of the tree.
-        kept: while the entity is detached, the attributes and children of its frame, and its contact pairs.
-        pairs: the contact pairs of its feet, by name.
-    """
+    """The MJCF tree of an entity in one of its forms."""
 
     root: mjcf.RootElement
     kept: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]], list[dict[str, Any]]] | None = None
+    """While the entity is detached, the attributes and children of its frame, and its contact pairs."""
     pairs: dict[str, Any] = field(default_factory=dict[str, Any])
+    """The contact pairs of its feet, by name."""
 
 
 class SceneEntity(PlanarEntity):
@@ -82,7 +78,13 @@ class SceneEntity(PlanarEntity):
     """
 
     def _build(
-        self, name: str, mjcf_of: Callable[[Scene], str], scene: Scene, form: Hashable = None, more: str = ""
+        self,
+        name: str,
+        mjcf_of: Callable[[Scene], str],
+        scene: Scene,
+        form: Hashable = None,
+        more: str = "",
+        observed: type[PlanarObservables] = PlanarObservables,
     ) -> None:
         """Parses the entity's tree.
 
@@ -92,13 +94,14 @@ class SceneEntity(PlanarEntity):
             scene: the scene.
             form: its form in the scene.
             more: further elements of the tree, as MJCF.
+            observed: the class of its observables.
         """
-        self.name, self._mjcf_of, self._more = name, mjcf_of, more
+        self.name, self._mjcf_of, self._more, self._observed = name, mjcf_of, more, observed
         self._trees: dict[Hashable, Tree] = {}
         self.take_form(form, scene)
 
     def _build_observables(self) -> PlanarObservables:
-        return PlanarObservables(self)
+        return self._observed(self)
 
     def take_form(self, form: Hashable, scene: Scene) -> None:
         """Selects the tree of a form, which is the entity's form in the scene. It must be detached."""
@@ -131,11 +134,7 @@ class SceneEntity(PlanarEntity):
     def join(self, arena: Arena, scene: Scene, pairs: Pairs, index: int | None = None) -> None:
         """Attaches the entity to the arena, with its joints and contact pairs. Its meshes are in the arena's tree.
 
-        Args:
-            arena: the arena.
-            scene: the scene.
-            pairs: the contact pairs of all feet.
-            index: its position among the children of the arena's `worldbody`; None: the last.
+        Its index is that among the children of the arena's `worldbody`; None: the last.
         """
         if arena.mjcf_model.namescope.has_identifier("namescope", self.name):
             raise SettingsError(
@@ -199,15 +198,8 @@ class SceneEntity(PlanarEntity):
 
     def _elements(self, scene: Scene) -> tuple[Element, list[Element]]:
         """The entity's body and tendons in the scene."""
-        body, *others = _without_comments(self._mjcf_of(scene))
-        return body, others
-
-
-class BlockEntity(SceneEntity):
-    """A block."""
-
-    def _build_observables(self) -> BlockObservables:
-        return BlockObservables(self)
+        body, *tendons = _without_comments(self._mjcf_of(scene))
+        return body, tendons
 
 
 class RobotEntity(SceneEntity):
@@ -229,9 +221,6 @@ class RobotEntity(SceneEntity):
         robot, dynamics = self.parent.scene.robot, self.parent.scene.dynamics
         motors = [self._tree.root.find("actuator", name) for name in actuators(robot.body)]
         physics.bind(motors).ctrl = control_signal(action_number(action), robot.body, dynamics.veer)
-
-    def _build_observables(self) -> RobotObservables:
-        return GripperObservables(self) if self.fingers else RobotObservables(self)
 
 
 def _attach(arena: Arena, entity: SceneEntity, index: int | None) -> Any:
@@ -267,9 +256,10 @@ class Arena(composer.Arena):
         self.compiling = True
         self._watch: Watch | None = None
         self._owned = Owned()
-        apart = APART if body_named(body).fingers else ""
-        more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
-        self.robot = RobotEntity("robot", _robot, scene, more=more)
+        fingers = body_named(body).fingers
+        more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{APART if fingers else ''}</contact>"
+        observed = GripperObservables if fingers else RobotObservables
+        self.robot = RobotEntity("robot", _robot, scene, more=more, observed=observed)
         self.robot.join(self, scene, _pairs(scene))
         self.blocks: list[SceneEntity] = []
         self.pebbles: list[SceneEntity] = []
@@ -346,8 +336,7 @@ class Arena(composer.Arena):
     def show(self, scene: Scene) -> None:
         """Writes a scene into the trees.
 
-        Raises:
-            SettingsError: if users have changed attributes that the scene determines. The scene is written anyway.
+        Afterwards, it raises a `SettingsError` if users had changed attributes that the scene determines.
         """
         edited, pairs = self._owned.changed(), _pairs(scene)
         self._owned = Owned()
@@ -377,25 +366,21 @@ class Arena(composer.Arena):
         if scene.pebbles and self._model.find("mesh", "pebble_outline") is None:
             for mesh in elements(pebble_library()):
                 self._model.asset.add("mesh", **mesh.attrib)
-        wanted = [
-            self._entity(BlockEntity, f"block{index}", (block.shape, block.mass), partial(_block, index), scene)
-            for index, block in enumerate(scene.blocks)
-        ]
-        wanted += [
-            self._entity(SceneEntity, f"pebble{index}", None, partial(_pebble, index), scene)
-            for index in range(len(scene.pebbles))
-        ]
+        wanted: list[tuple[SceneEntity, Hashable]] = []
+        for index, block in enumerate(scene.blocks):
+            name, form = f"block{index}", (block.shape, block.mass)
+            if name not in self._entities:
+                arguments = name, partial(_block, index), scene, form
+                self._entities[name] = SceneEntity(*arguments, observed=BlockObservables)
+            wanted.append((self._entities[name], form))
+        for index in range(len(scene.pebbles)):
+            name = f"pebble{index}"
+            if name not in self._entities:
+                self._entities[name] = SceneEntity(name, partial(_pebble, index), scene)
+            wanted.append((self._entities[name], None))
         self._exchange(wanted, scene, pairs)
         entities = [entity for entity, _ in wanted]
         self.blocks, self.pebbles = entities[: len(scene.blocks)], entities[len(scene.blocks) :]
-
-    def _entity(
-        self, kind: type[SceneEntity], name: str, form: Hashable, mjcf_of: Callable[[Scene], str], scene: Scene
-    ) -> tuple[SceneEntity, Hashable]:
-        """The entity of this name, which is created if necessary, and its form in the scene."""
-        if name not in self._entities:
-            self._entities[name] = kind(name, mjcf_of, scene, form)
-        return self._entities[name], form
 
     def _exchange(self, wanted: list[tuple[SceneEntity, Hashable]], scene: Scene, pairs: Pairs) -> None:
         """Attaches the wanted entities in their forms: blocks before the robot, pebbles after it.

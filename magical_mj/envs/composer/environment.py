@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
-from magical_mj.engine.engine import Engine, Setup, restored
-from magical_mj.engine.simulation import Simulation, check_state, different_numbers
+from magical_mj.engine.engine import Engine, restored
+from magical_mj.engine.episode import Setup
+from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.rendering.backend import check_renderer
@@ -51,9 +52,8 @@ class Environment(composer.Environment):
 
         Args:
             task: the composer task.
-            seed: the seed of the first scene, unless the scene is fixed, and of the generator that draws the seeds of
-                later scenes. None: the generator draws the first seed as well, so that adapters can seed it before the
-                first reset.
+            seed: the seed of the first scene and of the generator that draws the seeds of later scenes. None: the
+                generator draws the first seed as well, so that adapters can seed it before the first reset.
             fixed: whether every episode starts in the same scene.
             recompile: composer's `recompile_mjcf_every_episode`.
         """
@@ -103,7 +103,7 @@ class Environment(composer.Environment):
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
-        return self.task.score(self._opened())
+        return self.task.simulation(self._opened()).score()
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the current state; see `magical_mj.Engine.render`. Segmentations are not available here."""
@@ -146,7 +146,7 @@ class Environment(composer.Environment):
                 given, or if the tree was changed in a way that the scene does not allow.
         """
         self._opened()
-        self.task.setup.check_start(seed=seed, scene=scene, state=state)
+        self.task.setup.check_start(seed=seed, scene=scene, state=state, limit=self.horizon)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
             return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
@@ -165,7 +165,7 @@ class Environment(composer.Environment):
         return self._start(*setup.begin(strengths, check_seed(seed)), seed=seed)
 
     def _start(
-        self, scene: Scene, shifts: EpisodeShifts | None, seed: int | None = None, state: State | None = None
+        self, scene: Scene, shifts: EpisodeShifts, seed: int | None = None, state: State | None = None
     ) -> dm_env.TimeStep:
         task = self.task
         task.start(scene, shifts, state)
@@ -182,7 +182,7 @@ class Environment(composer.Environment):
         timestep = super().reset()
         self._never_reset = False
         if state is not None:
-            task.resume(self.physics, state)  # again: composer's reset has computed accelerations since
+            task.simulation(self.physics).resume(state)  # again: composer's reset has computed accelerations since
         self._over = task.should_terminate_episode(self.physics)
         return timestep
 
@@ -219,8 +219,7 @@ class Environment(composer.Environment):
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         physics = self._opened()
-        check_state(state)
-        self.task.setup.trajectory_of(state)
+        self.task.setup.check_start(state=state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
         self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
@@ -237,13 +236,14 @@ class Environment(composer.Environment):
                 f"this environment's model was changed ({', '.join(changed[:5])}), and an engine contains only the "
                 "scene. dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder) writes everything"
             )
-        return restored(task.setup, task.settings.strengths, self.seed, state, False, task.settings.renderer)
+        settings, horizon = task.settings, self.horizon
+        return restored(task.setup, settings.strengths, self.seed, state, False, horizon, settings.renderer)
 
     def _foreign_numbers(self) -> list[str]:
         """The names of numbers that differ between the compiled model and the model of the current episode's scene."""
         task = self.task
-        shifts = None if task.shifts is None or self._never_reset else EpisodeShifts(task.shifts.draws)
-        own = Simulation.of(self.initial_scene, shifts=shifts, speeds=task.setup.speeds)
+        shifts = EpisodeShifts({} if self._never_reset else task.shifts.draws)
+        own = Simulation.of(self.initial_scene, shifts=shifts)
         return different_numbers(self.physics.model.ptr, own.model)
 
     def clone(self) -> Environment:
@@ -261,11 +261,7 @@ class Environment(composer.Environment):
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For pickling: the values that `clone` copies.
-
-        Raises:
-            StateError: if the options of an observable cannot be pickled.
-        """
+        """For pickling: the values that `clone` copies."""
         parts = self._parts()
         for name, options in parts[-1].items():
             try:
@@ -277,15 +273,10 @@ class Environment(composer.Environment):
         return _copied, parts
 
     def _parts(self) -> tuple[Any, ...]:
-        """The arguments of `_copied`: those of loading, the generators, the state, and the observables' options.
-
-        Raises:
-            StateError: if users have made changes that cannot be copied.
-        """
+        """The arguments of `_copied`: those of loading, the generators, the state, and the observables' options."""
         self._opened()
         task = self.task
-        shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
-        loaded = task.settings, self.initial_scene, shifts
+        loaded = task.settings, self.initial_scene, EpisodeShifts(task.shifts.draws)
         if changes := self._changes(SceneTask(*loaded)):
             raise StateError(
                 f"this environment was changed, so it cannot be copied or pickled: {', '.join(changes)}. Load another "
@@ -297,18 +288,14 @@ class Environment(composer.Environment):
         return loaded, seeds, self._fixed, self._recompile, state, options
 
     def _changes(self, fresh: SceneTask) -> list[str]:
-        """Descriptions of users' changes that cannot be copied.
-
-        Args:
-            fresh: a new task with the same arguments.
-        """
+        """Descriptions of users' changes that cannot be copied, compared with a new task with the same arguments."""
         task = self.task
         kinds = (self, Environment), (task, SceneTask)
-        changes = [f"the class {type(own).__name__}" for own, kind in kinds if type(own) is not kind]
         added = (vars(self).keys() - self._attributes) | (vars(task).keys() - vars(fresh).keys())
+        known = fresh.observables
+        changes = [f"the class {type(own).__name__}" for own, kind in kinds if type(own) is not kind]
         changes += [f"the attribute {name!r}" for name in sorted(added)]
         changes += [f"a hook {name}" for name, _ in self._hooks_added]
-        known = fresh.observables
         for name, entry in task.observables.items():
             if type(entry) is not type(known.get(name)):
                 changes.append(f"the observable {name!r}")

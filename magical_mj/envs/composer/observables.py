@@ -47,11 +47,6 @@ class LatestFrames(CurrentObservable):
 
     The first frame of an episode fills the stack. After each action, a frame is drawn when it is first needed, at the
     latest before the next action. So the stack is complete no matter when and how often composer evaluates it.
-
-    Args:
-        draw: draws a view of the current state.
-        name: the name of the observation, one of `STACKS`.
-        size: side of the frames in pixels.
     """
 
     def __init__(self, draw: Draw, name: str, size: int) -> None:
@@ -102,15 +97,19 @@ class Bound(observable.Observable):
     """An observable that looks up elements once per episode: looking them up takes longer than reading them.
 
     Args:
-        bind: a function that takes the physics and returns the function that observes.
+        bind: a function that takes the physics and returns the function that reads values.
+        change: a function that converts the values to the observation.
     """
 
-    def __init__(self, bind: Callable[[Any], Callable[[], Any]]) -> None:
+    def __init__(
+        self, bind: Callable[[Any], Callable[[], Rows]], change: Callable[[Rows], Rows] = lambda values: values
+    ) -> None:
         super().__init__(1, None, None, None, None)
-        self._bind = bind
+        self._bind, self._change = bind, change
 
-    def _callable(self, physics: Any) -> Callable[[], Any]:
-        return self._bind(physics)
+    def _callable(self, physics: Any) -> Callable[[], Rows]:
+        read = self._bind(physics)
+        return lambda: self._change(read())
 
 
 class PlanarObservables(composer.Observables):
@@ -133,22 +132,14 @@ class BlockObservables(PlanarObservables):
     @composer.observable
     def egocentric_pose(self) -> Bound:
         """The pose in the robot's frame: x to its right, y ahead, and the angle in [-pi, pi]. Shape (3,)."""
-
-        def bind(physics: Any) -> Callable[[], Rows]:
-            relative = _in_frame(physics, self._entity.parent.robot, [self._entity])
-            return lambda: relative()[0]
-
-        return Bound(bind)
+        entity = self._entity
+        return Bound(lambda physics: _in_frame(physics, entity.parent.robot, [entity]), lambda rows: rows[0])
 
     @composer.observable
     def contact(self) -> Bound:
         """1 if the robot touches the block, else 0. Shape ()."""
-
-        def bind(physics: Any) -> Callable[[], Rows]:
-            touching = _touching(physics, self._entity.parent.robot, [self._entity])
-            return lambda: touching()[0]
-
-        return Bound(bind)
+        entity = self._entity
+        return Bound(lambda physics: _touching(physics, entity.parent.robot, [entity]), lambda values: values[0])
 
 
 class RobotObservables(PlanarObservables):
@@ -157,23 +148,16 @@ class RobotObservables(PlanarObservables):
     @composer.observable
     def egocentric_blocks(self) -> Bound:
         """All blocks in the robot's frame. Shape (10, 4). A row is 1 if the block exists, and its `egocentric_pose`."""
-
-        def bind(physics: Any) -> Callable[[], Rows]:
-            blocks = _check_count(self._entity.parent.blocks)
-            relative = _in_frame(physics, self._entity, blocks)
-            return lambda: _padded(np.insert(relative(), 0, 1, axis=1))
-
-        return Bound(bind)
+        return Bound(
+            lambda physics: _in_frame(physics, self._entity, _check_count(self._entity.parent.blocks)),
+            lambda rows: _padded(np.insert(rows, 0, 1, axis=1)),
+        )
 
     @composer.observable
     def contacts(self) -> Bound:
         """1 for each block that the robot touches, else 0. Shape (10,)."""
-
-        def bind(physics: Any) -> Callable[[], Rows]:
-            touching = _touching(physics, self._entity, _check_count(self._entity.parent.blocks))
-            return lambda: _padded(touching())
-
-        return Bound(bind)
+        entity = self._entity
+        return Bound(lambda physics: _touching(physics, entity, _check_count(entity.parent.blocks)), _padded)
 
     @composer.observable
     def egocentric_camera(self) -> observable.MJCFCamera:
@@ -258,11 +242,7 @@ def _padded(rows: Rows) -> Rows:
 
 
 def _check_count(blocks: Sequence[PlanarEntity]) -> Sequence[PlanarEntity]:
-    """The blocks.
-
-    Raises:
-        InvalidSceneError: if there are more blocks than rows.
-    """
+    """The blocks. Raises an `InvalidSceneError` if there are more of them than rows."""
     if len(blocks) > MAX_BLOCKS:
         raise InvalidSceneError(
             f"observables of all blocks have {MAX_BLOCKS} rows, and this scene has {len(blocks)} blocks: enable the "

@@ -18,7 +18,7 @@ from dm_env import specs
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.engine import State
-from magical_mj.engine.engine import Setup
+from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.envs.composer.observables import STACKS, CurrentObservable, LatestFrames
@@ -43,18 +43,7 @@ FIXED_TIMESTEPS: Final = (
 
 @dataclass(frozen=True)
 class Settings:
-    """The arguments of `load` or `load_scene`, checked.
-
-    Attributes:
-        setup: task, variant, rules and body.
-        strengths: the strengths of the shifts by name.
-        observations, image_size, reward, renderer: the arguments of `load`.
-
-    Raises:
-        UnknownNameError: for an unknown observation or reward.
-        TaskError: for dense rewards of a task that has no formula for them.
-        SettingsError: if the observations are not a list or tuple.
-    """
+    """The arguments of `load` or `load_scene`, checked."""
 
     setup: Setup
     strengths: dict[str, int]
@@ -81,32 +70,25 @@ class SceneTask(composer.Task):
     If a hook or an observable needs every substep, the ten substeps of an action are substeps of composer.
     Otherwise they are one substep, because composer's own loop takes longer than the physics.
 
-    Args:
-        settings: the arguments of `load`.
-        scene: the initial scene of the first episode.
-        shifts: the shifts of the first episode.
-
     Attributes:
         scene_model: the initial scene of this episode, and its coordinates.
         shifts: the shifts of this episode.
-        steps: the number of actions since the start of the episode.
         stepwise: whether an action has ten substeps of composer, as of the last compilation.
         substeps_hooked: whether users have added hooks to substeps.
     """
 
-    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
+    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts) -> None:
         self.settings, self.setup = settings, settings.setup
-        self.steps, self._trajectory = 0, list[Scene]()
         self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None
-        self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
+        self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None  # a model and its copy before shifts
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
         self._observers = list[int]()
         self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
-    def start(self, scene: Scene, shifts: EpisodeShifts | None, state: State | None = None) -> None:
+    def start(self, scene: Scene, shifts: EpisodeShifts, state: State | None = None) -> None:
         """Sets the scene of the next episode, and a state of an episode with this initial scene to continue from."""
         if "state" in self.settings.observations:
             StateEncoder(scene)  # raises an error if the vector is too short, before anything is changed
@@ -130,16 +112,16 @@ class SceneTask(composer.Task):
     def state(self, physics: Any) -> State:
         """The current state of the episode, with the frames of stacks."""
         frames = {name: frames for stack in self._stacks() for name, frames in stack.save(physics).items()}
-        return replace(self.simulation(physics).state(self.steps, self._trajectory), frames=frames)
+        return replace(self.simulation(physics).state(), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode, which uses composer's model and data."""
         model, data = physics.model.ptr, physics.data.ptr
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
-            renderer, speeds = self.settings.renderer, self.setup.speeds
             self.scene_model.find_in(model)
-            self._simulation = Simulation(self.scene_model, model, data, renderer, CAMERA_NAMES, speeds=speeds)
+            renderer = self.settings.renderer
+            self._simulation = Simulation(self.setup, self.scene_model, model, data, renderer, CAMERA_NAMES)
         self.scene_model.coordinates = self._simulation.scene_model.coordinates
         self._simulation.scene_model, self._simulation.shifts = self.scene_model, self.shifts
         return self._simulation
@@ -229,23 +211,16 @@ class SceneTask(composer.Task):
             raise SettingsError(FIXED_TIMESTEPS)
         if self._compiled is not None and self._compiled[0] is model:
             write_numbers(model, self._compiled[1])
-        elif self.shifts is not None and self.shifts.changes_model:
+        elif self.shifts.changes_model:
             self._compiled = model, copy(model)
-        self.scene_model.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
+        self.scene_model.rewrite(model, data, nested=True, change=self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.steps, self._trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
+        self.simulation(physics).start_counting()
         if self._state is not None:
-            self.resume(physics, self._state)
+            self.simulation(physics).resume(self._state)
         for stack in self._stacks():
             stack.begin({} if self._state is None else self._state.frames)
-
-    def resume(self, physics: Any, state: State) -> None:
-        """Restores a state of an episode with this initial scene."""
-        self.simulation(physics).restore(state.simulation)
-        self.steps, self._trajectory = int(state.steps), self.setup.trajectory_of(state)
-        if self.shifts is not None:
-            self.shifts.resume(self.steps, state.commands)
 
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
@@ -253,9 +228,8 @@ class SceneTask(composer.Task):
         for stack in self._stacks():
             stack.catch_up(physics)
         if self.settings.reward == "dense":
-            self._remaining = self.remaining(physics)
+            self._remaining = self.simulation(physics).remaining()
         self.simulation(physics).command(action)
-        self.steps += 1
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
         """If an action is one substep, takes MuJoCo's remaining steps: composer has taken the first."""
@@ -268,35 +242,22 @@ class SceneTask(composer.Task):
             raise PhysicsError(str(error)) from None
 
     def after_step(self, physics: Any, random_state: np.random.RandomState) -> None:
-        """Stores the scene if the score depends on all scenes, and requests frames, which are drawn after all hooks."""
+        """Counts the action, and requests frames, which are drawn after all hooks."""
         del random_state
-        if self._trajectory:
-            self._trajectory.append(self.simulation(physics).scene)
+        self.simulation(physics).record()
         for stack in self._stacks():
             stack.after_action()
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the horizon is reached."""
-        del physics
         horizon = self.setup.horizon
-        return horizon is not None and self.steps >= horizon
+        return horizon is not None and self.simulation(physics).steps >= horizon
 
     def get_reward(self, physics: Any) -> float:
         """0, the score at the last step, or also the decrease of the remaining distance: see `magical_mj.load`."""
-        kind = self.settings.reward
-        reward = self.score(physics) if kind != "none" and self.should_terminate_episode(physics) else 0.0
-        return reward + self._remaining - self.remaining(physics) if kind == "dense" else reward
-
-    def score(self, physics: Any) -> float:
-        """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self._scored_scenes(physics))
-
-    def remaining(self, physics: Any) -> float:
-        """What remains to be done, as `magical_mj.Engine.remaining`."""
-        return self.setup.remaining(self._scored_scenes(physics))
-
-    def _scored_scenes(self, physics: Any) -> Sequence[Scene]:
-        return self._trajectory or (self.scene_model.scene, self.simulation(physics).scene)
+        kind, simulation = self.settings.reward, self.simulation(physics)
+        reward = simulation.score() if kind != "none" and self.should_terminate_episode(physics) else 0.0
+        return reward + self._remaining - simulation.remaining() if kind == "dense" else reward
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The spec of the 18 actions."""

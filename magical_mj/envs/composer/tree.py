@@ -65,11 +65,7 @@ class Owned:
         self._written += ((element, described, name, np.copy(getattr(element, name))) for name in attributes)
 
     def changed(self) -> list[tuple[str, str]]:
-        """The elements and attributes that users have changed since they were written.
-
-        Raises:
-            SettingsError: if a user has removed an element.
-        """
+        """The elements and attributes that users have changed. Raises a `SettingsError` if an element was removed."""
         for element, described, *_ in self._written:
             if element.is_removed:
                 raise SettingsError(f"the MJCF tree lacks {described}, which its scene needs: do not remove it")

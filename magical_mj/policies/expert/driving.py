@@ -87,8 +87,7 @@ class Lookahead:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
         self._world = engine.simulation.scene_model
-        shifts = engine.simulation.shifts
-        self._shifts = EpisodeShifts({}) if shifts is None else shifts.copy()
+        self._shifts = engine.simulation.shifts.copy()
         self._commands: list[int | None] = []
         self._records = engine.setup.trajectory
         self._scenes = list(engine.scored_scenes) if self._records else [engine.initial_scene]

@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from magical_mj.engine import Engine
-from magical_mj.engine.simulation import State
+from magical_mj.engine import Engine, State
 from magical_mj.learners.networks import blocks_of
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS

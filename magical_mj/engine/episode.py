@@ -1,0 +1,209 @@
+"""Episodes as plain data: the setup that determines how they start, end and are scored, and their saved states.
+
+Restoring a `State` continues its episode: for search, for an expert's corrections, for resets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene.bodies import GRIPPER, check_body_name
+from magical_mj.scene.geometry import check_scene
+from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
+from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
+from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, as_integer, short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that determines how an episode continues. `get_state` returns it, `set_state` restores it exactly.
+
+    It contains only numbers. So it can be copied, pickled, sent to another process, or saved in a file field by field
+    (the scene as `scene.to_json()`). It can be restored in every environment with the same task, or with the same scene
+    without a task. The environments may have different observations. The generator that draws the scenes of later
+    episodes is not part of the state.
+
+    Attributes:
+        scene: the episode's initial scene.
+        steps: the number of control steps so far.
+        simulation: MuJoCo's state: positions, velocities, actuators, the solver's warm start, and which blocks sleep.
+            A vector with the same length for all states of episodes with this scene.
+        frames: the stacks of frames of the environment, by name; empty if it has none.
+        draws: the values that the shifts of the episode have drawn; see `magical_mj.shifts`.
+        commands: for each shift that changes actions, the last commands that it received.
+        trajectory: the scenes of the episode so far, the current one last, if the task's score depends on all scenes;
+            otherwise empty.
+    """
+
+    scene: Scene
+    steps: int
+    simulation: NDArray[np.float64]
+    frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
+    draws: Draws = field(default_factory=dict[str, dict[str, float]])
+    commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]])
+    trajectory: tuple[Scene, ...] = ()
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both episodes are in exactly the same state. Frames are not compared: they follow from the rest."""
+        if not isinstance(other, State):
+            return NotImplemented
+        return self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def _identity(self) -> tuple[object, ...]:
+        shifts = repr(self.draws), repr(self.commands)
+        return self.scene, self.steps, self.simulation.tobytes(), *shifts, self.trajectory
+
+
+def check_state(state: object) -> None:
+    """Raises `StateError` unless it is a `State` with fields of the right types. `restore` checks the simulation."""
+    if not (
+        isinstance(state, State)
+        and isinstance(state.scene, Scene)
+        and as_integer(state.steps) is not None
+        and isinstance(state.frames, Mapping)
+        and isinstance(state.draws, Mapping)
+        and isinstance(state.commands, Mapping)
+        and isinstance(state.trajectory, tuple)
+        and all(isinstance(scene, Scene) for scene in state.trajectory)
+    ):
+        raise StateError(
+            "a state must be a result of get_state(): a scene, the number of steps (0 or more), the simulation's "
+            f"numbers, and frames by name; not {short_repr(state)}"
+        )
+
+
+@dataclass(frozen=True)
+class Setup:
+    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
+
+    The task is None for plain scenes: these have no score and no horizon, and contain the robot's body.
+    """
+
+    task: str | None
+    variant: str = "Demo"
+    rules: Rules = "paper"
+    body: str = GRIPPER
+    speeds: bool = False
+    """Whether vectors of x-magical's speeds are actions, too. They always are in its own task."""
+
+    def __post_init__(self) -> None:
+        """Checks the names."""
+        if self.task is not None:
+            object.__setattr__(self, "variant", variant_name(self.variant))
+            environment_axes(self.task, self.variant)
+            check_body_name(self.body)
+            object.__setattr__(self, "speeds", self.speeds or task_spec(self.task).speeds)
+        check_rules(self.rules)
+
+    @property
+    def horizon(self) -> int | None:
+        """The number of actions of an episode; None if it never ends."""
+        return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
+
+    @property
+    def trajectory(self) -> bool:
+        """Whether the score depends on the scenes of all steps."""
+        return self.task is not None and task_spec(self.task).trajectory
+
+    def check(self, scene: object) -> Scene:
+        """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
+        scene = check_scene_type(scene)
+        check_scene(scene)
+        if self.task is not None:
+            task_spec(self.task).check(scene)
+            if scene.robot.body != self.body:
+                raise InvalidSceneError(
+                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
+                    f"{self.body!r}: make another environment with body={scene.robot.body!r}"
+                )
+        return scene
+
+    def sample(self, seed: int) -> Scene:
+        """The scene of this seed. Raises a `SettingsError` without a task."""
+        if self.task is None:
+            raise SettingsError("a plain scene has no seeds: give a scene or a state")
+        return sample_scene(self.task, self.variant, seed, self.body)
+
+    def begin(
+        self,
+        shifts: Mapping[str, int],
+        seed: int | None = None,
+        scene: Scene | None = None,
+        draws: Draws | None = None,
+    ) -> tuple[Scene, EpisodeShifts]:
+        """The initial scene of an episode, and its shifts with these strengths. Both are drawn from the seed.
+
+        Shifts do not change a given scene, and draw their values from seed 0, unless their `draws` are given.
+
+        Raises:
+            InvalidSceneError: if an episode cannot start in the scene.
+        """
+        if draws is None:
+            draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
+        episode = EpisodeShifts(draws)
+        if scene is not None or seed is None:
+            return self.check(scene), episode
+        return episode.scene(self.sample(seed), str(self.task)), episode
+
+    def instruction(self, shifts: EpisodeShifts) -> str:
+        """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
+        return "" if self.task is None else shifts.instruction(task_spec(self.task).summary, self.task)
+
+    @np.errstate(all="ignore")  # no result depends on the caller's settings
+    def score(self, scenes: Sequence[Scene]) -> float:
+        """The score in [0, 1] of an episode with these scenes. Raises an `InvalidSceneError` without a task."""
+        if self.task is None:
+            raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
+        return task_spec(self.task).checked_score(scenes, self.rules)
+
+    @np.errstate(all="ignore")
+    def remaining(self, scenes: Sequence[Scene]) -> float:
+        """What remains to be done in an episode with these scenes; see `Engine.remaining`."""
+        if self.task is None:
+            raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
+        return task_spec(self.task).remaining(scenes, self.rules)
+
+    def check_start(
+        self, *, seed: object = None, scene: object = None, state: State | None = None, limit: int | None = None
+    ) -> None:
+        """Checks the arguments of a reset in an environment whose episodes end after `limit` steps.
+
+        Raises:
+            SettingsError: if more than one of seed, scene and state is given.
+            StateError: if the state is invalid, or its episode has ended.
+        """
+        starts = {"seed": seed, "scene": scene, "state": state}
+        names = [name for name, value in starts.items() if value is not None]
+        if len(names) > 1:
+            raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
+        if state is not None:
+            check_state(state)
+            if limit is not None and state.steps >= limit:
+                raise StateError(
+                    f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than "
+                    f"{limit}"
+                )
+            self.trajectory_of(state)
+
+    def trajectory_of(self, state: State) -> list[Scene]:
+        """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
+
+        Raises a `StateError` if the state lacks them, because it comes from another task or a plain scene.
+        """
+        if not self.trajectory:
+            return []
+        if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
+            raise StateError(
+                f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
+                f"give a state from get_state() of an environment of {self.task}"
+            )
+        return list(state.trajectory)
