@@ -199,8 +199,9 @@ def recorded_sets(settings: Mapping[str, Any]) -> dict[str, set[int]]:
 
 
 def recorded_variants(settings: Mapping[str, Any]) -> dict[str, set[str]]:
-    """Name -> the variants whose scenes the policies of an evaluation played in their training."""
-    return _recorded(settings, "played_in", "Demo")
+    """Name -> the variants of the scenes in the training of an evaluation's policies."""
+    lists = _recorded(settings, "played_in", "Demo")
+    return {name: {variant for listed in found for variant in listed.split(",")} for name, found in lists.items()}
 
 
 def _recorded(settings: Mapping[str, Any], fact: str, usual: Any) -> dict[str, set[Any]]:

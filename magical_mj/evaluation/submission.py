@@ -136,7 +136,7 @@ def check_declared(folders: Sequence[Path], card: Card, method: str) -> None:
 
 
 def _played_in(folders: Sequence[Path], method: str) -> list[str]:
-    """The variants, apart from Demo, whose scenes the policies of a method played in their training."""
+    """The variants, apart from Demo, of the scenes in the training of a method's policies."""
     known = map(_settings, folders)
     return sorted({name for settings in known for name in recorded_variants(settings).get(method, ())} - {"Demo"})
 

@@ -29,9 +29,9 @@ from magical_mj.policies.interface import (
     uses_instruction,
     uses_simulation,
 )
-from magical_mj.policies.models import LOADERS, Shape
+from magical_mj.policies.models import LOADERS, Shape, check_variants
 from magical_mj.shifts.registry import Effect
-from magical_mj.tasks.registry import EVERY_VARIANT, Pair, task_spec
+from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import announced, imported, reference_in_folder, source_of
@@ -74,7 +74,7 @@ class Source:
         unnoticed: the effects of shifts that it cannot notice.
         shown: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
-        played_in: the variant whose scenes it played in its training, if it is known.
+        played_in: the variants of the scenes in its training, if they are known, separated by commas.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -246,16 +246,15 @@ def demonstration_set(origin: object, policy: object = None) -> int:
 
 
 def played_in(origin: object, policy: object = None) -> str:
-    """The variant whose scenes a policy played in its training; "Demo" if nothing says which.
+    """The variants of the scenes in a policy's training, separated by commas; "Demo" if nothing says which.
 
     Args:
         origin: if it is the folder of a training, its settings say which.
         policy: otherwise its attribute `played_in` does.
     """
-    value = _setting(origin, "reward", "variant", getattr(policy, "played_in", "Demo"))
-    if not isinstance(value, str) or value not in EVERY_VARIANT:
-        where = _named(origin, "reward.variant", "played_in")
-        raise SettingsError(f"{where} must be a variant, not {short_repr(value)}")
+    played = _setting(origin, "reward", "variant", getattr(policy, "played_in", "Demo"))
+    value = _setting(origin, "made", "played_in", played)  # of the training of an encoder
+    check_variants(value, _named(origin, "reward.variant", "played_in"))
     return value
 
 

@@ -31,7 +31,7 @@ from magical_mj.policies.interface import HISTORY, Episode, History, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import EVERY_VARIANT
-from magical_mj.utils.errors import MissingExtraError, SettingsError, check_name
+from magical_mj.utils.errors import MissingExtraError, SettingsError, short_repr
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
@@ -69,7 +69,7 @@ class Model:
         tasks: the tasks of its training. Missing if the file does not contain them.
         preset: the preset of its training. Missing if the file does not contain it.
         demonstration_set: the set of the package's demonstrations of its training. Missing if it is unknown.
-        played_in: the variant whose scenes its training played. Missing if it is unknown.
+        played_in: the variants of the scenes in its training, separated by commas. Missing if they are unknown.
     """
 
     tasks: tuple[str, ...]
@@ -335,8 +335,14 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         learnt = known.get("demonstration_set", "")
         model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
         model.played_in = known.get("played_in", "Demo")
-        check_name("variant", model.played_in, EVERY_VARIANT)
+        check_variants(model.played_in, f"played_in in {path}")
     return model
+
+
+def check_variants(value: object, where: str) -> None:
+    """Raises a `SettingsError` if a value is not a text with variants, separated by commas."""
+    if not isinstance(value, str) or not set(value.split(",")) <= set(EVERY_VARIANT):
+        raise SettingsError(f"{where} must be variants, separated by commas, not {short_repr(value)}")
 
 
 def onnx_runtime() -> Any:
