@@ -169,8 +169,8 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
 class Entry(EntryFields, frozen=True):
     """The results of one method. Episodes read from a file have no duration, and no individual versions.
 
-    `played_in` names the variants, apart from Demo, whose scenes its policies played in their training, as far as the
-    evaluations recorded them.
+    `played_in` names the variants, apart from Demo, of the scenes in its policies' training, as far as the evaluations
+    recorded them.
     """
 
     episodes: list[EpisodeResult]
@@ -214,10 +214,10 @@ def has_place(task: str, variant: str, shift: str) -> bool:
 
 
 def undeclared(card: Card, played_in: Sequence[str]) -> str:
-    """The problem that a card does not declare play in these variants; empty if it does, or there are none."""
+    """The problem that a card does not declare learning in these variants; empty if it does, or there are none."""
     if not played_in or OTHER_SCENES in (card.privileges or ()):
         return ""
-    return f'played in scenes of {", ".join(played_in)} while it learnt: add "{OTHER_SCENES}" to the card\'s privileges'
+    return f'learnt in scenes of {", ".join(played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
 
 
 def common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:

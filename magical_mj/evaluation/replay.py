@@ -108,7 +108,7 @@ def replay(
 
 
 def in_chunks(recorded: Iterable[Recorded]) -> list[list[Recorded]]:
-    """Episodes of the same environment by their seeds, so that each scene is compiled once; the longest chunks first."""
+    """Episodes of an environment by their seeds, so that each scene is compiled once; the longest chunks first."""
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
         alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))

@@ -80,7 +80,7 @@ def submit(
     known = {folder: recorded_settings(folder) for folder in folders}
     check_trainings(known.values(), name)
     learnt = [row for settings in known.values() for row in recorded_policies(settings) if row.name == name]
-    played_in = sorted({row.played_in for row in learnt} - {"Demo"})
+    played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
     _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in)
     protocol = common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items()))
     entry = _combined(new_card, [source for source in sources if source[0].policy == name], protocol, played_in)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Dataset, Demonstrations, shares
+from magical_mj.learners.encoder import Frozen, load_encoder
 from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, Torso, as_input
 from magical_mj.learners.policy import TrainedPolicy
@@ -51,7 +52,13 @@ class BehaviouralCloning(Learner):
                 states=settings.states,
                 batch_norm=True,
                 normal=settings.bc.heads == "normal",
-            ).to(self.device)
+            )
+        self._encoder = load_encoder(settings)
+        if self._encoder is not None:
+            torso = cast("Torso", self._actor.torso)
+            torso.convolutions.load_state_dict(self._encoder.weights)
+            torso.convolutions = Frozen(torso.convolutions)
+        self._actor.to(self.device)
         self._optimizer = _optimizer(settings.bc, self._actor)
         self._rate = torch.optim.lr_scheduler.LinearLR(
             self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
@@ -64,10 +71,21 @@ class BehaviouralCloning(Learner):
             "noise": self._noise,
         }
 
+    @classmethod
+    def check_settings(cls, settings: TrainingSettings) -> None:
+        """Also checks the encoder."""
+        super().check_settings(settings)
+        load_encoder(settings)
+
     @property
     def actor(self) -> Actor:
         """The current policy."""
         return self._actor
+
+    @property
+    def played_in(self) -> str:
+        """The variants of the scenes in the encoder's training."""
+        return super().played_in if self._encoder is None else self._encoder.played_in
 
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
         """The data set. Its method `sample` draws batches."""
@@ -96,13 +114,13 @@ class BehaviouralCloning(Learner):
 
     def recalibrate(self) -> None:
         """Recomputes batch norm's averages on new batches: those kept during training lag behind the weights."""
-        norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d)]
+        self._actor.train()
+        norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d) and layer.training]
         draw = torch.Generator().manual_seed(self.settings.seed)
         noise = torch.Generator(self.device).manual_seed(self.settings.seed)
         for norm in norms:
             norm.reset_running_stats()
             norm.momentum = None  # an unweighted mean
-        self._actor.train()
         for _ in range(CALIBRATION if norms else 0):
             observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():

@@ -31,11 +31,13 @@ METHOD_GROUP: Final = "magical_mj.methods"
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point"),
     "precision": ("bc",),
+    "bc.encoder": ("bc", "point"),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
 """Setting -> the methods that use it, if not all methods with that part do."""
 _OF_PICTURES: Final = (
     "renderer",
+    "bc.encoder",
     *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels", "frames")),
 )
 _OF_STATES: Final = ("network.entity", "network.attention")
@@ -110,8 +112,8 @@ def load_settings(
         method: one of `magical_mj.learners.METHODS`, or the name of your own method.
         tasks: the tasks, as a tuple or separated by commas; "all" means all eight.
         quick: use a smaller network and a shorter training on pictures.
-        changes: values by field. Fields of parts contain a dot, as in ``**{"ppo.clip": 0.02}``. `recordings` and
-            `reward.run` become absolute paths.
+        changes: values by field. Fields of parts contain a dot, as in ``**{"ppo.clip": 0.02}``. `recordings`,
+            `reward.run` and `bc.encoder` become absolute paths.
 
     Raises:
         UnknownNameError: for an unknown task or setting.
@@ -126,7 +128,7 @@ def load_settings(
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
-    for name in ("recordings", "reward.run"):  # runs of an experiment are trained in other folders
+    for name in ("recordings", "reward.run", "bc.encoder"):  # runs of an experiment are trained in other folders
         if isinstance(folder := changes.get(name), str | Path) and str(folder):
             changes[name] = str(Path(folder).absolute())
     defaults = METHODS[method].defaults if method in announced_methods() else {}

@@ -139,10 +139,15 @@ class Learner(Method):
     def actor(self) -> Actor:
         """The policy that is evaluated and saved. It is updated in place."""
 
+    @property
+    def played_in(self) -> str:
+        """The variants of the scenes in its training, separated by commas."""
+        return self.settings.reward.variant
+
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the network's probabilities."""
         settings = self.settings
-        learnt: dict[str, Any] = {"demonstration_set": settings.demos.set, "played_in": settings.reward.variant}
+        learnt: dict[str, Any] = {"demonstration_set": settings.demos.set, "played_in": self.played_in}
         return TrainedPolicy(self.actor, settings.tasks, settings.preset, **learnt)
 
     def save_policy(self, folder: Path) -> None:

@@ -41,7 +41,7 @@ class TrainedPolicy(Model):
         tasks: the tasks of the training, in the order of the network's heads.
         preset: the preset of the training's observations.
         demonstration_set: the set of the package's demonstrations from which it learnt.
-        played_in: the variant whose scenes it played in its training.
+        played_in: the variants of the scenes in its training, separated by commas.
     """
 
     def __init__(
@@ -133,7 +133,8 @@ class _Logits(nn.Module):
 def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
     """Writes the policy of a training as an ONNX file.
 
-    Its metadata contain the task, the preset, the set of the package's demonstrations, and the variant that it played.
+    Its metadata contain the task, the preset, the set of the package's demonstrations, and the variants of its
+    training.
 
     The input `observations` contains stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
     float32, oldest first. At the start of an episode, its first state is repeated for the missing earlier ones. The

@@ -25,6 +25,7 @@ from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
 from magical_mj.learners.data import digest
+from magical_mj.learners.encoder import encoder_digest, load_encoder
 from magical_mj.learners.learner import threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
@@ -171,17 +172,11 @@ class RunFolder:
                     f"{self.path} was started with {name} number {start[name]}, but this version has number "
                     f"{number}: continue with magical_mj {start.get('magical_mj')}, or train in another folder"
                 )
-        if start.get("recordings", "") != digest(self._settings):
-            raise TrainingError(
-                f"the demonstrations in {self._settings.recordings} have changed since {self.path} was begun: restore "
-                "them, or train in another folder"
-            )
-        reward = _reward_digest(self._settings)
-        if start.get("reward", reward) != reward:
-            raise TrainingError(
-                f"the reward in {self._settings.reward.run} has changed since {self.path} was begun: restore that "
-                "training, or train in another folder"
-            )
+        for name, (what, now) in _sources(self._settings).items():
+            if start.get(name, "") != now:
+                raise TrainingError(
+                    f"{what} changed since {self.path} was begun: restore the files, or train in another folder"
+                )
         return as_integer(start.get("threads"), 1, MOST_THREADS)
 
 
@@ -271,14 +266,19 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _reward_digest(settings: TrainingSettings) -> str:
-    """The SHA-256 of the checkpoint with the learnt reward of a training by "ppo". Empty for other trainings."""
-    path = Path(settings.reward.run) / CHECKPOINT
-    return hashlib.sha256(path.read_bytes()).hexdigest() if settings.reward.run and path.exists() else ""
+def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
+    """Name -> the source of what a training uses from elsewhere, for errors, and its SHA-256; empty if it uses none."""
+    reward = Path(settings.reward.run) / CHECKPOINT
+    learnt = hashlib.sha256(reward.read_bytes()).hexdigest() if settings.reward.run and reward.exists() else ""
+    return {
+        "recordings": (f"the demonstrations in {settings.recordings} have", digest(settings)),
+        "reward": (f"the reward in {settings.reward.run} has", learnt),
+        "encoder": (f"the encoder in {settings.bc.encoder} has", encoder_digest(settings)),
+    }
 
 
 def _provenance(settings: TrainingSettings) -> str:
-    """The time, command, versions and threads of a run's start, and hashes of recordings and rewards, as TOML."""
+    """The time, command, versions and threads of a run's start, and what it uses from elsewhere, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -289,7 +289,7 @@ def _provenance(settings: TrainingSettings) -> str:
         "torch": torch.__version__,
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
-        **({"recordings": digest(settings)} if settings.recordings else {}),
-        **({"reward": learnt} if (learnt := _reward_digest(settings)) else {}),
+        **{name: now for name, (_, now) in _sources(settings).items() if now},
+        **({"played_in": encoder.played_in} if (encoder := load_encoder(settings)) else {}),
     }
     return "".join(f"{name} = {toml_value(value)}\n" for name, value in start.items())

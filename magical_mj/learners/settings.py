@@ -80,6 +80,10 @@ class CloningSettings(Settings):
     final_learning_rate: Annotated[Positive, Meta(description="at the end")] = 1e-3
     momentum: Annotated[NotNegative, Meta(description="of SGD")] = 0.1
     heads: Annotated[Literal["normal", "uniform"], Meta(description="distribution of their initial weights")] = "normal"
+    encoder: Annotated[
+        str,
+        Meta(description="pictures: the folder of a training, or a file; its convolutions are used, and not trained"),
+    ] = ""
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` for invalid combinations."""

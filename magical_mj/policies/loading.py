@@ -29,10 +29,10 @@ from magical_mj.policies.interface import (
     uses_instruction,
     uses_simulation,
 )
-from magical_mj.policies.models import LOADERS, Shape
+from magical_mj.policies.models import LOADERS, Shape, check_set, check_variants
 from magical_mj.shifts.registry import Effect
-from magical_mj.tasks.registry import EVERY_VARIANT, Pair, task_spec
-from magical_mj.utils.errors import SettingsError, as_integer, short_repr, unknown_name
+from magical_mj.tasks.registry import Pair, task_spec
+from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import announced, imported, reference_in_folder, source_of
 
@@ -44,10 +44,10 @@ WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 CONFIG: Final = "config.toml"
 """The file with the settings of a training in its folder."""
 LEARNT: Final = {
-    "demonstration_set": ("demos", "set", 1, "a number of a set"),
-    "played_in": ("reward", "variant", "Demo", "a variant"),
+    "demonstration_set": (1, [("demos", "set")]),
+    "played_in": ("Demo", [("reward", "variant"), ("made", "played_in")]),
 }
-"""What a policy learnt from: a fact of `Source` -> the part and the name of the setting, its default, and its kind."""
+"""What a policy learnt from: a fact of `Source` -> its default, and the parts and names of settings that contain it."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (
@@ -79,7 +79,7 @@ class Source:
         unnoticed: the effects of shifts that it cannot notice.
         shown: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
-        played_in: the variant whose scenes it played in its training, if it is known.
+        played_in: the variants of the scenes in its training, if they are known, separated by commas.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -249,13 +249,13 @@ def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     settings = read_toml(path) if path.is_file() else {}
     facts: dict[str, Any] = {}
-    for name, (part, setting, usual, kind) in LEARNT.items():
-        value, known = getattr(policy, name, usual), settings.get(part)
-        value = known.get(setting, value) if isinstance(known, dict) else value
-        facts[name] = as_integer(value, 1) if isinstance(usual, int) else value if value in EVERY_VARIANT else None
-        if facts[name] is None:
-            where = f"{part}.{setting} in {path}" if settings else f"the policy's attribute {name}"
-            raise SettingsError(f"{where} must be {kind}, not {short_repr(value)}")
+    for name, (usual, sources) in LEARNT.items():
+        value, where = getattr(policy, name, usual), f"the policy's attribute {name}"
+        for part, setting in sources:
+            known = settings.get(part)
+            if isinstance(known, dict) and setting in known:
+                value, where = known[setting], f"{part}.{setting} in {path}"
+        facts[name] = check_set(value, where) if name == "demonstration_set" else check_variants(value, where)
     return facts
 
 

@@ -31,7 +31,7 @@ from magical_mj.policies.interface import HISTORY, Episode, History, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import EVERY_VARIANT
-from magical_mj.utils.errors import MissingExtraError, SettingsError, check_name
+from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer, short_repr
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
@@ -85,6 +85,10 @@ class Model:
         """Starts a batch of episodes."""
         del episodes
         self._history = None
+
+    def reset(self, episode: Episode) -> None:
+        """Starts an episode."""
+        self.reset_batch([episode])
 
     def act_batch(self, observations: Any) -> Any:
         """An action for each observation. Shape (n,)."""
@@ -326,8 +330,23 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         learnt = known.get("demonstration_set", "")
         model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
         model.played_in = known.get("played_in", "Demo")
-        check_name("variant", model.played_in, EVERY_VARIANT)
+        check_variants(model.played_in, f"played_in in {path}")
     return model
+
+
+def check_set(value: object, where: str) -> int:
+    """The number of a set of the package's demonstrations. Raises a `SettingsError` if the value is none."""
+    number = as_integer(value, 1)
+    if number is None:
+        raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
+    return number
+
+
+def check_variants(value: object, where: str) -> str:
+    """Variants, separated by commas. Raises a `SettingsError` if the value contains anything else."""
+    if not isinstance(value, str) or not set(value.split(",")) <= set(EVERY_VARIANT):
+        raise SettingsError(f"{where} must be variants, separated by commas, not {short_repr(value)}")
+    return value
 
 
 def onnx_runtime() -> Any:

@@ -148,7 +148,7 @@ def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: 
     for name in ("Demo", "Layout", "exported.onnx"):
         evaluate({"PPO": tmp_path / name}, out=tmp_path / f"scores of {name}", **where)
         if name != "Demo":
-            with pytest.raises(SettingsError, match=r'PPO played in scenes of Layout while .* add "other scenes" to'):
+            with pytest.raises(SettingsError, match=r'PPO learnt in scenes of Layout: add "other scenes" to'):
                 submit([tmp_path / f"scores of {name}"], tmp_path / "entry.json.xz", card=card)
     assert submit([tmp_path / "scores of Demo"], tmp_path / "demo.json.xz", card=card).played_in == []
     assert b"played_in" not in lzma.decompress((tmp_path / "demo.json.xz").read_bytes())
@@ -159,7 +159,7 @@ def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: 
     assert read_entry(tmp_path / "entry").played_in == ["Layout"]
     assert not check_entries({"": read_entry(tmp_path / "entry")}, jobs=1)[""].unfit
     (tmp_path / "entry" / "card.toml").write_text('method = "PPO"\nprivileges = ["states"]')
-    problem = 'it played in scenes of Layout while it learnt: add "other scenes" to the card\'s privileges'
+    problem = 'it learnt in scenes of Layout: add "other scenes" to the card\'s privileges'
     assert check_entries({"": read_entry(tmp_path / "entry")}, jobs=1)[""].unfit == [problem]
     assert verify(tmp_path / "entry", jobs=1).unfit == [problem]
 
@@ -171,7 +171,7 @@ def test_what_a_policy_says_about_its_training_is_checked(variants: object, tmp_
 
     policy.played_in = variants  # pyright: ignore[reportFunctionMemberAccess]
     where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
-    with pytest.raises(SettingsError, match="the policy's attribute played_in must be a variant, not"):
+    with pytest.raises(SettingsError, match=r"the policy's attribute played_in must be variants, .* not"):
         evaluate({"X": policy}, out=tmp_path / "scores", **where)
 
 

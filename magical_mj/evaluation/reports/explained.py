@@ -56,7 +56,7 @@ Result = TypeVar("Result", Attribution, LastSolvable)
 
 @dataclass
 class Explanation:
-    """What the episodes of some evaluations were after, where some failed ones were lost, and why others are missing."""
+    """The attributions of evaluations' episodes, the last solvable steps of failed ones, and why others are missing."""
 
     attributions: list[Attribution] = field(default_factory=list[Attribution])
     last_solvable: list[LastSolvable] = field(default_factory=list[LastSolvable])

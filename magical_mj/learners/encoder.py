@@ -1,0 +1,131 @@
+"""Frozen encoders: behavioural cloning on convolutions that were learnt before and are not trained further."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from magical_mj.learners import checkpoint
+from magical_mj.learners.networks import Torso
+from magical_mj.learners.policy import POLICY
+from magical_mj.learners.settings import TrainingSettings
+from magical_mj.policies.loading import CONFIG, learnt_from
+from magical_mj.policies.models import check_set, check_variants
+from magical_mj.utils import files
+from magical_mj.utils.errors import SettingsError, TrainingError, short_repr
+
+PREFIX: Final = "torso.convolutions."
+"""The prefix of the encoder's weights among those of a policy."""
+
+
+class Encoder(NamedTuple):
+    """An encoder, and what it learnt from."""
+
+    weights: Mapping[str, Tensor]
+    """The state of a `Torso`'s convolutions with batch norm."""
+    played_in: str = "Demo"
+    """The variants of the scenes in its training, separated by commas."""
+    demonstration_set: int = 1
+    """The set of the package's demonstrations from which it learnt."""
+
+
+class Frozen(nn.Sequential):
+    """Layers that are not trained: without gradients, and with batch norm's averages as they are."""
+
+    def __init__(self, layers: nn.Sequential) -> None:
+        super().__init__(*layers)
+        self.requires_grad_(requires_grad=False).eval()
+
+    def train(self, mode: bool = True) -> Frozen:
+        """Does nothing: the layers stay in evaluation mode."""
+        del mode
+        return super().train(mode=False)
+
+
+def save_encoder(path: Path | str, encoder: Encoder) -> None:
+    """Writes an encoder into a file for the setting `bc.encoder`, which is replaced if it exists.
+
+    Raises:
+        SettingsError: if `played_in` are no variants.
+        TrainingError: if the file cannot be written.
+    """
+    check_variants(encoder.played_in, "played_in")
+    checkpoint.write(files.to_path(path), {"encoder": {**encoder._asdict(), "weights": dict(encoder.weights)}})
+
+
+def load_encoder(settings: TrainingSettings) -> Encoder | None:
+    """The encoder in the settings, if there is one.
+
+    Raises:
+        SettingsError: if it does not fit the settings, or its file does not say what it learnt from.
+        TrainingError: if its file is missing or damaged.
+    """
+    if not settings.bc.encoder:
+        return None
+    if settings.states:
+        raise SettingsError(f"bc.encoder is for pictures and has no effect with the preset {settings.preset}")
+    path = Path(settings.bc.encoder)
+    encoder = _of_run(path) if path.is_dir() else _in_file(path)
+    if encoder.demonstration_set not in (1, settings.demos.set):
+        number = encoder.demonstration_set
+        raise SettingsError(
+            f"the encoder in {path} learnt from demonstrations of set {number}: add --set demos.set={number}, so that "
+            "evaluations of the policy record it"
+        )
+    if problem := _misfit(encoder.weights, Torso(settings.network, batch_norm=True).convolutions.state_dict()):
+        raise SettingsError(
+            f"the encoder in {path} {problem}: give one by bc, or a file by save_encoder, with the same sizes "
+            "(network.*, quick)"
+        )
+    return encoder
+
+
+def encoder_digest(settings: TrainingSettings) -> str:
+    """The SHA-256 of the encoder's file; empty without one."""
+    path = Path(settings.bc.encoder)
+    path = path / POLICY if path.is_dir() else path
+    return hashlib.sha256(path.read_bytes()).hexdigest() if settings.bc.encoder and path.is_file() else ""
+
+
+def _of_run(folder: Path) -> Encoder:
+    if not (folder / CONFIG).is_file():
+        raise SettingsError(f"bc.encoder={folder} is not the folder of a training: it has no {CONFIG}")
+    weights = checkpoint.read(folder / POLICY).get("weights", {})
+    kept = {name.removeprefix(PREFIX): values for name, values in weights.items() if name.startswith(PREFIX)}
+    return Encoder(kept, **learnt_from(folder))
+
+
+def _in_file(path: Path) -> Encoder:
+    try:
+        known = checkpoint.read(path).get("encoder")
+    except TrainingError as error:
+        raise TrainingError(f"{error}; give the folder of a training, or a file by save_encoder") from error
+    if not isinstance(known, dict) or known.keys() != set(Encoder._fields) or not isinstance(known["weights"], dict):
+        raise SettingsError(
+            f"{path} is no file by save_encoder, and does not say in which variants its weights were trained: give the "
+            "folder of a training, or a file by save_encoder"
+        )
+    variants = check_variants(known["played_in"], f"played_in in {path}")
+    return Encoder(known["weights"], variants, check_set(known["demonstration_set"], f"demonstration_set in {path}"))
+
+
+def _misfit(given: Mapping[str, Any], wanted: Mapping[str, Tensor]) -> str:
+    """Why weights do not fit a network; empty if they do."""
+    if not given:
+        return "has no convolutions: it is not for pictures"
+    if missing := sorted(wanted.keys() - given.keys()):
+        return f"lacks {missing[0]}"
+    if unknown := sorted(given.keys() - wanted.keys()):
+        return f"has {unknown[0]}, which this network does not have"
+    for name, values in wanted.items():
+        if not isinstance(found := given[name], Tensor) or found.shape != values.shape:
+            shape = tuple(found.shape) if isinstance(found, Tensor) else short_repr(found)
+            return f"has {name} of shape {shape}, not {tuple(values.shape)}"
+        if found.is_complex() or not torch.isfinite(found).all():
+            return f"has numbers in {name} that are not real and finite"
+    return ""
