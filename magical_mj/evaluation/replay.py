@@ -39,11 +39,6 @@ Replayed = tuple[Any, EpisodeResult, str | None]
 """The identifier, the episode (by other rules if requested), and how the replay differs from its record, or None."""
 
 
-def names_in(episode: EpisodeResult) -> tuple[str, ...]:
-    """The names in an episode that its replay resolves: of its task, body and shifts."""
-    return episode.task, episode.body, *map(named_in, episode.shift.split("+"))
-
-
 def obstacle(
     episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
 ) -> str | None:
@@ -67,7 +62,7 @@ def obstacle(
     for name, number in {"protocol": PROTOCOL, "shift_protocol": SHIFT_PROTOCOL}.items():
         if recorded.get(name) not in (None, number) and (name == "protocol" or episode.shift):
             return f"it follows {name.replace('_', ' ')} {recorded[name]}, but this version plays {number}"
-    for name in names_in(episode):
+    for name in (episode.task, episode.body, *map(named_in, episode.shift.split("+"))):
         check_named(name, "an episode", trusted)
     try:
         check_rules(episode.rules)
