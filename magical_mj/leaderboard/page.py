@@ -73,8 +73,7 @@ def check_free(out: Path) -> None:
 
 
 def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
-    """Writes both pages into a folder and returns their paths. Only earlier pages are replaced."""
-    check_free(out)
+    """Writes both pages into a folder, which must be free, and returns their paths."""
     contents = tables(methods)
     sections = [f"## {HEADINGS[table.name]}\n\n{markdown(table)}" for table in contents]
     pages = {
@@ -211,7 +210,7 @@ def label(method: Standing) -> str:
 def _scores(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
         runs = "" if method.kind == "published" else str(len(method.entry.runs))
-        return uses(method), runs, *(shown(method, column) for column in COLUMNS)
+        return ", ".join(method.privileges), runs, *(shown(method, column) for column in COLUMNS)
 
     return Table(
         "scores",
@@ -224,11 +223,6 @@ def _scores(methods: Sequence[Standing]) -> Table:
         _grouped(methods, cells),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
     )
-
-
-def uses(method: Standing) -> str:
-    """What a method may use apart from the demonstrations as its policy observes them."""
-    return ", ".join(method.privileges)
 
 
 def shown(method: Standing, column: str) -> str:
