@@ -140,16 +140,16 @@ def gather(
 
 def episodes_of(folder: Path, rules: Rules | None, trusted: Collection[str] = ()) -> Iterator[EpisodeResult]:
     """The episodes of an evaluation or an entry, scored by these rules; for `trusted`, see `replay`."""
-    recorded: dict[str, Any] = {}
     if is_entry(folder):
         entry = read_entry(folder)
         played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
         episodes = (replace(episode, **played_with) for episode in entry.episodes)
     else:
-        recorded, episodes = recorded_settings(folder), episodes_in(folder)
+        episodes = episodes_in(folder)
     if rules is None:
         yield from episodes
         return
+    recorded = recorded_settings(folder)
     others: list[tuple[str, EpisodeResult]] = []
     for episode in episodes:
         if episode.rules == rules:
