@@ -46,6 +46,7 @@ class PlayedPolicy(Struct):
     name: str
     run: StoredInt
     sha256: str = ""
+    code: str = ""
     given: str = ""
     demonstration_set: StoredInt = 1
     played_in: str = "Demo"
