@@ -37,28 +37,17 @@ Settings = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Gap:
-    """An environment in which a run lacks planned episodes. `environment` includes the shift."""
-
-    policy: str
-    run: int
-    environment: str
-    there: int
-    planned: int
-
-
-@dataclass(frozen=True)
 class Provenance:
     """How the episodes of a report were produced.
 
     Attributes:
-        gaps: runs and environments with missing episodes.
+        gaps: runs and environments with missing episodes, such as "BC, run 0, FindDupe Demo has 3 of 100 episodes".
         deviations: differences from the official protocol, in a few words each. Shifts and variants do not count as
             differences, since the tables show them.
         facts: the recorded protocol numbers, such as "protocol 1".
     """
 
-    gaps: tuple[Gap, ...]
+    gaps: tuple[str, ...]
     deviations: tuple[str, ...]
     facts: tuple[str, ...]
 
@@ -125,13 +114,14 @@ def _count(seeds: Sequence[range]) -> int:
     return sum(part.stop - part.start for part in seeds)
 
 
-def _gaps(plan: Mapping[Group, Sequence[range]], scores: pd.DataFrame) -> Iterator[Gap]:
+def _gaps(plan: Mapping[Group, Sequence[range]], scores: pd.DataFrame) -> Iterator[str]:
     there: Any = dict(list(scores.groupby(COLUMNS, observed=True)["seed"]))
     for (policy, run, *environment), seeds in plan.items():
         numbers = there.get((policy, run, *environment), ())
         count = sum(number in part for number in numbers for part in seeds)
         if count < _count(seeds):
-            yield Gap(policy, run, " ".join(filter(None, environment)), count, _count(seeds))
+            planned = counted(_count(seeds), "episode")
+            yield f"{policy}, run {run}, {' '.join(filter(None, environment))} has {count} of {planned}"
 
 
 def _deviations(

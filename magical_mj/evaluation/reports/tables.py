@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.reports.provenance import Gap
 from magical_mj.evaluation.reports.results import (
     PUBLISHED_EPISODES,
     PUBLISHED_RULES,
@@ -182,7 +181,10 @@ def notes(results: Results) -> Iterator[str]:
     existing = [variant for variant in results.shown_variants if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
         yield from (f"{policy}: {gap}." for gap in _gaps(variants, existing))
-    yield from _unfinished(results.provenance.gaps)
+    if results.provenance.gaps:
+        first, *more = results.provenance.gaps
+        others = f", and {len(more)} more are short" if more else ""
+        yield f"Unfinished: {first}{others}."
     yield from _numbers_of_runs(results.environments)
     yield from _failures(results.scores)
     for column, name in VERSIONS.items():
@@ -209,13 +211,6 @@ def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
             yield f"incomplete in {', '.join(names)}: without {tasks}"
     if absent := [variant for variant in existing if variant not in set(variants["variant"])]:
         yield f"not evaluated in {', '.join(absent)}"
-
-
-def _unfinished(gaps: Sequence[Gap]) -> Iterator[str]:
-    for gap in gaps[:1]:
-        others = f", and {len(gaps) - 1} more are short" if len(gaps) > 1 else ""
-        count = f"{gap.there} of {counted(gap.planned, 'episode')}"
-        yield f"Unfinished: {gap.policy}, run {gap.run}, {gap.environment} has {count}{others}."
 
 
 def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:
