@@ -310,12 +310,12 @@ def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> Chec
 
 @app.command()
 def video(
-    out: Annotated[Path, Option("--out", help="The MP4 file.")],
+    out: Annotated[Path, Option(help="The MP4 file.")],
     paths: Paths = None,
     tasks: option.Tasks = "all",
     variants: option.Variants = "all",
     which: Set = "1",
-    count: Annotated[int, Option("--count", min=1, help="The largest number of demonstrations in the video.")] = 1,
+    count: Annotated[int, Option(min=1, help="The largest number of demonstrations in the video.")] = 1,
     size: option.Size = 384,
     speed: Annotated[int, Option(min=1, max=30, help="Times real time.")] = 1,
     renderer: option.Renderer = None,

@@ -43,8 +43,7 @@ def export_demos(
         ),
     ] = "npz",
     out: Annotated[
-        str | None,
-        Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
+        str | None, Option(help="The file, the data set's id, or the folder.", show_default="by environment and preset")
     ] = None,
     preset: Annotated[str | None, Option(help="The observations.", show_default="LoRes4E; State for Minari")] = None,
     drop_noop: Annotated[bool, Option(help="For npz: leave out the steps with the no-op action.")] = True,
@@ -109,13 +108,10 @@ def make_intents(
             show_default="only the actions are stored",
         ),
     ] = None,
-    out: Annotated[
-        Path | None, Option("--out", help="The file or the folder.", show_default="by intents and preset")
-    ] = None,
+    out: Annotated[Path | None, Option(help="The file or the folder.", show_default="by intents and preset")] = None,
     preset: Annotated[str, Option(help="The observations.", autocompletion=option.COMPLETIONS["preset"])] = "State",
     folder: Annotated[
-        Path | None,
-        Option("--folder", help="The folder of the stored actions.", show_default="the user's cache folder"),
+        Path | None, Option(help="The folder of the stored actions.", show_default="the user's cache folder")
     ] = None,
     jobs: option.Jobs = None,
     force: option.Force = False,

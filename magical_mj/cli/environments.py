@@ -92,7 +92,7 @@ def view(
         bool, Option("--grid", help="Draw all environments on one sheet; without TASK and VARIANT.")
     ] = False,
     out: Annotated[
-        Path | None, Option("--out", help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
+        Path | None, Option(help="The PNG file, or its folder.", show_default="TASK-VARIANT-SEED.png")
     ] = None,
     size: Annotated[
         int | None,
@@ -129,7 +129,7 @@ def export(
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
     out: Annotated[
-        Path | None, Option("--out", help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
+        Path | None, Option(help="The MJCF file, or its folder.", show_default="TASK-VARIANT-SEED.xml")
     ] = None,
     shifts: option.Shifts = "",
     body: option.Body = GRIPPER,

@@ -61,7 +61,7 @@ _POLICIES = (
 
 def evaluate(
     policy: Annotated[
-        str, Option("--policy", help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
+        str, Option(help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
     ],
     out: Annotated[Path, Option(help="The folder for the scores.")],
     like: Annotated[str, Option("--as", help="The task name that policies receive instead of the real one.")] = "",
@@ -91,10 +91,7 @@ def rollout(
     variant: option.Variant = "Demo",
     policy: Annotated[str, Option(help=_POLICIES)] = "expert",
     episodes: Annotated[
-        int,
-        Option(
-            "--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."
-        ),
+        int, Option(min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ...")
     ] = 1,
     seed: option.Seed = 0,
     shifts: option.Shifts = "",
@@ -199,11 +196,11 @@ def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
 
 
 def demo(
-    out: Annotated[
-        Path, Option("--out", help="The folder for all results; those of the same tour are replaced.")
-    ] = Path("out/demo"),
+    out: Annotated[Path, Option(help="The folder for all results; those of the same tour are replaced.")] = Path(
+        "out/demo"
+    ),
     tasks: option.Tasks = "all",
-    episodes: Annotated[int, Option("--episodes", min=1, help="Episodes of each agent in each environment.")] = 3,
+    episodes: Annotated[int, Option(min=1, help="Episodes of each agent in each environment.")] = 3,
     jobs: option.Jobs = None,
 ) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""

@@ -68,7 +68,7 @@ def play(
     wanted: Annotated[
         int | None, Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")
     ] = None,
-    study: Annotated[Path | None, Option("--study", help="The study's settings, a file (.toml).")] = None,
+    study: Annotated[Path | None, Option(help="The study's settings, a file (.toml).")] = None,
     host: option.Host = "127.0.0.1",
     port: option.Port = 8008,
     origin: Annotated[

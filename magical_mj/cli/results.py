@@ -41,7 +41,7 @@ def make_report(
     context: typer.Context,
     folders: Folders,
     out: Annotated[
-        Path | None, Option("--out", help="The folder for the report.", show_default="DIR/report, for a single DIR")
+        Path | None, Option(help="The folder for the report.", show_default="DIR/report, for a single DIR")
     ] = None,
     published: Annotated[bool, Option("--published", help="Show the paper's own results as well.")] = False,
     mixed_presets: Annotated[
@@ -153,9 +153,9 @@ def verify_folders(folders: Folders, jobs: option.Jobs = None, trusted: option.T
 
 def make_entry(
     folders: Annotated[list[Path], Argument(help="Folders of evaluations of one method.")],
-    out: Annotated[Path, Option("--out", help="The entry's file, ending in .json.xz.")],
+    out: Annotated[Path, Option(help="The entry's file, ending in .json.xz.")],
     card: Annotated[Path | None, Option(help="A TOML file that describes the method; see docs/leaderboard.md.")] = None,
-    policy: Annotated[str | None, Option("--policy", help="The method to submit, if the folders hold several.")] = None,
+    policy: Annotated[str | None, Option(help="The method to submit, if the folders hold several.")] = None,
 ) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     make_writable_folder(out.parent)
@@ -178,12 +178,12 @@ def make_entry(
 def make_leaderboard(
     context: typer.Context,
     folder: Annotated[Path, Argument(help="The folder with the entries (*.json.xz), or one.")],
-    out: Annotated[Path, Option("--out", help="The folder for the pages.")] = Path("out/leaderboard"),
+    out: Annotated[Path, Option(help="The folder for the pages.")] = Path("out/leaderboard"),
     replay: Annotated[int, Option(min=1, help="The most episodes of an entry to replay.")] = MOST_REPLAYED,
     everything: Annotated[
         bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")
     ] = False,
-    seed: Annotated[int | None, Option("--seed", min=0, help="The seed of the sample.", show_default="random")] = None,
+    seed: Annotated[int | None, Option(min=0, help="The seed of the sample.", show_default="random")] = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""

@@ -93,7 +93,6 @@ def train(
     demonstrations: Annotated[
         Path | None,
         Option(
-            "--demonstrations",
             help="A folder with your own demonstrations; all in the demo scene are used.",
             show_default="10 of those that come with each task",
         ),
@@ -158,10 +157,8 @@ option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device
 
 def export(
     run: Annotated[Path, Argument(help="The folder of a training.")],
-    out: Annotated[
-        Path | None, Option("--out", help="The ONNX file, or its folder.", show_default="policy.onnx")
-    ] = None,
-    task: Annotated[str, Option("--task", help="The task, if the policy has several.")] = "",
+    out: Annotated[Path | None, Option(help="The ONNX file, or its folder.", show_default="policy.onnx")] = None,
+    task: Annotated[str, Option(help="The task, if the policy has several.")] = "",
     force: option.Force = False,
 ) -> None:
     """Write the policy of a training as an ONNX file for `evaluate --policy` and any ONNX runtime.
@@ -236,7 +233,7 @@ def evaluate_reward(
     scenes: Annotated[
         int, Option(min=1, max=1000, help="Number of scenes in each environment, none of the test's.")
     ] = 5,
-    out: Annotated[Path | None, Option("--out", help="A CSV file for all sums and scores.")] = None,
+    out: Annotated[Path | None, Option(help="A CSV file for all sums and scores.")] = None,
     jobs: option.Jobs = None,
     force: option.Force = False,
 ) -> None:
