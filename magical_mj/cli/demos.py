@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not 
 Key = tuple[str, str, int]
 """Task, variant and number."""
 
-Folder = Annotated[Path, Option("--out", help="The folder; existing files are kept.")]
+Folder = Annotated[Path, Option(help="The folder; existing files are kept.")]
 app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
 

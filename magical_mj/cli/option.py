@@ -47,9 +47,7 @@ Tasks = Annotated[str, Option(help="Tasks, separated by commas; or all.", autoco
 Variants = Annotated[str, Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])]
 Seed = Annotated[int, Option(min=0, help="The seed of the scene.")]
 Size = Annotated[int, Option(min=16, max=2048, help="Side of each picture in pixels.")]
-Cameras = Annotated[
-    str, Option("--camera", help="Views side by side, separated by commas: allo, ego, and scene (3-D).")
-]
+Cameras = Annotated[str, Option(help="Views side by side, separated by commas: allo, ego, and scene (3-D).")]
 Jobs = Annotated[int | None, Option(min=1, help="Worker processes.", show_default="one per core")]
 Renderer = Annotated[
     RendererName | None, Option(help="The renderer of flat views.", show_default="opengl where it works")
