@@ -37,6 +37,7 @@ from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
+from tools.pack_demonstrations import pack_rows
 from tools.research.demonstration_statistics import STATISTICS
 
 COUNT: Final = 25
@@ -342,7 +343,7 @@ def main() -> None:
     for task in parser.parse_args().tasks.split(","):
         demos = demonstrations(task)
         path = shipped.FILES[2]
-        shipped.pack_rows(path, [row for row in shipped.stored_rows(path) if row.task != task], demos)
+        pack_rows(path, [row for row in shipped.stored_rows(path) if row.task != task], demos)
         print(f"{task}: {', '.join(f'{name} {value([*demos]):.2f}' for name, value in STATISTICS.items())}", flush=True)
 
 

@@ -30,13 +30,14 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.recording import replayed
-from magical_mj.demos.shipped import FILES, load, pack_rows, stored_rows
+from magical_mj.demos.shipped import FILES, load, stored_rows
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import Expert
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, Colour
 from magical_mj.tasks import KNOWN, SPECS
 from magical_mj.tasks.registry import task_spec
+from tools.pack_demonstrations import pack_rows
 
 COUNT: Final = 25
 BINS: Final = 4

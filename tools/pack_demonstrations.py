@@ -5,15 +5,28 @@ With ``--sweeps`` instead of a folder, it makes those of SweepToTop in the varia
 
 from __future__ import annotations
 
+import io
+import json
+import lzma
 import sys
+from base64 import b64encode
+from collections.abc import Sequence
 from pathlib import Path
 
-from magical_mj.demos.demonstration import Demonstration, files_in, read
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.demos.demonstration import Demonstration, files_in, header_and_arrays, read
 from magical_mj.demos.recording import demonstrate
-from magical_mj.demos.shipped import FILES, FOLDER, SUFFIX, pack, pack_rows
+from magical_mj.demos.shipped import ARRAYS, FILES, FOLDER, SUFFIX, StoredRow, movements, predicted
+from magical_mj.policies.interface import letters_of
 from magical_mj.tasks.registry import task_spec
+from magical_mj.utils import files
 
 FIRST, COUNT = 5_000_000, 50
+FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3}]
+"""Settings of xz for numbers of eight bytes."""
 
 
 def main(folder: Path) -> None:
@@ -35,6 +48,40 @@ def sweeps() -> None:
     ]
     pack_rows(FILES[1], [], demos)
     print(f"SweepToTop: {len(demos)} demonstrations, {FILES[1].stat().st_size:,} bytes")
+
+
+def pack_rows(path: Path, kept: Sequence[StoredRow], demos: Sequence[Demonstration]) -> None:
+    """Writes a file of actions: rows that are kept, and others that are added."""
+    rows = list(kept)
+    for demo in demos:
+        speeds = demo.actions.ndim == 2
+        actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions)
+        where = demo.task, demo.variant, demo.scene.robot.body, demo.scene_seed
+        rows.append(StoredRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
+    rows.sort(key=lambda row: (row.task, row.body))  # those of a task stay in their order
+    content = msgspec.json.format(msgspec.json.encode(rows), indent=0)
+    files.write(path, lzma.compress(content, preset=9), overwrite=True)
+
+
+def pack(demos: Sequence[Demonstration], path: Path) -> None:
+    """Writes demonstrations of one scene to a file for `load_shipped`. An existing file is replaced."""
+    headers = [header_and_arrays(demo)[0] for demo in demos]
+    arrays = [(demo.actions, _offsets(demo.qpos, demo.qvel), demo.qvel) for demo in demos]
+    content = io.BytesIO()
+    np.savez(
+        content,
+        allow_pickle=False,
+        headers=np.frombuffer("\n".join(map(json.dumps, headers)).encode(), np.uint8),
+        lengths=np.array([len(demo.actions) for demo in demos]),
+        **{name: np.asfortranarray(np.concatenate(parts)) for name, *parts in zip(ARRAYS, *arrays, strict=True)},
+    )
+    files.write(path, lzma.compress(content.getvalue(), filters=FILTERS), overwrite=True)
+
+
+def _offsets(qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.int64]:
+    expected = np.zeros_like(qpos)
+    expected[1:] = predicted(qpos[:-1], movements(qvel))
+    return np.ascontiguousarray(qpos).view(np.int64) - expected.view(np.int64)
 
 
 if __name__ == "__main__":

@@ -1,25 +1,27 @@
 """Importing the original's released demonstrations, gzipped pickles named ``demo-*.pkl.gz``, without running them.
 
-Such a file holds a dict: `env_name`, such as "FindDupe-Demo-v0"; `trajectory`, a record of `acts` (the numbers of
+Such a file contains a dict: `env_name`, such as "FindDupe-Demo-v0"; `trajectory`, a record of `acts` (the numbers of
 actions, shape (steps,)), pictures and other arrays; and, in some files, `score`. A pickle can run any code when it is
-loaded. So these are read by an unpickler that knows plain containers and arrays of numbers alone: no name in the file
-is imported, and stand-ins take the places of numpy's arrays and of the original's records.
+loaded. So the unpickler accepts only plain containers, records and arrays of numbers, and imports nothing: it keeps the
+arguments and the state of records and arrays, from which this module reads the numbers.
 
-Only the actions are used. They are played again from our demo scene, and the demonstration holds the states and the
+Only the actions are used. They are replayed from our demo scene, and the demonstration contains the states and the
 score of this replay.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import math
 import pickle
 import pickletools
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,15 @@ MOST_UNPACKED: Final = 500_000_000
 RECORDS: Final = ("magical", "imitation")
 """The packages whose records a file may hold."""
 ARRAYS: Final = ("numpy.core.multiarray", "numpy._core.multiarray", "numpy.core.numeric", "numpy._core.numeric")
+KEPT: Final = frozenset(
+    {
+        *product(ARRAYS, ("_reconstruct", "_frombuffer", "scalar")),
+        ("numpy", "dtype"),
+        ("numpy", "ndarray"),
+        ("_codecs", "encode"),
+    }
+)
+"""The modules and names of what a file may make of numbers."""
 DTYPES: Final = frozenset({"b1", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"})
 PUTS: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT"})
 BANNED: Final = frozenset(
@@ -77,6 +88,7 @@ def from_original(path: Path | str) -> Original:
             "can be replayed, since others started in unknown scenes"
         )
     score = content.get("score")
+    score = score if (number := _numbers(score)) is None else number[()]
     score = float(score) if isinstance(score, float | int) and math.isfinite(score) else None
     actions, steps = _actions(path, content["trajectory"]), SPECS[task].horizon()
     if len(actions) > steps:
@@ -98,29 +110,27 @@ def _actions(path: Path, trajectory: Any) -> list[int]:
 
 
 def _fields(trajectory: Any) -> Iterator[tuple[Any, Any]]:
-    if isinstance(trajectory, Mapping):
-        yield from trajectory.items()
-    elif isinstance(trajectory, tuple | list):
-        yield from enumerate(trajectory)
-    elif (state := getattr(trajectory, "__dict__", None)) is not None:
-        parts = state.get("parts")
-        yield from enumerate(parts if isinstance(parts, tuple) else ())
-        yield from state.items()
+    """The names and values of a trajectory, or their numbers if they have no names."""
+    parts = [trajectory.args, trajectory.state] if isinstance(trajectory, _Kept) else [trajectory]
+    for part in parts:
+        if isinstance(part, Mapping):
+            yield from part.items()
+        elif isinstance(part, list | tuple):
+            yield from enumerate(part)
 
 
 def _row(part: Any) -> list[int] | None:
     """The integers of a row; None of anything else."""
+    if (array := _numbers(part)) is not None:
+        return array.tolist() if array.ndim == 1 and array.dtype.kind in "iu" else None
     if not isinstance(part, list | tuple):
-        entries = part.array() if isinstance(part, _Array) else None
-        if entries is None or entries.ndim != 1 or entries.dtype.kind not in "iu":
-            return None
-        return entries.tolist()
-    numbers = [as_integer(entry) for entry in part]
+        return None
+    numbers = [as_integer(entry if (array := _numbers(entry)) is None else array[()]) for entry in part]
     return None if None in numbers else [number for number in numbers if number is not None]
 
 
 def loaded(path: Path) -> Any:
-    """What a gzipped pickle of plain containers and arrays holds; arrays have a method `array`.
+    """The content of a gzipped pickle, with records and arrays as `_Kept`.
 
     Raises:
         DemonstrationError: if the file holds or refers to anything else, is damaged, or too large.
@@ -158,85 +168,53 @@ def _check_opcodes(content: bytes) -> None:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Knows no names but stand-ins, which are made anew for each file, since a file can change them."""
-
-    def __init__(self, file: io.BytesIO) -> None:
-        super().__init__(file)
-        self._known = _stand_ins()
+    """Imports nothing: what a name in the file makes is only kept."""
 
     def find_class(self, module: str, name: str, /) -> Any:
-        if (module.partition(".")[0] in RECORDS and name.isidentifier()) or (module, name) in self._known:
-            return self._known.get((module, name), self._known["", "record"])
+        if (module, name) == ("collections", "OrderedDict"):
+            return dict
+        is_record = module.partition(".")[0] in RECORDS and name.isidentifier()
+        if is_record or (module, name) in KEPT:
+            return type(name, (_Kept,), {"maker": "record" if is_record else name})
         raise pickle.UnpicklingError(
             f"it refers to {module}.{name}, and demonstrations are read without running code: only arrays and plain "
             "containers are allowed"
         )
 
 
-class _Record:
-    """Takes the place of a record."""
+class _Kept:
+    """The arguments of a class or function in a pickle, and the state of its result."""
 
-    parts: tuple[Any, ...]
+    maker: ClassVar[str]
+    """Its name, or "record" for those of the original."""
+    args: tuple[Any, ...]
+    state: Any = None
 
-    def __new__(cls, *parts: Any) -> Self:
-        record = super().__new__(cls)
-        record.parts = parts
-        return record
-
-
-class _DType:
-    """Takes the place of a numpy.dtype."""
-
-    def __init__(self, name: Any = "", *_: Any) -> None:
-        self.name, self.order = name, "="
-
-    def __setstate__(self, state: Any) -> None:
-        self.order = state[1]
-
-
-class _Array:
-    """Takes the place of a numpy.ndarray."""
-
-    def __init__(self, *_: Any) -> None:
-        self.state: Any = None
+    def __new__(cls, *args: Any) -> Self:
+        kept = super().__new__(cls)
+        kept.args = args
+        return kept
 
     def __setstate__(self, state: Any) -> None:
         self.state = state
 
-    def array(self) -> NDArray[Any] | None:
-        """The array; None if it is damaged, or not one of numbers."""
-        try:
-            _, shape, kind, by_column, content = self.state
-            if kind.name not in DTYPES or not isinstance(content, bytes) or by_column:
-                return None
-            return np.frombuffer(content, np.dtype(kind.name).newbyteorder(kind.order)).reshape(shape)
-        except (TypeError, ValueError, AttributeError):
+
+def _numbers(part: Any) -> NDArray[Any] | None:
+    """The array of numbers that a part of a pickle describes. None if it is damaged, or something else."""
+    match part:
+        case _Kept(maker="_reconstruct" | "ndarray", state=(_, shape, kind, False, content)):
+            pass
+        case _Kept(maker="_frombuffer", args=(content, kind, shape, "C")):
+            pass
+        case _Kept(maker="scalar", args=(kind, content)):
+            shape = ()
+        case _:
             return None
-
-
-def _array(content: Any, kind: Any, shape: Any, order: Any = "C") -> _Array:
-    row = _Array()
-    row.state = 1, shape, kind, order != "C", bytes(content)
-    return row
-
-
-def _scalar(kind: Any, content: Any = b"") -> Any:
-    numbers = _array(content, kind, (-1,)).array()
-    return numbers.tolist()[0] if numbers is not None and len(numbers) == 1 else None
-
-
-def _stand_ins() -> dict[tuple[str, str], Callable[..., Any]]:
-    """New ones for records, numpy's types and functions, OrderedDict, and what makes bytes in pickles of protocol 2."""
-    kinds = {kind: type(kind.__name__, (kind,), {}) for kind in (_Record, _DType, _Array)}
-    known: dict[tuple[str, str], Callable[..., Any]] = {
-        ("", "record"): kinds[_Record],
-        ("numpy", "dtype"): kinds[_DType],
-        ("numpy", "ndarray"): kinds[_Array],
-        ("collections", "OrderedDict"): dict,
-        ("_codecs", "encode"): lambda text, _: text.encode("latin-1"),
-    }
-    for module in ARRAYS:
-        known[module, "_reconstruct"] = kinds[_Array]
-        known[module, "scalar"] = lambda *parts: _scalar(*parts)  # noqa: PLW0108 - a new one for each file
-        known[module, "_frombuffer"] = lambda *parts: _array(*parts)  # noqa: PLW0108
-    return known
+    match content:
+        case _Kept(maker="encode", args=(str() as text, _)):  # bytes in pickles of protocol 2
+            content = text.encode("latin-1", "ignore")
+    match kind:
+        case _Kept(maker="dtype", args=(str() as name, *_), state=(_, "<" | ">" | "|" as order, *_)) if name in DTYPES:
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                return np.frombuffer(content, np.dtype(name).newbyteorder(order)).reshape(shape)
+    return None

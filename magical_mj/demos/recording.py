@@ -265,8 +265,8 @@ def from_recording(text: str | bytes) -> Imported:
     if len(final.blocks) != blocks:
         raise DemonstrationError(f"final must contain the poses of {blocks} blocks, not of {len(final.blocks)}")
     end = SceneModel(demonstration.scene).read(demonstration.qpos[-1])
-    replayed = _Final(end.robot.pose, end.robot.fingers, [block.pose for block in end.blocks])
-    deviation = float(np.abs(_numbers(replayed) - _numbers(final)).max())
+    replayed = np.concatenate([end.robot.pose, end.robot.fingers, *(block.pose for block in end.blocks)])
+    deviation = float(np.abs(replayed - np.concatenate([final.robot, final.fingers, *final.blocks])).max())
     return Imported(demonstration, deviation, deviation > TOLERANCE)
 
 
@@ -284,10 +284,6 @@ def _decoded(text: str | bytes) -> _Recording:
             f"this version replays recordings of protocol {PROTOCOL}, but this recording is of {recording.protocol}"
         )
     return recording
-
-
-def _numbers(final: _Final) -> Floats:
-    return np.concatenate([final.robot, final.fingers, *final.blocks])
 
 
 class Verdict(NamedTuple):

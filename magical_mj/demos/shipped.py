@@ -16,12 +16,11 @@ tools/graded_demonstrations.py write them.
 from __future__ import annotations
 
 import io
-import json
 import lzma
 import shlex
 import warnings
-from base64 import b64decode, b64encode
-from collections.abc import Mapping, Sequence
+from base64 import b64decode
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -33,15 +32,13 @@ from magical_mj.demos.demonstration import (
     Demonstration,
     Demonstrator,
     files_in,
-    header_and_arrays,
     read,
     unpacked,
 )
 from magical_mj.demos.recording import replayed
-from magical_mj.policies.interface import actions_of, letters_of
+from magical_mj.policies.interface import actions_of
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.tasks.registry import task_name, task_spec
-from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_name
 
 FOLDER: Final = Path(__file__).parent / "data"
@@ -55,8 +52,6 @@ FILES: Final[Mapping[DemonstrationSet, Path]] = {
 """The files of actions: of set 1, only the demonstrations of SweepToTop."""
 SAME_SCORE: Final = 0.01
 SUFFIX: Final = ".npz.xz"
-FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 9, "lc": 0, "lp": 3, "pb": 3},)
-"""Settings of xz for numbers of eight bytes."""
 ARRAYS: Final = ("actions", "offsets", "qvel")
 LEAST: Final = 1e-290
 """Smaller numbers become 0 in predictions, because some processes flush subnormal numbers to 0."""
@@ -169,19 +164,6 @@ def _played(which: DemonstrationSet, task: str, body: str) -> list[Demonstration
     return demos
 
 
-def pack_rows(path: Path, kept: Sequence[StoredRow], demos: Sequence[Demonstration]) -> None:
-    """Writes a file of actions: rows that are kept, and others that are added."""
-    rows = list(kept)
-    for demo in demos:
-        speeds = demo.actions.ndim == 2
-        actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions)
-        where = demo.task, demo.variant, demo.scene.robot.body, demo.scene_seed
-        rows.append(StoredRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
-    rows.sort(key=lambda row: (row.task, row.body))  # those of a task stay in their order
-    content = msgspec.json.format(msgspec.json.encode(rows), indent=0)
-    files.write(path, lzma.compress(content, preset=9), overwrite=True)
-
-
 def load_shipped(task: str, name: str) -> list[Demonstration]:
     """The shipped demonstrations with this name. Empty if the package contains none.
 
@@ -204,39 +186,22 @@ def load_shipped(task: str, name: str) -> list[Demonstration]:
     return demos
 
 
-def pack(demos: Sequence[Demonstration], path: Path) -> None:
-    """Writes demonstrations of one scene to a file for `load_shipped`. An existing file is replaced."""
-    headers = [header_and_arrays(demo)[0] for demo in demos]
-    arrays = [(demo.actions, _offsets(demo.qpos, demo.qvel), demo.qvel) for demo in demos]
-    content = io.BytesIO()
-    np.savez(
-        content,
-        allow_pickle=False,
-        headers=np.frombuffer("\n".join(map(json.dumps, headers)).encode(), np.uint8),
-        lengths=np.array([len(demo.actions) for demo in demos]),
-        **{name: np.asfortranarray(np.concatenate(parts)) for name, *parts in zip(ARRAYS, *arrays, strict=True)},
-    )
-    files.write(path, lzma.compress(content.getvalue(), filters=list(FILTERS)), overwrite=True)
-
-
-def _offsets(qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.int64]:
-    predicted = np.zeros_like(qpos)
-    predicted[1:] = _flushed(qpos[:-1] + _movements(qvel))
-    return np.ascontiguousarray(qpos).view(np.int64) - predicted.view(np.int64)
-
-
 def _positions(offsets: NDArray[np.int64], qvel: NDArray[np.float64]) -> NDArray[np.float64]:
     qpos = np.array(offsets, order="C").view(np.float64)  # the first row contains positions, not offsets
-    for step, movement in enumerate(_movements(qvel)):
-        predicted = _flushed(qpos[step] + movement)
-        qpos[step + 1] = (predicted.view(np.int64) + offsets[step + 1]).view(np.float64)
+    for step, movement in enumerate(movements(qvel)):
+        qpos[step + 1] = (predicted(qpos[step], movement).view(np.int64) + offsets[step + 1]).view(np.float64)
     return qpos
 
 
 @np.errstate(all="ignore")  # underflow is expected, even if the caller's settings make it an error
-def _movements(qvel: NDArray[np.float64]) -> NDArray[np.float64]:
+def movements(qvel: NDArray[np.float64]) -> NDArray[np.float64]:
     """The change of all coordinates in each step, if their velocities change linearly. Shape (steps, nv)."""
     return _flushed((qvel[:-1] + qvel[1:]) / 16)  # the mean over 1/8 s. Division by a power of two is exact
+
+
+def predicted(qpos: NDArray[np.float64], movement: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The positions after a movement."""
+    return _flushed(qpos + movement)
 
 
 def _flushed(numbers: NDArray[np.float64]) -> NDArray[np.float64]:

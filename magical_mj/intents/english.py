@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from magical_mj.intents.relations import ANY, HOME, RELATIONS, Conjunct
-from magical_mj.intents.selectors import ALL, REGION, REST, Selector, names_one
+from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, names_one
 from magical_mj.scene.constants import SHAPES
 
 NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
@@ -109,9 +109,7 @@ def _side(name: str, kind: str) -> str:
 
 def reference(name: str) -> str:
     """What a reference names, such as "red star", "star" or "red block"."""
-    return (
-        name if name in ("region", "robot") or name.split()[-1:] in [[shape] for shape in SHAPES] else f"{name} block"
-    )
+    return name if name.rpartition(" ")[2] in (REGION, ROBOT, *SHAPES) else f"{name} block"
 
 
 def noun(selector: Selector, *, plural: bool = False) -> str:

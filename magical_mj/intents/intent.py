@@ -170,7 +170,8 @@ def parse(text: str) -> Intent:
     while True:
         found = _CONJUNCT.match(text, at)
         if found is None:
-            _fail(text, at, f"a relation with its arguments in brackets, such as {_example()}")
+            known = f"in(colour=red, region); the relations are {', '.join(RELATIONS)}"
+            _fail(text, at, f"a relation with its arguments in brackets, such as {known}")
         conjuncts.append(_conjunct(text, found))
         at = found.end()
         if at == len(text):
@@ -199,10 +200,6 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
         why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
         raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
     return Intent(tuple(kept))
-
-
-def _example() -> str:
-    return f"in(colour=red, region); the relations are {', '.join(RELATIONS)}"
 
 
 def _fail(text: str, at: int, wanted: str) -> NoReturn:

@@ -75,13 +75,9 @@ def plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgo
 
 def solved(intent: Intent, scene: Scene) -> Scene | None:
     """The scene after a plan from the start of an episode, or None if no plan satisfies the intent."""
-    noise = _quiet()
-    todo = plan(intent, scene, scene, noise)
+    todo = _from_start(intent, scene)
     end = scene_after(scene, todo)
-    if _overlaps(scene, todo):
-        return None
-    end = scene_after(end, _drive(intent, scene, end, noise))
-    return end if intent.holds(scene, end) else None
+    return end if not _overlaps(scene, todo) and intent.holds(scene, end) else None
 
 
 def planned(intent: Intent, scene: Scene) -> tuple[Scene, Scene]:
@@ -91,15 +87,14 @@ def planned(intent: Intent, scene: Scene) -> tuple[Scene, Scene]:
 
 def cost(intent: Intent, scene: Scene) -> float:
     """The estimated number of actions from the start of an episode, as sum of the subgoals' costs."""
-    noise = _quiet()
+    return sum(subgoal.cost(scene) for subgoal in _from_start(intent, scene))
+
+
+def _from_start(intent: Intent, scene: Scene) -> list[Subgoal]:
+    """All subgoals from the start of an episode, without noise."""
+    noise = Noise(np.random.Generator(np.random.PCG64(0)), 0.0)  # named, since numpy may change its default
     todo = plan(intent, scene, scene, noise)
-    drive = _drive(intent, scene, scene_after(scene, todo), noise) if todo and todo[0].block is not None else []
-    return sum(subgoal.cost(scene) for subgoal in (*todo, *drive))
-
-
-def _quiet() -> Noise:
-    """No noise. The generator is named, since numpy may change its default."""
-    return Noise(np.random.Generator(np.random.PCG64(0)), 0.0)
+    return todo + _drive(intent, scene, scene_after(scene, todo), noise)
 
 
 class _Attempt:

@@ -88,11 +88,7 @@ def keeps(conjunct: Conjunct) -> bool:
 
 
 def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
-    """A demo scene.
-
-    Raises:
-        IntentError: if none was found.
-    """
+    """A demo scene. Raises an `IntentError` if none was found."""
     if (most := max(conjunct.number for conjunct in intent.conjuncts)) > BLOCKS[1]:
         raise IntentError(f"{intent}: demo scenes have at most {BLOCKS[1]} blocks, so {most} cannot be in the region")
     why, failed = "the blocks and regions that it names are in none of them", 0

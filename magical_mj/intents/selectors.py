@@ -21,7 +21,6 @@ from typing import Final, NamedTuple
 
 from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.tasks.planning import Point
 
 TIE: Final = 0.05
 """Two distances that differ by less (world units) do not tell which block is nearer."""
@@ -99,16 +98,6 @@ def the_region(scene: Scene) -> GoalRegion:
     return scene.regions[0]
 
 
-def point_of(reference: str, scene: Scene) -> Point:
-    """Where a reference is in a scene; raises an `UngroundedError` if it is not unique."""
-    if reference == ROBOT:
-        return scene.robot.x, scene.robot.y
-    if reference == REGION:
-        return the_region(scene).centre
-    block = scene.blocks[block_of(reference, scene)]
-    return block.x, block.y
-
-
 def block_of(reference: str, scene: Scene) -> int:
     """The index of the block that a reference names; raises an `UngroundedError` if it is not unique."""
     words = set(reference.split())
@@ -173,10 +162,18 @@ def _odd(values: Sequence[str]) -> int:
 
 def _extreme(scene: Scene, reference: str, sign: float) -> int:
     """The nearest block to a reference (sign 1), or the farthest (-1)."""
-    x, y = point_of(reference, scene)
-    but = block_of(reference, scene) if reference not in (REGION, ROBOT) else None
+    itself = None
+    if reference == ROBOT:
+        x, y = scene.robot.x, scene.robot.y
+    elif reference == REGION:
+        x, y = the_region(scene).centre
+    else:
+        itself = block_of(reference, scene)
+        x, y, _ = scene.blocks[itself].pose
     ways = sorted(
-        (sign * math.hypot(block.x - x, block.y - y), index) for index, block in enumerate(scene.blocks) if index != but
+        (sign * math.hypot(block.x - x, block.y - y), index)
+        for index, block in enumerate(scene.blocks)
+        if index != itself
     )
     if len(ways) < 2 or ways[1][0] - ways[0][0] < TIE:
         raise UngroundedError(f"two blocks are about equally far from the {reference}")

@@ -69,21 +69,13 @@ class Task:
 
 
 def task_of(text: str) -> Task:
-    """The task that a text describes.
-
-    Raises:
-        IntentError: if it describes none.
-    """
+    """The task that a text describes. Raises an `IntentError` if it describes none."""
     found = _BRACKETS.fullmatch(text)
     return Task(parse(text)) if found is None else with_settings(Task(parse(found[1])), found[2])
 
 
 def with_settings(task: Task, settings: str) -> Task:
-    """The task with settings such as "[seed=1, demos=4, contrasting]".
-
-    Raises:
-        IntentError: if they are invalid.
-    """
+    """The task with settings such as "[seed=1, demos=4, contrasting]". Raises an `IntentError` if they are invalid."""
     allowed = {"seed": str.isdecimal, "demos": [str(number) for number in range(1, MOST_DEMOS + 1)].__contains__}
     changes: dict[str, Any] = {}
     for part in filter(None, map(str.strip, settings.strip("[]").split(","))):
@@ -103,11 +95,7 @@ def with_settings(task: Task, settings: str) -> Task:
 
 
 def spec_of(task: Task) -> TaskSpec:
-    """The definition of a task.
-
-    Raises:
-        IntentError: if no scene was found for it.
-    """
+    """The definition of a task. Raises an `IntentError` if no scene was found for it."""
     intent = task.intent
     rng = np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), task.seed]))
     demo = demo_scene(intent, rng)

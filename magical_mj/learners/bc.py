@@ -223,10 +223,7 @@ def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings:
 
 def usable(data: Dataset, task: int) -> Tensor:
     """The numbers of a task's rows that have a successor and an action other than the no-op."""
-    actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
-    last = torch.zeros(len(actions), dtype=torch.bool)
-    last[lengths.cumsum(0) - 1] = True
-    return (~last & (actions != NOOP)).nonzero()[:, 0]
+    return (~data.last[task] & (data.actions[task] != NOOP)).nonzero()[:, 0]
 
 
 def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, DemonstrationSettings, TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
@@ -181,7 +181,7 @@ def settings_type(method: str) -> type[TrainingSettings]:
 def parts_of(method: str) -> tuple[str, ...]:
     """The parts of the settings that a method uses. A method that is not announced may use all of them."""
     parts = PARTS.get(method) or (METHODS[method].parts if method in announced_methods() else ALL_PARTS)
-    return tuple(dict.fromkeys((DemonstrationSettings.part, *parts)))
+    return tuple(dict.fromkeys(("demos", *parts)))
 
 
 def users(name: str) -> tuple[str, ...]:

@@ -162,29 +162,27 @@ class Dataset:
         self, settings: TrainingSettings, *, drop_noop: bool, demonstrations: Demonstrations | None = None
     ) -> None:
         self._observations: list[Tensor] = []
-        self._actions: list[Tensor] = []
-        self.lengths: list[list[int]] = []
-        """The number of transitions in each demonstration, for each task."""
+        self.actions: list[Tensor] = []
+        """All actions of each task, shape (n,)."""
+        self.last: list[Tensor] = []
+        """For each task, whether a transition is the last of its demonstration, bool, shape (n,)."""
         for task in settings.tasks:
             learnt = chosen(settings, task) if demonstrations is None else _given(settings, task, demonstrations)
             if not learnt:
                 raise DemonstrationError(f"no demonstrations of {task} are given")
             episodes = [_episode(task, demonstration, settings, drop_noop) for demonstration in learnt]
             observations, actions = zip(*episodes, strict=True)
-            self.lengths.append([len(taken) for taken in actions])
+            ends = [torch.arange(len(taken)) == len(taken) - 1 for taken in actions]
+            self.last.append(torch.cat(ends))
             self._observations.append(torch.as_tensor(np.concatenate(observations)))
-            self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
+            self.actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
             if not self.sizes[-1]:
                 raise DemonstrationError(f"the demonstrations of {task} contain no actions except no-ops")
 
     @property
     def sizes(self) -> list[int]:
         """The number of transitions of each task."""
-        return [len(actions) for actions in self._actions]
-
-    def actions(self, task: int) -> Tensor:
-        """All actions of a task, by its number, shape (n,)."""
-        return self._actions[task]
+        return [len(actions) for actions in self.actions]
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """Draws with replacement, evenly over the tasks."""
@@ -201,7 +199,7 @@ class Dataset:
         """The rows with these numbers, given for each task. The tasks follow one another."""
         return Batch(
             torch.cat([values.index_select(0, rows) for values, rows in zip(self._observations, numbers, strict=True)]),
-            torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
+            torch.cat([actions[rows] for actions, rows in zip(self.actions, numbers, strict=True)]),
             torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
         )
 

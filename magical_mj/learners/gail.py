@@ -219,9 +219,6 @@ class Steps(Dataset):
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
         """The rows with these numbers, observations (n, HISTORY + 1, names)."""
         batch = super().rows(numbers)
-        following = []
-        for rows, lengths in zip(numbers, self.lengths, strict=True):
-            last = torch.tensor(lengths).cumsum(0) - 1
-            following.append(torch.where(torch.isin(rows, last), rows, rows + 1))
+        following = [rows + ~last[rows] for rows, last in zip(numbers, self.last, strict=True)]
         after = super().rows(following).observations[:, -1:]
         return batch._replace(observations=torch.cat([batch.observations, after], 1))

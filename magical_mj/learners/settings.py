@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
@@ -35,19 +35,15 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
-class DemonstrationSettings(Settings):
+class DemonstrationSettings(Settings, part="demos"):
     """The package's demonstrations, which all methods use."""
-
-    part: ClassVar[str] = "demos"
 
     set: Annotated[int, Meta(ge=1, le=2, description="1, which protocol 1 uses; 2: by more varied demonstrators")] = 1
 
 
 @dataclass(frozen=True)
-class NetworkSettings(Settings):
+class NetworkSettings(Settings, part="network"):
     """The layers of all networks (appendix, "Network architecture"), at most `networks.MOST_PARAMETERS` weights."""
-
-    part: ClassVar[str] = "network"
 
     first_kernel: Count = 5
     first_stride: Count = 1
@@ -68,10 +64,8 @@ class NetworkSettings(Settings):
 
 
 @dataclass(frozen=True)
-class CloningSettings(Settings):
+class CloningSettings(Settings, part="bc"):
     """Behavioural cloning (appendix, table "Hyperparameters for BC experiments")."""
-
-    part: ClassVar[str] = "bc"
 
     batches: UnboundedCount = 20_000
     batch_size: Count = 32
@@ -98,10 +92,8 @@ class CloningSettings(Settings):
 
 
 @dataclass(frozen=True)
-class InverseSettings(Settings):
+class InverseSettings(Settings, part="iq"):
     """IQ-Learn (Garg et al. 2021). The settings that it shares with behavioural cloning are in `bc`."""
-
-    part: ClassVar[str] = "iq"
 
     discount: Share = 0.99
     temperature: Annotated[Positive, Meta(description="of the policy; rewards are of a similar size")] = 0.01
@@ -109,19 +101,15 @@ class InverseSettings(Settings):
 
 
 @dataclass(frozen=True)
-class PointSettings(Settings):
+class PointSettings(Settings, part="point"):
     """The position-invariant regulariser. The settings that it shares with behavioural cloning are in `bc`."""
-
-    part: ClassVar[str] = "point"
 
     weight: Annotated[NotNegative, Meta(description="of the penalty in the loss")] = 1.0
 
 
 @dataclass(frozen=True)
-class PPOSettings(Settings):
+class PPOSettings(Settings, part="ppo"):
     """The policy's training in GAIL, WGAIL-GP, AIRL and AL (appendix, table "Hyperparameters for GAIL experiments")."""
-
-    part: ClassVar[str] = "ppo"
 
     total_steps: Annotated[UnboundedCount, Meta(description="environment steps of the training")] = 1_000_000
     simulator: Annotated[
@@ -154,10 +142,8 @@ class PPOSettings(Settings):
 
 
 @dataclass(frozen=True)
-class DiscriminatorSettings(Settings):
+class DiscriminatorSettings(Settings, part="discriminator"):
     """The discriminator's training in GAIL, WGAIL-GP and AIRL (the same table)."""
-
-    part: ClassVar[str] = "discriminator"
 
     steps: Annotated[Count, Meta(description="for each update of the policy")] = 12
     rollouts: Annotated[
@@ -171,10 +157,8 @@ class DiscriminatorSettings(Settings):
 
 
 @dataclass(frozen=True)
-class FeatureSettings(Settings):
+class FeatureSettings(Settings, part="features"):
     """The feature function of AL (appendix, "Apprenticeship learning baseline")."""
-
-    part: ClassVar[str] = "features"
 
     batches: Annotated[UnboundedCount, Meta(description="of the autoencoder's training")] = 8_192
     batch_size: Count = 24
@@ -184,10 +168,8 @@ class FeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
-class RewardSettings(Settings):
+class RewardSettings(Settings, part="reward"):
     """The learnt reward and the scenes of the method "ppo"."""
-
-    part: ClassVar[str] = "reward"
 
     run: Annotated[str, Meta(description="the folder of the training that learnt the reward")] = ""
     variant: Annotated[str, Meta(description="the variant of the scenes, such as Layout")] = "Demo"

@@ -16,7 +16,7 @@ from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.vector import VectorEnv
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.interface import HISTORY, History
+from magical_mj.policies.interface import HISTORY, History, histories
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra
@@ -94,6 +94,13 @@ class TrainingEnvs(VecEnv):
         if self._history:
             self._history.restart(chosen, observations)
 
+    def _restored(self, latest: NDArray[Any]) -> Observations:
+        """Continues with these observations, for states with their histories."""
+        if self._states:
+            self._history = History(latest[:, -1])
+            self._history.states = latest
+        return self._observations(latest)
+
     def _observations(self, observations: NDArray[Any]) -> Observations:
         return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
 
@@ -159,24 +166,16 @@ class LocalEnvs(TrainingEnvs):
     def _replay(self, actions: list[list[int]]) -> Observations:
         """Plays these actions in the environments' current episodes."""
         self._taken = actions
-        rows: list[Any] = [None] * self.num_envs
-        histories: list[History | None] = [None] * self.num_envs
+        latest: list[Any] = [None] * self.num_envs
 
         def replay(number: int) -> None:
             env = self._envs.envs[number]
-            rows[number], _ = env.reset(seed=self._scene_seed(number))
-            history = histories[number] = History(rows[number]) if self._states else None
-            for action in actions[number]:
-                rows[number] = env.step(action)[0]
-                if history:
-                    history.add(rows[number])
+            seen = [env.reset(seed=self._scene_seed(number))[0]]
+            seen += [env.step(action)[0] for action in actions[number]]
+            latest[number] = histories(np.array(seen))[-1] if self._states else seen[-1]
 
         self._envs.each_environment(replay)
-        observations = np.stack(rows)
-        if self._states:
-            self._history = History(observations)
-            self._history.states = np.stack([history.states for history in histories if history])
-        return self._observations(observations)
+        return self._restored(np.stack(latest))
 
     def _scene_seed(self, number: int) -> int:
         return int(self._rng(number).integers(2**63))
@@ -230,10 +229,7 @@ class BatchedEnvs(TrainingEnvs):
     def set_state(self, state: dict[str, Any]) -> Observations:
         """Restores a state, and returns its observations, like `reset`."""
         observations = self._arrays.set_state(state["worlds"])
-        if state["history"] is not None:
-            self._history = History(observations)
-            self._history.states = state["history"]
-        return self._observations(observations)
+        return self._restored(state["history"] if self._states else observations)
 
     def close(self) -> None:
         """Frees the simulation."""

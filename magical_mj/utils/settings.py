@@ -63,13 +63,17 @@ class Setting(NamedTuple):
 class Settings:
     """The base of settings. It checks and converts their values.
 
+    Subclasses that are parts of other settings give the name of their field, for messages: ``part="ppo"``.
+
     Raises:
         SettingsError: if a value has another type or is out of bounds.
         UnknownNameError: if a name is not one of the allowed names.
     """
 
     part: ClassVar[str] = ""
-    """The name of the field that contains these settings in others, for messages."""
+
+    def __init_subclass__(cls, part: str = "") -> None:
+        cls.part = part or cls.part
 
     def __post_init__(self) -> None:
         for name, kind in annotated(type(self)).items():

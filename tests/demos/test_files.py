@@ -26,6 +26,7 @@ from magical_mj.demos.demonstration import ARRAYS, MOST_BYTES, _digest
 from magical_mj.demos.recording import REST
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError, UntrustedNameError
+from tools.pack_demonstrations import pack
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +242,7 @@ def test_packed_demonstrations_are_the_same_and_tell_of_damage(tmp_path: Path, m
     ours = demos.load("FixColour")
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     demos.write(ours[7], tmp_path / "single.npz")
-    shipped.pack([ours[3], demos.read(tmp_path / "single.npz")], tmp_path / "FixColour.npz.xz")
+    pack([ours[3], demos.read(tmp_path / "single.npz")], tmp_path / "FixColour.npz.xz")
     again = demos.load("FixColour")
     assert [demo.digest for demo in again] == [ours[3].digest, ours[7].digest]
     assert again[1].qvel.tobytes() == ours[7].qvel.tobytes()
@@ -260,7 +261,7 @@ def test_what_was_packed_is_read_to_the_bit_under_any_settings(tmp_path: Path, m
     sizes = 10.0 ** rng.uniform(-330, -280, (2, *demo.qpos.shape))
     qpos, qvel = np.where(rng.random(sizes.shape) < 0.2, 0.0, sizes) * rng.choice([-1, 1], sizes.shape)
     odd = replace(demo, qpos=qpos, qvel=qvel)
-    shipped.pack([odd, demo], tmp_path / "MoveToRegion.npz.xz")
+    pack([odd, demo], tmp_path / "MoveToRegion.npz.xz")
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
     torch = pytest.importorskip("torch")  # there is none where MuJoCo 4 is tested
     torch.set_flush_denormal(True)

@@ -38,10 +38,11 @@ def test_loss_and_reward_are_the_papers() -> None:
 
 def test_demonstrations_hold_what_followed() -> None:
     learner = AIRL(playing("airl", preset="State"))
-    first, second = learner._expert.lengths[0]
-    rows = learner._expert.rows([torch.arange(first + second)]).observations
-    last = torch.tensor([first - 1, first + second - 1])
-    inner = torch.ones(len(rows), dtype=torch.bool).index_fill(0, last, False)[:-1]
+    (last,) = learner._expert.last
+    assert last.sum() == 2
+    assert last[-1]
+    rows = learner._expert.rows([torch.arange(len(last))]).observations
+    inner = ~last[:-1]
     torch.testing.assert_close(rows[:-1, 1:][inner], rows[1:, :-1][inner])
     torch.testing.assert_close(rows[last, 4], rows[last, 3])
     learner.close()

@@ -213,12 +213,13 @@ def test_each_row_learnt_from_has_its_successor_behind_it() -> None:
     settings = load_settings("iq-learn", "FixColour", **SMALL)
     data = Dataset(settings, drop_noop=False)
     rows = usable(data, 0)
-    assert (data.actions(0)[rows] != NOOP).all()
+    assert (data.actions[0][rows] != NOOP).all()
     first, following = (data.rows([numbers]).observations for numbers in (rows, rows + 1))
     torch.testing.assert_close(first[:, 1:], following[:, :-1])  # histories overlap
-    acting = (data.actions(0) != NOOP).sum()
-    assert acting - len(data.lengths[0]) <= len(rows) <= acting
-    assert not set(rows.tolist()) & {sum(data.lengths[0][: number + 1]) - 1 for number in range(2)}
+    acting = (data.actions[0] != NOOP).sum()
+    assert acting - 2 <= len(rows) <= acting
+    assert data.last[0].nonzero()[:, 0].tolist()[-1] == len(data.actions[0]) - 1
+    assert not data.last[0][rows].any()
 
 
 def test_it_learns_the_demonstrations() -> None:

@@ -64,12 +64,12 @@ def to_npz(
         raise DemonstrationError("no demonstrations were given: give at least one")
     check_seeds(demos)
     path.parent.mkdir(parents=True, exist_ok=True)
-    columns: dict[str, list[Any]] = {}
+    episodes: list[dict[str, Any]] = []
     with files.new_file(path, overwrite=overwrite) as unfinished:
         for number, (demo, part) in enumerate(zip(demos, stream(demos, preset, drop_noop=drop_noop), strict=True)):
             views = part.observations if isinstance(part.observations, dict) else {"": part.observations}
             steps = np.flatnonzero(demo.acts) if drop_noop else np.arange(len(demo.actions))
-            rows = {
+            columns = {
                 **{f"observations_{view}".rstrip("_"): pictures for view, pictures in views.items()},
                 "actions": part.actions,
                 "episodes": np.full(len(steps), number),
@@ -83,12 +83,11 @@ def to_npz(
                 "lengths": [len(demo.actions)],
                 "scores": [demo.score],
             }
-            for name, values in rows.items():
-                columns.setdefault(name, []).append(values)
+            episodes.append(columns)
         with unfinished.open("wb") as file:
-            if any(len({np.shape(part)[1:] for part in rows}) > 1 for rows in columns.values()):
+            if any(len({np.shape(episode[name])[1:] for episode in episodes}) > 1 for name in episodes[0]):
                 raise DemonstrationError("these demonstrations are of several bodies: write an archive for each body")
-            joined = {name: np.concatenate(rows) for name, rows in columns.items()}
+            joined = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
             np.savez_compressed(file, allow_pickle=False, **joined)
 
 

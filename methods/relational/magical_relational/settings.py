@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Final
 
 from msgspec import Meta
 
@@ -18,10 +18,8 @@ PREMISES: Final = {"mirror": "egocentric"}
 
 
 @dataclass(frozen=True)
-class RelationalSettings(Settings):
+class RelationalSettings(Settings, part="relational"):
     """Behavioural cloning with assumptions that the demo score must support. It is not in the paper."""
-
-    part: ClassVar[str] = "relational"
 
     assumptions: Annotated[Names, Meta(description="assumptions to try, together or in this order")] = ASSUMPTIONS
     hidden: Count = 64
