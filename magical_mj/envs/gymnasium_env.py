@@ -201,9 +201,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 are ignored with a warning.
 
         Raises:
-            InvalidSeedError: if the seed is negative or not an integer.
-            InvalidSceneError: if the scene is illegal or does not belong to the task.
-            StateError: if the state does not fit the task, or its episode has ended.
+            InvalidSeedError, InvalidSceneError, StateError: for the reasons given by `magical_mj.Engine.reset`.
             SettingsError: if the options are not a dict, if they give more than one start, or if the variation is not
                 in its space.
         """
@@ -247,11 +245,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """Restores a state of this environment or of another one with the same task. The episode continues exactly.
 
         If the state has no frames of this environment's preset, the current picture fills the stacks. To get the
-        observation as well, use `reset(options={"state": state})`.
-
-        Raises:
-            StateError: if the state does not belong to this task.
-            InvalidSceneError: if the state's scene does not belong to this task.
+        observation as well, use `reset(options={"state": state})`. For errors, see `magical_mj.Engine.set_state`.
         """
         self._engine.set_state(state)
         self._cut = 0, 0
