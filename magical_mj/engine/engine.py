@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.episode import Setup, State
+from magical_mj.engine.episode import Setup, State, check_state
 from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
@@ -276,7 +276,8 @@ class Engine:
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         simulation = self.simulation
-        self.setup.check_start(state=state)
+        check_state(state)
+        self.setup.trajectory_of(state)  # raises an error before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded

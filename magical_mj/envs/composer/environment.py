@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, restored
-from magical_mj.engine.episode import Setup
+from magical_mj.engine.episode import Setup, check_state
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
@@ -212,7 +212,8 @@ class Environment(composer.Environment):
         Takes as long as a reset, and calls the hooks of a reset. The errors are those of `magical_mj.Engine.set_state`.
         """
         physics = self._opened()
-        self.task.setup.check_start(state=state)
+        check_state(state)
+        self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
         self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
