@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.episode import Setup, State
+from magical_mj.engine.episode import Setup, State, check_state
 from magical_mj.engine.simulation import Simulation
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
@@ -40,7 +40,7 @@ class Engine:
             (docs/pictures.md).
         shifts: shifts and their strengths, such as ``"camera:3,latency:1"`` or ``{"camera": 3}``; see docs/shifts.md.
         body: the robot's body, see docs/bodies.md.
-        speeds: whether vectors of x-magical's speeds are actions, too (`magical_mj.assets.robot.speed_signal`).
+        speeds: whether vectors of x-magical's speeds are also actions (`magical_mj.assets.robot.speed_signal`).
 
     Attributes:
         setup: task, variant, rules and body, and the properties that follow from them.
@@ -49,7 +49,7 @@ class Engine:
         rules: the rules of score and horizon.
         seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
-        limit: the number of actions after which an episode ends, at most the horizon, which is the default.
+        limit: the number of actions after which an episode ends: the horizon, or fewer.
         shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
@@ -276,7 +276,8 @@ class Engine:
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         simulation = self.simulation
-        self.setup.check_start(state=state)
+        check_state(state)
+        self.setup.trajectory_of(state)  # raises an error before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.begin({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded

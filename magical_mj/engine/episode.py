@@ -93,7 +93,7 @@ class Setup:
     rules: Rules = "paper"
     body: str = GRIPPER
     speeds: bool = False
-    """Whether vectors of x-magical's speeds are actions, too. They always are in its own task."""
+    """Whether vectors of x-magical's speeds are also actions. They always are in its own task."""
 
     def __post_init__(self) -> None:
         """Checks the names."""

@@ -112,11 +112,15 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(scene_mjcf(source)))
     else:
         scene, data = source.initial_scene, source.data
-        drawn = source.seed is not None  # a user's scene may belong to another variant, or to none
-        about |= {"task": source.task, "variant": source.variant if drawn else None, "seed": source.seed}
-        about |= {"shifts": shift_label(source.shifts) or None}
-        about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
-    about = {name: value for name, value in about.items() if value is not None}
+        about |= {
+            "task": source.task,
+            "variant": None if source.seed is None else source.variant,  # a user's scene may belong to none
+            "seed": source.seed,
+            "shifts": shift_label(source.shifts) or None,
+            "rules": source.rules if source.task else None,
+            "horizon": source.horizon,
+        }
+        about = {name: value for name, value in about.items() if value is not None}
     return _header(about, 2 * scene.half_width) + _indented(_model(scene, about, data, rounded=rounded))
 
 

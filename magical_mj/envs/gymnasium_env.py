@@ -84,6 +84,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score_every_step: adds `info["score"]` at every step and reset: the score if the episode ended now. With the
             preset State, steps take a quarter to a half longer.
         limit: the number of steps of an episode, if fewer than the task's horizon.
+
+    Attributes:
+        engine: the engine that this environment runs.
+        reward: the reward, see above.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
@@ -124,11 +128,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.reward: Reward = reward
         self._remaining = 0.0  # before the last step, for dense rewards
         settings: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
-        self._engine = Engine(task, variant, seed=0, speeds=action == "speeds", **settings)
+        self.engine = Engine(task, variant, seed=0, speeds=action == "speeds", **settings)
         if limit is not None:
             self.limit = limit
         self._action: ActionForm = action
-        self._action_size = 3 if action == "continuous" or self._engine.simulation.scene_model.has_fingers else 2
+        self._action_size = 3 if action == "continuous" or self.engine.simulation.scene_model.has_fingers else 2
         self.action_space = spaces.Discrete(len(ACTIONS)) if action == "discrete" else vectors(self._action_size)
         self._instruction = instruction
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
@@ -138,49 +142,44 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._fresh_seed: int | None = None  # the seed of the last reset, until the first step
 
     @property
-    def engine(self) -> Engine:
-        """The engine that this environment runs."""
-        return self._engine
-
-    @property
     def scene(self) -> Scene:
         """The current scene, with the poses of robot, blocks and fingers."""
-        return self._engine.scene
+        return self.engine.scene
 
     @property
     def initial_scene(self) -> Scene:
         """The initial scene of this episode."""
-        return self._engine.initial_scene
+        return self.engine.initial_scene
 
     @property
     def instruction(self) -> str:
         """The sentence that describes the task in this episode. Shifts can change it."""
-        return self._engine.instruction
+        return self.engine.instruction
 
     @property
     def limit(self) -> int:
         """The number of steps of an episode. If it continues from a state, the steps before the state count."""
-        return self._engine.limit or 0
+        return self.engine.limit or 0
 
     @limit.setter
     def limit(self, steps: int) -> None:
-        self._engine.limit = check_limit(steps, self._engine.setup)
+        self.engine.limit = check_limit(steps, self.engine.setup)
 
     @cached_property
     def variation_space(self) -> VariationSpace:
         """The space of all factors of scenes and shifts; see `magical_mj.envs.variation` and docs/shifts.md."""
-        return VariationSpace(self._engine)
+        return VariationSpace(self.engine)
 
     @property
     def variation(self) -> Variation:
         """The current episode's values in `variation_space`. `reset` with the option "variation" repeats them."""
-        engine = self._engine
+        engine = self.engine
         seeds = {int(values["seed"]) for values in engine.draws.values()} or {engine.seed or 0}
         return self.variation_space.values_of(engine.initial_scene, engine.draws, min(seeds))
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now."""
-        return self._engine.score()
+        return self.engine.score()
 
     def score_on_end_of_traj(self) -> float:
         """The original's and x-magical's name of `score`, deprecated."""
@@ -201,9 +200,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 are ignored with a warning.
 
         Raises:
-            InvalidSeedError: if the seed is negative or not an integer.
-            InvalidSceneError: if the scene is illegal or does not belong to the task.
-            StateError: if the state does not fit the task, or its episode has ended.
+            InvalidSeedError, InvalidSceneError, StateError: for the reasons given by `magical_mj.Engine.reset`.
             SettingsError: if the options are not a dict, if they give more than one start, or if the variation is not
                 in its space.
         """
@@ -211,21 +208,21 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         start = check_options(options, *STARTS)
         if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
             raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
-        scene, state = _scene_option(start, self._engine.setup.body), start.get("state")
+        scene, state = _scene_option(start, self.engine.setup.body), start.get("state")
         variation = start.get("variation")
-        steps = 0 if self.over else self._engine.steps
+        steps = 0 if self.over else self.engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
-            self._engine.reset(scene=scene, draws=draws)
+            self.engine.reset(scene=scene, draws=draws)
         elif scene is not None or state is not None:
             self._check_observable(scene if state is None else getattr(state, "scene", None))
-            self._engine.reset(scene=scene, state=state)
+            self.engine.reset(scene=scene, state=state)
         else:
             number = self._next_seed(seed)
-            if self._engine.task not in TASKS and self._preset.layout == "state":  # scenes of the benchmark's tasks fit
-                self._check_observable(self._engine.setup.sample(number))
-            self._engine.reset(seed=number)
+            if self.engine.task not in TASKS and self._preset.layout == "state":  # scenes of the benchmark's tasks fit
+                self._check_observable(self.engine.setup.sample(number))
+            self.engine.reset(seed=number)
         super().reset(seed=seed)  # last, so that a refused reset does not change the generator
         self._notice_cut(0 if state is not None else steps)
         self._begun = True
@@ -241,19 +238,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         if not self._begun:
             raise ResetNeeded("no episode has started: call reset() before get_state()")
-        return dataclasses.replace(self._engine.get_state(), frames=self._stacks.save())
+        return dataclasses.replace(self.engine.get_state(), frames=self._stacks.save())
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment or of another one with the same task. The episode continues exactly.
 
         If the state has no frames of this environment's preset, the current picture fills the stacks. To get the
-        observation as well, use `reset(options={"state": state})`.
-
-        Raises:
-            StateError: if the state does not belong to this task.
-            InvalidSceneError: if the state's scene does not belong to this task.
+        observation as well, use `reset(options={"state": state})`. For errors, see `magical_mj.Engine.set_state`.
         """
-        self._engine.set_state(state)
+        self.engine.set_state(state)
         self._cut = 0, 0
         self._begun, self._fresh_seed = True, None
         self._stacks.start(self._draw, state.frames)
@@ -293,8 +286,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._begun or self.over:
             raise ResetNeeded("the episode has ended: call reset() before the next step")
         if self.reward == "dense":
-            self._remaining = self._engine.remaining()
-        over = self._engine.step(action)
+            self._remaining = self.engine.remaining()
+        over = self.engine.step(action)
         self._fresh_seed = None
         self._stacks.push(self._draw)
         return over
@@ -302,14 +295,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     @property
     def over(self) -> bool:
         """Whether the episode has ended."""
-        return self._engine.over
+        return self.engine.over
 
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated (always False), truncated and info of a step."""
         info = self._info(last=last)
         reward = 0.0 if self.reward == "none" else float(info["eval_score"])
         if self.reward == "dense":
-            reward += self._remaining - self._engine.remaining()
+            reward += self._remaining - self.engine.remaining()
         return reward, False, last, info
 
     def render(self) -> Images | None:
@@ -317,11 +310,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
             return None
-        return np.concatenate([self._engine.render(view, self._render_size) for view in self._views], axis=1)
+        return np.concatenate([self.engine.render(view, self._render_size) for view in self._views], axis=1)
 
     def close(self) -> None:
         """Frees the simulation. Can be called more than once."""
-        self._engine.close()
+        self.engine.close()
         super().close()
 
     def _info(self, *, last: bool) -> dict[str, Any]:
@@ -333,7 +326,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
-        if self._instruction or self._engine.simulation.shifts.changes_instruction:
+        if self._instruction or self.engine.simulation.shifts.changes_instruction:
             info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
@@ -355,7 +348,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     def _varied(self, variation: Any, seed: int) -> tuple[Scene, Draws]:
         """The scene and the shifts' values of an episode with this variation; see `reset`."""
-        engine, space = self._engine, self.variation_space
+        engine, space = self.engine, self.variation_space
         if not isinstance(variation, Mapping):
             return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
         seed = check_seed(variation.get("seed", seed))
@@ -367,7 +360,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return space.episode(values, scene)
 
     def _draw(self, view: str, out: Images) -> None:
-        self._engine.render(view, len(out), out=out if out.shape[2] == 3 else out[..., 0])
+        self.engine.render(view, len(out), out=out if out.shape[2] == 3 else out[..., 0])
 
     def _check_observable(self, scene: object) -> None:
         """Raises an `InvalidSceneError` if the state vector is too short for a scene, before anything is changed."""
@@ -376,18 +369,18 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     def state(self) -> NDArray[np.float32]:
         """The state vector."""
-        return self._engine.state_vector()
+        return self.engine.state_vector()
 
     def observe(self, out: Observation | None = None) -> Observation:
         """The current observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
-            return _put(self._engine.state_vector(start=True) if self._preset.start else self.state(), out)
+            return _put(self.engine.state_vector(start=True) if self._preset.start else self.state(), out)
         parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
             return _put(next(iter(parts.values())), out)
         if self._preset.fingers:
             with np.errstate(all="ignore"):  # angles may underflow in float32
-                parts["fingers"] = self._engine.fingers().astype(np.float32)
+                parts["fingers"] = self.engine.fingers().astype(np.float32)
         observed: dict[str, Any] = {
             name: _put(part, None if out is None else out[name]) for name, part in parts.items()
         }

@@ -175,9 +175,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 of these environments: "scene", "state" or "variation".
 
         Raises:
-            InvalidSeedError: if a seed is negative or not an integer.
-            InvalidSceneError: if the scene is illegal or does not belong to the task.
-            StateError: if the state does not fit the task, or its episode has ended.
+            InvalidSeedError, InvalidSceneError, StateError: for the reasons given by `magical_mj.Engine.reset`.
             SettingsError: if the number of seeds or of mask entries is not `num_envs`, or the options are invalid.
             ClosedError: if the environment is closed.
         """

@@ -111,15 +111,11 @@ class XMagicalEnv(SpeedsEnv):
         variant: one of the six variants of SweepToTop.
         observation: "State" or "Pixels".
         view: "Allo" or "Ego", the view of observations and of `render`.
-        image_size: side of the pictures in pixels.
         reward: "sparse", the score at every step, or "dense", minus the mean distance of the debris to the top.
         seeds: "protocol", or "original" for the scenes that x-magical draws from its seeds.
         rules: "paper", or "released" for the original's observation space. Positions can exceed its bounds.
-        renderer: "opengl", "software" or None, as in `magical_mj.MagicalEnv`.
-        render_mode: "rgb_array".
         render_view: another view of `render`: "ego", "allo", "both" or "scene".
-        render_size: side of each view in pixels.
-        limit: the number of steps of an episode, if fewer than the horizon.
+        image_size, renderer, render_mode, render_size, limit: as in `magical_mj.MagicalEnv`.
     """
 
     @with_old_names

@@ -162,16 +162,24 @@ def arms(shifts: Shifts, *, control: bool) -> dict[str, Shifts]:
     return {"": shifts, "-unshifted": None} if control else {"": shifts}
 
 
-def _pair(text: str) -> tuple[str, Any]:
-    """Name and level from text such as "camera:3"."""
-    if text.partition(":")[0] == BODY:
-        return BODY, text.partition(":")[2]
-    name, _, strength = text.rpartition(":")
-    named = is_reference(name) or ":" not in name
-    if name not in SHIFTS and not (name and named and strength.lstrip("-").replace(".", "").isdigit()):
-        shift_class(text)  # raises for an unknown name
-        raise SettingsError(f"the shift {text!r} has no strength: add one from 0 to {STRENGTHS}, such as {text}:3")
-    return name, _number(strength)
+def _split(text: str) -> tuple[str, str]:
+    """Name and level in text such as "camera:3". The level is empty if there is none, as in "camera" and "fog:Fog"."""
+    axis, _, level = text.partition(":")
+    if axis == BODY:
+        return axis, level
+    name, _, level = text.rpartition(":")
+    return (name, level) if name in SHIFTS or (name and not is_reference(text)) else (text, "")
+
+
+def _pair(text: str) -> tuple[str, int | str]:
+    """Name and level in text such as "camera:3"."""
+    name, level = _split(text)
+    if name == BODY:
+        return name, level
+    if name == text:
+        shift_class(name)  # raises for an unknown name
+        raise SettingsError(f"the shift {name!r} has no strength: add one from 0 to {STRENGTHS}, such as {name}:3")
+    return name, _number(level)
 
 
 def _number(text: str) -> int | str:
@@ -243,19 +251,19 @@ def check_noticed(shifts: Iterable[str], policy: str, unnoticed: frozenset[Effec
 
 def named_in(part: str) -> str:
     """The name of the body or shift in one part of a label, such as "camera:3"."""
-    axis, _, level = part.partition(":")
-    return level if axis == BODY else part.rpartition(":")[0]
+    name, level = _split(part)
+    return level if name == BODY else name
 
 
 def _range(part: str) -> tuple[str, int, int]:
     """The name of a shift, and its lowest and highest strength."""
-    name, _, strengths = part.rpartition(":")
+    name, strengths = _split(part)
+    if name == part:
+        return name, 1, STRENGTHS
     low, dash, high = strengths.partition("-")
     ends = _number(low), _number(high if dash else low)
-    if not name or not all(isinstance(end, int) for end in ends):
-        if name and not is_reference(part):
-            _strength(_canonical(name), strengths)
-        return part, 1, STRENGTHS
+    if not all(isinstance(end, int) for end in ends):
+        _strength(_canonical(name), strengths)  # raises an error
     least, most = (_strength(name, end) for end in ends)
     if least > most:
         raise SettingsError(f"{part!r} contains no strengths: give the lowest one first, as in {name}:{most}-{least}")

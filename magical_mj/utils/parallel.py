@@ -136,7 +136,7 @@ def map_here(function: Callable[[Piece], Any], pieces: Sequence[Piece]) -> Gener
 
 
 def _results(submit: Callable[[Piece], Future[Any]], pieces: Sequence[Piece], most: float) -> Generator[Any]:
-    """The results of the work items, of which at most `most` are submitted at once."""
+    """The results of the work items. At most `most` items are submitted at once."""
     waiting, running = deque(pieces), set[Future[Any]]()
     while waiting or running:
         while waiting and len(running) < most:

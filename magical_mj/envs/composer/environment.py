@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, restored
-from magical_mj.engine.episode import Setup
+from magical_mj.engine.episode import Setup, check_state
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
@@ -139,9 +139,7 @@ class Environment(composer.Environment):
             state: a state of an episode that has not ended; the episode continues from it.
 
         Raises:
-            InvalidSceneError: if the scene is illegal or does not belong to the task.
-            InvalidSeedError: if the seed is negative or not an integer.
-            StateError: if the state does not fit the task, or its episode has ended.
+            InvalidSeedError, InvalidSceneError, StateError: for the reasons given by `magical_mj.Engine.reset`.
             SettingsError: if more than one of seed, scene and state is given, if the scene is fixed and a seed is
                 given, or if the tree was changed in a way that the scene does not allow.
         """
@@ -211,15 +209,11 @@ class Environment(composer.Environment):
     def set_state(self, state: State) -> None:
         """Restores a state of this environment or of another one with the same task. The episode continues exactly.
 
-        Takes as long as a reset, and calls the hooks of a reset.
-
-        Raises:
-            StateError: if the state does not belong to this task, or is damaged. If a damaged state has another initial
-                scene, the current episode ends.
-            InvalidSceneError: if the state's scene does not belong to this task.
+        Takes as long as a reset, and calls the hooks of a reset. The errors are those of `magical_mj.Engine.set_state`.
         """
         physics = self._opened()
-        self.task.setup.check_start(state=state)
+        check_state(state)
+        self.task.setup.trajectory_of(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
         self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
@@ -396,13 +390,10 @@ def load(
         recompile_mjcf_every_episode: whether to compile the tree for every episode. Hooks that change the tree need it.
 
     Raises:
+        TaskError, InvalidSceneError, InvalidSeedError, ShiftError: for the reasons given by `magical_mj.Engine`.
         UnknownNameError: for an unknown task, variant, observation, reward or rules, or if the task does not have the
             variant.
-        TaskError: if the task of another package is invalid.
-        InvalidSceneError: if the scene is illegal or does not belong to the task.
-        InvalidSeedError: if the seed is negative or not an integer.
         SettingsError: if the image size, the list of observations, the shifts or the body are invalid.
-        ShiftError: if a shift of another package is invalid.
     """
     task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
     strengths, body = split_body(shifts, task, body)

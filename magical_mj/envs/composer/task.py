@@ -142,28 +142,15 @@ class SceneTask(composer.Task):
         """The observables of the names in `load(observations=)`, all enabled."""
         return self._observables
 
-    @property
-    def control_timestep(self) -> float:
-        """Seconds per action. Setting it raises a `SettingsError`."""
-        return 1 / c.CONTROL_RATE
-
-    @control_timestep.setter
-    def control_timestep(self, new_value: float) -> None:
-        self.set_timesteps(new_value, TIMESTEP)
-
-    @property
-    def physics_timestep(self) -> float:
-        """Seconds per step of MuJoCo. Setting it raises a `SettingsError`."""
-        return TIMESTEP
-
-    @physics_timestep.setter
-    def physics_timestep(self, new_value: float) -> None:
-        self.set_timesteps(self.control_timestep, new_value)
-
-    def set_timesteps(self, control_timestep: float, physics_timestep: float) -> None:
+    def set_timesteps(self, *timesteps: float, **named: float) -> None:
         """Raises a `SettingsError`: the timesteps are fixed."""
-        del control_timestep, physics_timestep
+        del timesteps, named
         raise SettingsError(FIXED_TIMESTEPS)
+
+    control_timestep: Any = property(lambda _: 1 / c.CONTROL_RATE, set_timesteps)
+    """Seconds per action."""
+    physics_timestep: Any = property(lambda _: TIMESTEP, set_timesteps)
+    """Seconds per step of MuJoCo."""
 
     @property
     def physics_steps_per_control_step(self) -> int:
