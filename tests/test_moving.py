@@ -22,7 +22,6 @@ from magical_mj.scene import Scene
 from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.demos.test_original import episode, packed
-from tests.helpers.commands import example
 
 PAGE = (Path(__file__).parents[1] / "docs" / "moving.md").read_text("utf-8")
 SWEEP = "magical_mj/SweepToTop-Longstick-State-Allo-TestLayout-v0"
@@ -125,7 +124,6 @@ def transitions() -> None:
     assert env.observation_space.contains(training["observations"][0])
 
 
-DEMONSTRATIONS = demos.load("MatchRegions")[:1]
 FORWARD = np.array([0.5, 0.0], np.float32)
 ORIGINAL: dict[str, Callable[[Path], Any]] = {
     "import gym, magical; magical.register_envs()": lambda _: REGION in gymnasium.registry,
@@ -169,7 +167,6 @@ X_MAGICAL: dict[str, Callable[[Path], Any]] = {
     "env.seed(7); obs = env.reset()": lambda _: seeded(
         SWEEP, original_scene("Layout", np.random.RandomState(7), "longstick"), seeds="original"
     ),
-    'done, info["TimeLimit.truncated"]': lambda _: whole(made(SWEEP), FORWARD)[2] == 50,
     "actions, the state vector, pictures of 384 x 384": lambda _: (
         speed_signal(FORWARD, None, np.zeros(4))[0] == 0.5
         and [len(state_vector(DEMO)), shape(SWEEP)] == [17, (16,)]
@@ -187,7 +184,6 @@ X_MAGICAL: dict[str, Callable[[Path], Any]] = {
         )
         == len(magical_mj.ENVIRONMENTS) * 4 * 4
     ),
-    "a subclass with other scores and rewards": lambda _: (example("sweep_in_order") / "sweep_in_order.py").exists(),
 }
 EIRLI: dict[str, Callable[[Path], Any]] = {
     'task_name="MatchRegions-Demo-v0", magical_preproc="LoResCHW4E"': lambda _: (
@@ -201,7 +197,6 @@ EIRLI: dict[str, Callable[[Path], Any]] = {
         np.shape(demos.observations(demos.load("MoveToRegion")[0], "LoRes4E")) == (41, 96, 96, 12)
     ),
     "load_data(...): obs, next_obs, acts, dones": lambda _: transitions(),
-    "magical_remove_null_actions=True": lambda _: bool(demos.transitions(DEMONSTRATIONS, "State")[1].all()),
     "make_vec_env(env_name, n_envs=2, parallel=True)": lambda _: magical_mj.make_vec(REGION, 2).num_envs == 2,
     "SB3EvaluationProtocol(policy, ...).do_eval()": evaluated,
     "data sets for WebDataset": lambda out: exported(

@@ -23,7 +23,7 @@ from magical_mj.evaluation.entry import Entry, read_entry
 from magical_mj.evaluation.reports.explained import shares
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT
-from magical_mj.intents.readings import ENDINGS, READINGS, intended_blocks, readings, refutes, same_places
+from magical_mj.intents.readings import ENDINGS, READINGS, readings, refutes, same_places
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
@@ -35,7 +35,6 @@ SCENES: Final = 100
 CHOICES: Final = ("MatchRegions", "FindDupe", "FixColour")
 """The tasks that require moving only some of the blocks."""
 TESTED: Final = [variant for variant in VARIANTS if variant != "Demo"]
-TELLING: Final = ("FixColour", "Colour")
 FEW: Final = 5
 """The number of scenes of each environment that the file of endings covers."""
 FEW_LONG: Final = 2
@@ -53,18 +52,18 @@ COMPARED: Final = (
     "state-relational",
     "state-goals",
 )
-"""The entries that the tables compare."""
+"""The entries that the table of endings compares."""
 
 
 def left_open() -> str:
-    """The intent of each task, and its rivals: all, those that are not longer, and the simplest."""
+    """The rivals of each task's intent: all, those that are not longer, and the simplest."""
     rows = []
     for task in TASKS:
         intent, rivals = EIGHT[task], task_rivals(task)
         simpler = sum(rival.bits <= intent.bits for rival in rivals)
         first = f"`{rivals[0]}`" if rivals else ""
-        rows.append((task, f"`{intent}`", str(len(rivals)), str(simpler), first))
-    return table(("Task", "Its intent", "Rivals", "As simple", "The simplest"), rows)
+        rows.append((task, str(len(rivals)), str(simpler), first))
+    return table(("Task", "Rivals", "As simple", "The simplest"), rows)
 
 
 def identifiability() -> str:
@@ -113,40 +112,6 @@ def chosen(task: str) -> bool:
     """Whether a task's intent selects some of the blocks."""
     relations = [RELATIONS[conjunct.relation] for conjunct in EIGHT[task].conjuncts]
     return all(relation.each is not None for relation in relations) and len(relations) > 1
-
-
-def place_or_colour() -> str:
-    """The blocks that methods moved in FixColour Colour, if the demonstrated position and colour disagree."""
-    rows = []
-    for entry in entries(COMPARED):
-        there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
-        telling = {seed for seed in {episode.seed for episode in there} if disagree(sample_scene(*TELLING, seed))}
-        results = replayed([episode for episode in there if episode.seed in telling])
-        if results:
-            rows.append((entry.method, str(len(results)), *(f"{100 * value:.0f}" for value in pursued(results))))
-    return table(("Method", "Episodes", "the block at the place", "another of its colour", "the intended one"), rows)
-
-
-def disagree(initial: Scene) -> bool:
-    """Whether position and colour select different blocks in a scene of FixColour, and the position a wrong one."""
-    named, wanted = readings(demonstrated_blocks("FixColour"), initial), intended_blocks(EIGHT["FixColour"], initial)
-    place, colour = named["same place"], named["same colour"]
-    return bool(place and colour) and not place & (colour | wanted)
-
-
-def pursued(results: Sequence[Attribution]) -> tuple[float, float, float]:
-    """The shares of episodes that moved the block at the shown position, another of its colour, an intended one."""
-    flags = []
-    for result in results:
-        task, moved = result.episode.task, set(result.moved)
-        named, wanted = (
-            readings(demonstrated_blocks(task), result.initial),
-            intended_blocks(EIGHT[task], result.initial),
-        )
-        place, colour = named["same place"], named["same colour"]
-        flags.append((bool(moved & place), bool(moved & (colour - place - wanted)), bool(moved & wanted)))
-    at_place, of_colour, intended = np.mean(flags, axis=0)
-    return float(at_place), float(of_colour), float(intended)
 
 
 def endings() -> str:
@@ -230,7 +195,6 @@ def _percent(share: float) -> str:
 WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "identifiability": ("docs/benchmark-card.md", identifiability),
     "left-open": ("docs/intents.md", left_open),
-    "place-or-colour": ("docs/explain.md", place_or_colour),
     "endings": ("docs/explain.md", endings),
 }
 """Table -> its page, and the function that makes it."""

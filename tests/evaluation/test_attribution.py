@@ -37,7 +37,7 @@ from magical_mj.scene.actions import NOOP
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
 from tools import last_solvable
-from tools.attribution import COLUMNS, ENDED, RESULTS, ROOT, TELLING, covered, disagree, measured_row, pursued, replayed
+from tools.attribution import COLUMNS, ENDED, RESULTS, ROOT, covered, measured_row
 from tools.pages import filled
 
 CLOSE_GRIPPER = 9
@@ -57,19 +57,6 @@ def attributed(episode: EpisodeResult) -> Attribution:
     (result,) = attribute([episode], jobs=1)
     assert isinstance(result, Attribution), result
     return result
-
-
-def test_bc_takes_the_block_at_the_demonstrated_place_as_the_page_says() -> None:
-    entry = read_entry(RESULTS / "pixels-bc-quick")
-    there = [episode for episode in entry.episodes if (episode.task, episode.variant) == TELLING]
-    seeds = {seed for seed in range(100) if disagree(magical_mj.sample_scene(*TELLING, seed))}
-    results = replayed([episode for episode in there if episode.seed in seeds])
-    row = [entry.method, len(results), *(round(100 * share) for share in pursued(results))]
-    assert row == ["BC (ST, quick)", 90, 96, 0, 8]
-    page = (ROOT / "docs" / "explain.md").read_text("utf-8")
-    assert f"| {' | '.join(map(str, row))} |" in page
-    assert f"In {len(seeds)} of FixColour's 100 Colour scenes" in page
-    assert "| Relational (ST, State) | 90 | 32 | 7 | 92 |" in page
 
 
 def test_the_rivals_of_a_failed_episode_hold_at_its_end_and_not_at_its_start() -> None:

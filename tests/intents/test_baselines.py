@@ -32,10 +32,11 @@ from tools.intent_baselines import (
 )
 from tools.intent_scenes import KINDS, SCENES, Outcome
 from tools.intents import TESTS, VARIANTS
-from tools.tables import filled
+from tools.pages import ROOT, filled
 
 TEXT = PAGE.read_text("utf-8")
-PROSE = " ".join(TEXT.replace("**", "").split())
+METHOD = (ROOT / "methods" / "intents" / "README.md").read_text("utf-8")
+PROSE = " ".join(f"{TEXT} {METHOD}".replace("**", "").split())
 MEANS, READINGS, OUTCOMES, CHECKED = stored(), readings(), intent_scenes.stored(), intent_checks.stored()
 ONE, RANDOM, CONTRASTING = "goals-1", "goals-4", "goals-4-contrasting"
 SENTENCE, SHOWN, SHOWN_RANDOM = "sentence-policy", "demonstrations-policy-1", "demonstrations-policy-4"
