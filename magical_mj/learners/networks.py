@@ -197,7 +197,8 @@ class Heads(nn.Module):
         """Shape (n, outputs), for features (n, inputs) and the numbers of their tasks (n,)."""
         # The outputs for all tasks cost less than a copy of the weights for each sample.
         outputs = nn.functional.linear(features, self.weight.flatten(0, 1), self.bias.flatten())
-        return outputs.unflatten(1, self.bias.shape)[torch.arange(len(tasks), device=tasks.device), tasks]
+        samples = torch.arange(tasks.shape[0], device=tasks.device)  # len() would be a constant when it is exported
+        return outputs.unflatten(1, self.bias.shape)[samples, tasks]
 
 
 class Actor(nn.Module):
