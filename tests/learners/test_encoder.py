@@ -159,7 +159,7 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
         checkpoint.write(file, {"encoder": {**Encoder(dict(weights))._asdict(), "demonstration_set": damage}})
         refused("demonstration_set in .* must be a number of a set")
     checkpoint.write(file, {"weights": dict(weights)})
-    refused("does not say in which variants its weights were trained")
+    refused("was not written by save_encoder, so the variants of its training are unknown")
     save_file({name: values.contiguous() for name, values in weights.items()}, file)
     refused("cannot read .*; give the folder of a training, or a file by save_encoder", TrainingError)
     train(playing("gail"), run)
