@@ -262,7 +262,9 @@ class Point(BehaviouralCloning):
 
     @classmethod
     def check_settings(cls, settings: TrainingSettings) -> None:
-        """Also checks that batches are large enough."""
+        """Also checks that batches are large enough, and convolutions are trained."""
+        if settings.bc.encoder:
+            raise SettingsError("point trains its convolutions, so bc.encoder is for bc")
         super().check_settings(settings)
         if settings.bc.batch_size < LEAST_SAMPLES:
             raise SettingsError(
