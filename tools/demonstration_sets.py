@@ -53,7 +53,8 @@ def scores_of(episodes: Iterable[EpisodeResult]) -> Scores:
 def stored(entry: str) -> Scores:
     """The scores in the file for a method."""
     found: dict[Pair, dict[int, NDArray[np.float64]]] = {}
-    for row in pd.read_csv(FILE).query("entry == @entry").itertuples():
+    frame = pd.read_csv(FILE)
+    for row in frame[frame["entry"] == entry].itertuples():
         runs = found.setdefault((str(row.task), str(row.variant)), {})
         runs[int(str(row.run))] = np.array(str(row.scores).split(), float)
     return found
@@ -67,8 +68,10 @@ def collect(entry: str, folders: Sequence[Path]) -> None:
         for (task, variant), runs in scores.items()
         for run, values in runs.items()
     ]
-    others = pd.read_csv(FILE).query("entry != @entry")
-    pd.concat([others, pd.DataFrame(rows)]).sort_values("entry", kind="stable").to_csv(FILE, index=False)
+    before = pd.read_csv(FILE)
+    pd.concat([before[before["entry"] != entry], pd.DataFrame(rows)]).sort_values("entry", kind="stable").to_csv(
+        FILE, index=False
+    )
 
 
 def mean_and_interval(scores: Scores, variant: str, tasks: Collection[str]) -> str:
