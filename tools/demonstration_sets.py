@@ -1,17 +1,19 @@
 """What policies learn from each set of the package's demonstrations: the table of docs/demonstrations.md.
 
-    magical-mj experiment tools/research/set-2.toml --out runs/set-2
-    python -m tools.demonstration_sets runs/set-2/evaluations/*
+    for entry in state-bc pixels-bc-quick state-gail; do
+        magical-mj experiment tools/research/set-2-$entry.toml --out runs/$entry
+        python -m tools.demonstration_sets $entry runs/$entry/evaluations/*
+    done
     python -m tools.tables
 
-The second command writes docs/demonstration-sets.csv from the evaluations of policies that learnt from set 2. Those of
-set 1 are the entry results/state-bc, in the same scenes.
+The second command writes the scores of policies that learnt from set 2 into docs/demonstration-sets.csv. Those of set 1
+are in the entries, in the same tasks and scenes.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -27,7 +29,8 @@ from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from tools.pages import ROOT, table
 
 FILE: Final = ROOT / "docs" / "demonstration-sets.csv"
-ENTRY: Final = ROOT / "results" / "state-bc"
+ENTRIES: Final = ("state-bc", "pixels-bc-quick", "state-gail")
+"""The entries whose methods learnt from set 2 as well."""
 VARIANTS: Final = ("Demo", "Jitter", "Layout", "All")
 SCENES: Final = 50
 
@@ -47,29 +50,33 @@ def scores_of(episodes: Iterable[EpisodeResult]) -> Scores:
     }
 
 
-def stored() -> Scores:
-    """The scores in the file."""
+def stored(entry: str) -> Scores:
+    """The scores in the file for a method."""
     found: dict[Pair, dict[int, NDArray[np.float64]]] = {}
-    for row in pd.read_csv(FILE).itertuples():
+    frame = pd.read_csv(FILE)
+    for row in frame[frame["entry"] == entry].itertuples():
         runs = found.setdefault((str(row.task), str(row.variant)), {})
         runs[int(str(row.run))] = np.array(str(row.scores).split(), float)
     return found
 
 
-def collect(folders: Sequence[Path]) -> None:
-    """Writes the file from folders of evaluations."""
+def collect(entry: str, folders: Sequence[Path]) -> None:
+    """Replaces a method's scores in the file by those in folders of evaluations."""
     scores = scores_of(row for folder in folders for row in read(folder))
     rows = [
-        {"task": task, "variant": variant, "run": run, "scores": " ".join(f"{value:g}" for value in values)}
+        {"entry": entry, "task": task, "variant": variant, "run": run, "scores": " ".join(f"{x:g}" for x in values)}
         for (task, variant), runs in scores.items()
         for run, values in runs.items()
     ]
-    pd.DataFrame(rows).to_csv(FILE, index=False)
+    before = pd.read_csv(FILE)
+    pd.concat([before[before["entry"] != entry], pd.DataFrame(rows)]).sort_values("entry", kind="stable").to_csv(
+        FILE, index=False
+    )
 
 
-def mean_and_interval(scores: Scores, variant: str) -> str:
-    """The mean over the tasks that have the variant, with its 95 % interval."""
-    pairs = [(task, variant) for task in TASKS if (task, variant) in ENVIRONMENTS]
+def mean_and_interval(scores: Scores, variant: str, tasks: Collection[str]) -> str:
+    """The mean over these tasks that have the variant, with its 95 % interval."""
+    pairs = [(task, variant) for task in tasks if (task, variant) in ENVIRONMENTS]
     value = np.mean([np.mean([runs.mean() for runs in scores[pair].values()]) for pair in pairs])
     low, high = percentile_interval(resample([[*scores[pair].values()] for pair in pairs]).mean(axis=0))
     return f"{value:.2f} [{low:.2f}, {high:.2f}]"
@@ -77,16 +84,20 @@ def mean_and_interval(scores: Scores, variant: str) -> str:
 
 def tables() -> dict[str, str]:
     """The table by name."""
-    sets = {"1": scores_of(read_entry(ENTRY).episodes), "2": stored()}
     rows = []
-    for number, scores in sets.items():
-        counts = sorted({len(runs) for runs in scores.values()})
-        cells = (mean_and_interval(scores, variant) for variant in VARIANTS)
-        rows.append((number, " to ".join(map(str, {counts[0]: 0, counts[-1]: 0})), *cells))
-    return {"sets": table(("Set", "Runs of a task", *VARIANTS), rows)}
+    for name in ENTRIES:
+        entry, varied = read_entry(ROOT / "results" / name), stored(name)
+        tasks = [task for task in TASKS if any(task == one for one, _ in varied)]
+        for number, scores in (("1", scores_of(entry.episodes)), ("2", varied)):
+            (runs,) = {len(scores[pair]) for pair in varied}
+            cells = (mean_and_interval(scores, variant, tasks) for variant in VARIANTS)
+            rows.append((entry.method, str(len(tasks)), number, str(runs), *cells))
+    return {"sets": table(("Method", "Tasks", "Set", "Runs", *VARIANTS), rows)}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("entry", choices=ENTRIES)
     parser.add_argument("folders", nargs="+", type=Path)
-    collect(parser.parse_args().folders)
+    options = parser.parse_args()
+    collect(options.entry, options.folders)

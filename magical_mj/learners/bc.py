@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, cast
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Dataset, Demonstrations, shares
+from magical_mj.learners.data import Batch, Dataset, Demonstrations, shares
 from magical_mj.learners.encoder import Frozen, load_encoder
 from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, Torso, as_input
@@ -193,14 +193,8 @@ class IQLearn(BehaviouralCloning):
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """Also the mean reward in the batch."""
-        counts = shares(self.settings.bc.batch_size, len(self._usable), self._draw)
-        rows = [
-            numbers[torch.randint(len(numbers), (count,), generator=self._draw)]
-            for numbers, count in zip(self._usable, counts, strict=True)
-        ]
-        observations, actions, tasks = self._data.rows(rows)
-        following, _, _ = self._data.rows([numbers + 1 for numbers in rows])
-        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        batch, following = successive(self._data, self._usable, self.settings.bc.batch_size, self._draw)
+        observations, (actions, tasks) = batch.observations, (values.to(self.device) for values in batch[1:])
         logits, next_logits = (
             self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
         )
@@ -224,6 +218,16 @@ def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings:
 def usable(data: Dataset, task: int) -> Tensor:
     """The numbers of a task's rows that have a successor and an action other than the no-op."""
     return (~data.last[task] & (data.actions[task] != NOOP)).nonzero()[:, 0]
+
+
+def successive(data: Dataset, numbers: Sequence[Tensor], size: int, generator: torch.Generator) -> tuple[Batch, Tensor]:
+    """Draws among the rows with these numbers, given for each task; returns also the observations that follow."""
+    counts = shares(size, len(numbers), generator)
+    rows = [
+        able[torch.randint(len(able), (count,), generator=generator)]
+        for able, count in zip(numbers, counts, strict=True)
+    ]
+    return data.rows(rows), data.rows([drawn + 1 for drawn in rows]).observations
 
 
 def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
@@ -255,7 +259,9 @@ class Point(BehaviouralCloning):
 
     @classmethod
     def check_settings(cls, settings: TrainingSettings) -> None:
-        """Also checks that batches are large enough."""
+        """Also checks that batches are large enough, and convolutions are trained."""
+        if settings.bc.encoder:
+            raise SettingsError("point trains its convolutions, so bc.encoder is for bc")
         super().check_settings(settings)
         if settings.bc.batch_size < LEAST_SAMPLES:
             raise SettingsError(

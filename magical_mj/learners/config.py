@@ -31,7 +31,7 @@ METHOD_GROUP: Final = "magical_mj.methods"
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point"),
     "precision": ("bc",),
-    "bc.encoder": ("bc", "point"),
+    "bc.encoder": ("bc",),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
 """Setting -> the methods that use it, if not all methods with that part do."""

@@ -107,8 +107,8 @@ def _in_file(path: Path) -> Encoder:
         raise TrainingError(f"{error}; give the folder of a training, or a file by save_encoder") from error
     if not isinstance(known, dict) or known.keys() != set(Encoder._fields) or not isinstance(known["weights"], dict):
         raise SettingsError(
-            f"{path} is no file by save_encoder, and does not say in which variants its weights were trained: give the "
-            "folder of a training, or a file by save_encoder"
+            f"{path} was not written by save_encoder, so the variants of its training are unknown: give such a file, "
+            "or the folder of a training"
         )
     variants = check_variants(known["played_in"], f"played_in in {path}")
     return Encoder(known["weights"], variants, check_set(known["demonstration_set"], f"demonstration_set in {path}"))

@@ -159,7 +159,7 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
         checkpoint.write(file, {"encoder": {**Encoder(dict(weights))._asdict(), "demonstration_set": damage}})
         refused("demonstration_set in .* must be a number of a set")
     checkpoint.write(file, {"weights": dict(weights)})
-    refused("does not say in which variants its weights were trained")
+    refused("was not written by save_encoder, so the variants of its training are unknown")
     save_file({name: values.contiguous() for name, values in weights.items()}, file)
     refused("cannot read .*; give the folder of a training, or a file by save_encoder", TrainingError)
     train(playing("gail"), run)
@@ -168,4 +168,6 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     refused("has no convolutions: it is not for pictures", path=tmp_path / "states")
     (run / "config.toml").unlink()
     refused("is not the folder of a training", path=run)
+    with pytest.raises(SettingsError, match=r"point trains its convolutions, so bc\.encoder is for bc"):
+        train(tiny("point", **{"bc.encoder": file}), tmp_path / "new")
     assert using(Path("near")).bc.encoder == str(Path("near").absolute())

@@ -63,6 +63,6 @@ def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
         for mean, low, high in [pretraining.gain(7, variant)]
     )
     assert f"seven other tasks change the mean score by {found}" in text.replace(" and ", ", ")
-    longer = demonstration_sets.scores_of(read_entry(demonstration_sets.ENTRY).episodes)
+    longer = demonstration_sets.scores_of(read_entry(DOCS.parent / "results" / "state-bc").episodes)
     means = [np.mean([run.mean() for run in longer[task, "Demo"].values()]) for task in ("FixColour", "MatchRegions")]
     assert f"6,000 batches score {np.mean(means):.2f} in Demo." in text

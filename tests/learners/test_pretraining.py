@@ -1,16 +1,22 @@
-"""tools/research/pretraining.py: what it trains on, and that it continues; the table of its scores."""
+"""pretraining.py: what it trains on, and that it continues; the table of its scores; inverse_dynamics.py."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+import torch
 
-from magical_mj import TASKS
+from magical_mj import TASKS, demos
+from magical_mj.learners import load_settings
+from magical_mj.learners.encoder import Encoder, load_encoder
 from magical_mj.tasks.registry import SPLITS
+from tests.helpers.commands import Shell
 from tools import pretraining
+from tools.research import inverse_dynamics
 from tools.research.pretraining import TRAINED_IN, demonstrations, main, others
 
 BUDGET = ("--scenes", "1", "--pretraining", "3", "--batches", "3", "--variants", "Demo,Layout", "--episodes", "2")
@@ -43,3 +49,27 @@ def test_pretraining_sees_every_variant_of_other_tasks_in_dev_scenes_only(tmp_pa
     assert [demo.variant for demo in found] == ["Demo", "Jitter", "Layout", "Colour", "Dynamics", "All"]
     assert {demo.scene_seed for demo in found} == {SPLITS["dev"] + TRAINED_IN}
     assert {demo.score for demo in found} == {1.0}
+
+
+def test_an_encoder_of_inverse_dynamics_declares_its_scenes_and_is_used(shell: Shell, tmp_path: Path) -> None:
+    episodes = "--tasks MoveToRegion --variants Demo,Layout --steps 40 --jobs 1 --out episodes"
+    assert shell("demos", "rollouts", *episodes.split())[0] == 0
+    for batches in (0, 2):
+        inverse_dynamics.main(["episodes", "--batches", str(batches), "--out", f"{batches}.safetensors"])
+    settings = [load_settings("bc", "FixColour", quick=True, **{"bc.encoder": f"{n}.safetensors"}) for n in (0, 2)]
+    random, learnt = (cast("Encoder", load_encoder(one)) for one in settings)
+    assert learnt.played_in == random.played_in == "Demo,Layout"
+    assert not torch.equal(learnt.weights["0.weight"], random.weights["0.weight"])
+    averages = [values for name, values in random.weights.items() if name.endswith("running_mean")]
+    assert all(values.any() for values in averages)
+
+
+def test_inverse_dynamics_learns_which_action_leads_to_the_next_observation() -> None:
+    """In one episode, by heart."""
+    episode = {"MoveToRegion": demos.load("MoveToRegion")[:1]}
+    changes = {"bc.batches": 60, "network.first_channels": 8, "network.channels": 8, "bc.final_learning_rate": 1e-3}
+    learner = inverse_dynamics.InverseDynamics(
+        load_settings("bc", "MoveToRegion", quick=True, augment="none", device="cpu", **changes), episode
+    )
+    found = [learner.update() for _ in range(learner.updates)]
+    assert np.mean([one["accuracy"] for one in found[-10:]]) > 0.9
