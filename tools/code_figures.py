@@ -49,7 +49,7 @@ def main() -> None:
     lines = sum(len(source.splitlines()) for source in sources)
     checks = sum(len(set(checking(tree))) for tree in trees)
     imports = sum(len(set(importing(tree))) for tree in trees)
-    drawing = ("backend", "canvas", "opengl", "picture", "renderer")
+    drawing = ("backend", "opengl", "picture", "renderer")
     opengl = sum(len((ROOT / f"magical_mj/rendering/{name}.py").read_text("utf-8").splitlines()) for name in drawing)
     words = sum(len(path.read_text("utf-8").split()) for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
     print(f"magical_mj: {lines:,} lines in {len(sources)} files")

@@ -29,8 +29,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering.backend import RENDERERS
-from magical_mj.rendering.canvas import opengl_name
-from magical_mj.rendering.opengl import OpenGLRenderer
+from magical_mj.rendering.opengl import OpenGLRenderer, opengl_name
 from magical_mj.rendering.software import SoftwareRenderer
 from magical_mj.scene.state_vector import VIEWS
 

@@ -11,15 +11,7 @@ from typing import Final
 import mujoco
 
 from magical_mj.assets import style
-from magical_mj.assets.contacts import (
-    DEBRIS_MASS,
-    SETTINGS,
-    PhysicsSettings,
-    floor_pair,
-    foot,
-    foot_friction,
-    vertex,
-)
+from magical_mj.assets.contacts import DEBRIS_MASS, SETTINGS, PhysicsSettings, floor_pair, foot, foot_friction, vertex
 from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
 from magical_mj.assets.mjcf import comment, index_of, move_body, numbers, planar_body, planar_name
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE

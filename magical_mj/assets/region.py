@@ -25,7 +25,6 @@ BONE = "regions"
 DASHES = 42
 """The minimum number of quads for the border of a region: enough for 0.8 x 0.8 world units."""
 
-
 _AHEAD: Final = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])
 """Unit vectors along the top, right, bottom and left side, clockwise."""
 _OUTWARD: Final = REGION_BORDER_WIDTH / 2 * np.array([[0, 1.0], [1, 0], [0, -1], [-1, 0]])
@@ -51,12 +50,8 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
         start, end = np.full((1, 1), -1.0), end_of_side[-1:, None]  # starts before the corner, to get a mitre joint
     first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # each dash's part on each side
     dash, side = (last > first).nonzero()
-    first, last, start_of_side, end_of_side = (
-        first[dash, side],
-        last[dash, side],
-        start_of_side[side],
-        end_of_side[side],
-    )
+    first, last = first[dash, side], last[dash, side]
+    start_of_side, end_of_side = start_of_side[side], end_of_side[side]
     half = REGION_BORDER_WIDTH / 2
     first -= half * (start[dash, 0] < start_of_side)  # a dash around a corner gets a mitre joint
     last += half * ((end[dash, 0] > end_of_side) & (side < 3))

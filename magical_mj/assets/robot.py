@@ -196,23 +196,21 @@ def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) ->
         f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
         '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
     )
-    if not body_named(robot.body).fingers:
-        return (
-            f"{comment('Dry friction up to the torque cap: rotors with the robot')}{turns}"
-            f"{comment('Damping that makes the castor lag one step')}{castor}"
+    friction, grips = "Dry friction up to the torque cap: rotors with the robot", ""
+    damping, sway = "Damping that makes the castor lag one step", ""
+    if body_named(robot.body).fingers:
+        friction = "Dry friction up to the torque caps: rotors with the robot, motors with fingers"
+        grips = "".join(
+            f'<fixed name="{motor}" class="motor" frictionloss="{numbers(caps[motor])}">'
+            f'<joint joint="{side}_finger" coef="1"/><joint joint="{motor}" coef="-1"/></fixed>'
+            for side, motor in MOTORS.items()
         )
-    grips = "".join(
-        f'<fixed name="{motor}" class="motor" frictionloss="{numbers(caps[motor])}">'
-        f'<joint joint="{side}_finger" coef="1"/><joint joint="{motor}" coef="-1"/></fixed>'
-        for side, motor in MOTORS.items()
-    )
-    return (
-        f"{comment('Dry friction up to the torque caps: rotors with the robot, motors with fingers')}"
-        f"{turns}{grips}"
-        f"{comment('Damping: of fingers that swing to the same side, and of the castor, so that it lags one step')}"
-        f'<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
-        f'<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>{castor}'
-    )
+        damping = "Damping: of fingers that swing to the same side, and of the castor, so that it lags one step"
+        sway = (
+            f'<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
+            '<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>'
+        )
+    return f"{comment(friction)}{turns}{grips}{comment(damping)}{sway}{castor}"
 
 
 def actuators_mjcf(body: str = GRIPPER) -> str:

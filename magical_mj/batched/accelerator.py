@@ -20,21 +20,8 @@ from magical_mj.batched.frames import FIRST_BLOCK, VISIBLE, write_frame
 from magical_mj.batched.tables import Faults, Tables
 from magical_mj.rendering.scanlines import FIRST, LAST, SOURCE, fill, mean, place, product, view_from
 from magical_mj.scene.state_vector import VIEWS
-from magical_mj.shifts import drawn
-from magical_mj.shifts.kernels import (
-    GREY,
-    TILE,
-    blur_line,
-    cell_at,
-    dirty_row,
-    first_noise,
-    ground_row,
-    noisy,
-    put_cell,
-    quantise_tile,
-    relight_row,
-    turned,
-)
+from magical_mj.shifts import drawn, kernels
+from magical_mj.shifts.kernels import TILE
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH
 from magical_mj.utils.errors import SettingsError
 
@@ -121,9 +108,9 @@ def put_row(samples: Any, palette: Any, line: Any) -> None:
 @cuda.jit(device=True)
 def put_ground(row: int, line: Any, uncovered: Any, ground: Any, camera: Any) -> None:
     """Puts another ground into a row of pixels, with numbers of uncovered samples. See `kernels.put_on_ground`."""
-    i, j, stride_i, stride_j = ground_row(row, len(line), GROUND_CELLS, GROUND_REACH, camera)
+    i, j, stride_i, stride_j = kernels.ground_row(row, len(line), GROUND_CELLS, GROUND_REACH, camera)
     for column in range(len(line)):
-        put_cell(line, column, uncovered[column], ground, cell_at(i, j, GROUND_CELLS - 1))
+        kernels.put_cell(line, column, uncovered[column], ground, kernels.cell_at(i, j, GROUND_CELLS - 1))
         i += stride_i
         j += stride_j
 
@@ -144,7 +131,7 @@ def draw(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int,
     polygons, _, _, palettes, cameras, _, _, grounds, tones, slopes, bars = tables
     env, size = envs[cuda.blockIdx.x], out.shape[1]
     shapes, camera, samples = placed(tables, corner_capacity, poses, fingers, view, env, 2 * size)
-    shown = turned((camera[0], camera[1], math.atan2(camera[3], camera[2]), cameras[env, view, VISIBLE]))
+    shown = kernels.turned((camera[0], camera[1], math.atan2(camera[3], camera[2]), cameras[env, view, VISIBLE]))
     for row in range(cuda.threadIdx.x, size, cuda.blockDim.x):
         line = out[env, row]
         fill_rows(shapes, polygons[env, :, SOURCE], 2 * (size - 1 - row), 2, 2 * size, samples)
@@ -152,7 +139,7 @@ def draw(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int,
         if len(grounds) > 0:
             put_ground(row, line, samples, grounds[env], shown)
         if len(tones) > 0:
-            relight_row(row, line, tones[env], slopes[env], bars[env], shown)
+            kernels.relight_row(row, line, tones[env], slopes[env], bars[env], shown)
 
 
 @cuda.jit
@@ -171,12 +158,12 @@ def segment(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: i
 def add_noise(picture: Any, noise: Any, chance: float) -> None:
     """See `kernels.add_noise`."""
     size, last = len(picture), len(noise) - 1
-    first = first_noise(chance, len(noise), 3 * size * size)
+    first = kernels.first_noise(chance, len(noise), 3 * size * size)
     for row in range(cuda.threadIdx.x, size, cuda.blockDim.x):
         for column in range(size):
             for k in range(3):
                 level = first + 3 * (row * size + column) + k
-                picture[row, column, k] = noisy(picture[row, column, k], noise[level & last])
+                picture[row, column, k] = kernels.noisy(picture[row, column, k], noise[level & last])
 
 
 @cuda.jit(device=True)
@@ -185,10 +172,10 @@ def blur(picture: Any, width: int) -> None:
     size, thread, threads = len(picture), cuda.threadIdx.x, cuda.blockDim.x
     scratch = cuda.shared.array(0, uint8)[thread * (3 * size + _APART) :]
     for row in range(thread, size, threads):
-        blur_line(picture[row], scratch, width)
+        kernels.blur_line(picture[row], scratch, width)
     cuda.syncthreads()
     for column in range(thread, size, threads):
-        blur_line(picture[:, column], scratch, width)
+        kernels.blur_line(picture[:, column], scratch, width)
 
 
 @cuda.jit(device=True)
@@ -197,14 +184,14 @@ def quantise(picture: Any, step: int) -> None:
     tile, tiles = cuda.local.array((TILE, TILE), float64), len(picture) // TILE
     for number in range(cuda.threadIdx.x, tiles * tiles, cuda.blockDim.x):
         top, left = number // tiles * TILE, number % tiles * TILE
-        quantise_tile(picture[top : top + TILE, left : left + TILE], step, tile)
+        kernels.quantise_tile(picture[top : top + TILE, left : left + TILE], step, tile)
 
 
 @cuda.jit(device=True)
 def add_dirt(picture: Any, x: float, y: float, radius: float) -> None:
     """See `kernels.add_dirt`."""
     for row in range(cuda.threadIdx.x, len(picture), cuda.blockDim.x):
-        dirty_row(row, picture[row], x, y, radius)
+        kernels.dirty_row(row, picture[row], x, y, radius)
 
 
 @cuda.jit(device=True)
@@ -212,7 +199,7 @@ def lose(picture: Any) -> None:
     """Makes the picture grey."""
     for row in range(cuda.threadIdx.x, len(picture), cuda.blockDim.x):
         for column in range(len(picture)):
-            picture[row, column, 0] = picture[row, column, 1] = picture[row, column, 2] = GREY
+            picture[row, column, 0] = picture[row, column, 1] = picture[row, column, 2] = kernels.GREY
 
 
 @cuda.jit

@@ -23,11 +23,6 @@ _EGO = VIEWS.index("ego")
 _ROOT_X, _ROOT_Y = c.FINGER_ROOT
 
 
-def frame_count(blocks: int) -> int:
-    """The number of frames of an environment with this many slots for blocks."""
-    return FIRST_BLOCK + blocks + 1
-
-
 @inlined
 def moved(body: Any, x: float, y: float) -> Any:
     """The point x, y of a body's frame in the world frame."""

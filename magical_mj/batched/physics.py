@@ -105,8 +105,7 @@ class Physics:
         self._lasting = {**self._state, "overflow": self._overflow}
         self._controls = torch.tensor(controls(), dtype=torch.float32, device=device)
         self._planar = torch.from_numpy(own_coordinates(self.blocks).qpos).to(device)
-        self._columns = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
-        self._fingers = torch.tensor(self._columns, device=device)
+        self._fingers = torch.from_numpy(own_coordinates(self.blocks).fingers).to(device)
         self._graph: Any = None
         self._by_shape = {name: torch.from_numpy(values).to(self._fields[name]) for name, values in self._parts()}
         self._slot_of = {name: torch.from_numpy(slots).to(device) for name, slots in self._owners()}
@@ -180,8 +179,8 @@ class Physics:
         waiting = np.stack([OUTSIDE + 2.0 * numbers, np.full(len(numbers), OUTSIDE), 0.0 * numbers], axis=-1)
         poses = scenes.poses.copy()
         poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
-        qpos[:, own_coordinates(len(numbers)).qpos] = poses
-        qpos[:, self._columns] = scenes.fingers
+        coordinates = own_coordinates(len(numbers))
+        qpos[:, coordinates.qpos], qpos[:, coordinates.fingers] = poses, scenes.fingers
         return qpos
 
     def get_state(self) -> dict[str, Tensor]:

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical_mj.batched.frames import VISIBLE, frame_count, write_frames
+from magical_mj.batched.frames import FIRST_BLOCK, VISIBLE, write_frames
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.batched.tables import Faults, Tables, all_tables, most_corners
 from magical_mj.rendering.picture import Picture
@@ -90,7 +90,7 @@ class Painter:
     def _draw_here(self, tables: Tables, view: str, env: int, posed: Poses, picture: Picture) -> None:
         """Draws an environment on the processor."""
         size, number = len(picture), VIEWS.index(view.partition("-")[0])
-        camera, frames = tables.cameras[env, number], np.empty((frame_count(len(posed[0]) - 1), 4))
+        camera, frames = tables.cameras[env, number], np.empty((FIRST_BLOCK + len(posed[0]), 4))
         write_frames(number, camera, *posed, frames)
         scene, visible = (tables.polygons[env], tables.corners, tables.quads[env]), float(camera[VISIBLE])
         if view in SEGMENTATIONS:
@@ -102,11 +102,9 @@ class Painter:
         x, y, cosine, sine = frames[-1].tolist()
         shown = x, y, math.atan2(sine, cosine), visible
         if len(tables.grounds):
-            uncovered, ground = (
-                np.empty((size, size), np.uint8),
-                tables.grounds[env].reshape(GROUND_CELLS, GROUND_CELLS, 3),
-            )
+            uncovered = np.empty((size, size), np.uint8)
             count_uncovered(samples[0], uncovered)
+            ground = tables.grounds[env].reshape(GROUND_CELLS, GROUND_CELLS, 3)
             put_on_ground(picture, uncovered, ground, GROUND_REACH, shown)
         if len(tables.tones):
             relight(picture, tables.tones[env], tables.slopes[env], tables.bars[env], shown)

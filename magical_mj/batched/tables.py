@@ -38,12 +38,7 @@ Rows = NDArray[np.int32]
 """Rows of a table of polygons, see `scanlines.FIRST`. The column SOURCE is the polygon's entry of the palette."""
 QUADS: Final = 1 + DASHES
 """The number of quads of a region: its fill and its border."""
-_BODIES: Final = {
-    "world": WORLD,
-    "face": ROBOT_BODY,
-    "left_finger": LEFT_FINGER,
-    "right_finger": RIGHT_FINGER,
-}
+_BODIES: Final = {"world": WORLD, "face": ROBOT_BODY, "left_finger": LEFT_FINGER, "right_finger": RIGHT_FINGER}
 
 
 class Library(NamedTuple):
@@ -178,10 +173,7 @@ def episode_tables(
     """
     table = polygons(scenes)
     counts = table[..., LAST] - table[..., FIRST]
-    arrays: EpisodeArrays = {
-        "polygons": table,
-        "corner_offsets": counts.cumsum(axis=-1, dtype=np.int32) - counts,
-    }
+    arrays: EpisodeArrays = {"polygons": table, "corner_offsets": counts.cumsum(axis=-1, dtype=np.int32) - counts}
     if shifts:
         rows = [_shifted(EpisodeShifts(draw_shifts(shifts, seed)), steps) for seed in seeds]
         arrays |= {name: np.stack([row[name] for row in rows]) for name in rows[0] if name != "noises"}

@@ -25,7 +25,7 @@ def probe() -> None:
             start = time.perf_counter()
             env.render("ego", SIZE)
             times.append(1000 * (time.perf_counter() - start))
-    from magical_mj.rendering.canvas import opengl_name  # imported late: it may fail without OpenGL
+    from magical_mj.rendering.opengl import opengl_name  # imported late: it may fail without OpenGL
 
     renderer = "on the processor, without OpenGL" if drawn_by() == "software" else opengl_name()
     facts = {"renderer": renderer, "first": times[0], "typical": sorted(times)[FRAMES // 2]}

@@ -92,8 +92,8 @@ def opengl() -> Backend:
 
 def _tried(name: str) -> Backend:
     try:
-        with STARTING, ThreadPoolExecutor(1) as thread:  # `free` leaves its thread without a context
-            thread.submit(lambda: new_context(name).free()).result()
+        with STARTING, ThreadPoolExecutor(1) as thread:
+            thread.submit(_start, name).result()
         return Backend(name)
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
         variables = [variable for variable in ("MUJOCO_GL", "MUJOCO_EGL_DEVICE_ID") if variable in os.environ]
@@ -101,14 +101,17 @@ def _tried(name: str) -> Backend:
         return Backend(name, f"{cause}: {' '.join(str(error).split()).rstrip('.')}")
 
 
-def new_context(name: str) -> Any:
-    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so."""
+def _start(name: str) -> None:
+    """Loads the driver of a backend, and makes and frees a context, which leaves this thread without a context."""
     load_triton()
+    if name not in HEADLESS and sys.platform == "linux" and not has_display():
+        raise RuntimeError("GLFW needs a display")
+    if name == "glfw" and sys.platform == "darwin":
+        raise RuntimeError("on macOS it draws in the main thread only")
     missing = {"LP_NUM_THREADS", "PYOPENGL_PLATFORM"} - os.environ.keys()
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL draws small pictures faster without threads
     try:
-        with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
-            context = thread.submit(_context_class(name), 64, 64).result()  # our pictures are drawn into other buffers
+        new_context(name).free()
     finally:  # other code and child processes look at these variables
         for variable in missing:
             os.environ.pop(variable, None)
@@ -117,24 +120,19 @@ def new_context(name: str) -> Any:
 
         # mujoco would terminate EGL at exit: before dm_control frees its contexts, and in a forked child it would hang.
         atexit.unregister(EGL.eglTerminate)
-    return context
 
 
-@cache
-def _context_class(name: str) -> type[Any]:
-    """MuJoCo's class of contexts. Freeing one never fails: at exit, other code may have closed EGL before."""
-    if name not in HEADLESS and sys.platform == "linux" and not has_display():
-        raise RuntimeError("GLFW needs a display")
-    if name == "glfw" and sys.platform == "darwin":
-        raise RuntimeError("on macOS it draws in the main thread only")
+def new_context(name: str) -> Any:
+    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so."""
     module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
 
     class Context(module.GLContext):
         def free(self) -> None:
-            with suppress(Exception):
+            with suppress(Exception):  # at exit, other code may have closed EGL before
                 super().free()
 
-    return Context
+    with ThreadPoolExecutor(1) as thread:  # mujoco's constructor leaves its thread without a context
+        return thread.submit(lambda: Context(64, 64)).result()  # our pictures are drawn into other buffers
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Pictures of one model by MuJoCo and OpenGL: the flat views in exact colours, and the view "scene" in 3-D.
+"""Pictures by MuJoCo and OpenGL: the flat views in exact colours, and the view "scene" in 3-D.
 
 On software OpenGL every drawn pixel costs time. Flat pictures are cheap because of this:
 
@@ -8,40 +8,160 @@ On software OpenGL every drawn pixel costs time. Flat pictures are cheap because
 - There is no depth buffer, which takes a fifth of the time: geoms are drawn in the order in which the model lists them,
   static ones first. Their heights have the same order, so viewers with a depth buffer show the same picture.
 
-A drawing context (`MjrContext`) holds the meshes, textures and skins of a model, and draws all models that have the
-same ones. Most models of this package differ only in the number of regions, so each canvas needs only a few.
+OpenGL's contexts are current only while they draw a picture. Other code may rely on its own context staying current,
+and may free its objects in any context that is current. So after each picture the previous context becomes current
+again, which takes 10 us. There are two exceptions, in which a separate thread draws: a window's context can keep a
+context of EGL from becoming current in its thread, and backends other than EGL cannot tell which context is current.
+Drawing every picture in a separate thread needs less code, but on a busy machine it takes two to three times as long:
+the processor changes to another process in between, and its caches are cold afterwards.
 """
 
 from __future__ import annotations
 
+import atexit
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from copy import copy
-from typing import Final
+from functools import cache, partial
+from typing import Any, Final, TypeVar
 
 import mujoco
 import numpy as np
 
-from magical_mj.rendering.backend import NO_OPENGL
-from magical_mj.rendering.canvas import CANVASES, Canvas
+from magical_mj.rendering.backend import NO_OPENGL, STARTING, new_context, opengl
 from magical_mj.rendering.picture import Picture, drawn
+from magical_mj.rendering.software import scratch
 from magical_mj.utils.errors import RenderingError
 
-KEPT: Final = 8
-"""Drawing contexts of a canvas, of 4 MB each without shadows."""
+T = TypeVar("T")
+FORKED: Final = (
+    "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
+    "Start workers with the 'spawn' or 'forkserver' method."
+)
 TRANSLUCENT: Final = (
     "the views ego and allo show opaque geoms only, and these are translucent: {names}. Give them an alpha of 1, or a "
     "group that these views do not show, such as group=4"
 )
+KEPT: Final = 8
+"""Drawing contexts of a canvas, of 4 MB each without shadows."""
 _OFFSCREEN: Final = mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 _ALL: Final = mujoco.mjtCatBit.mjCAT_ALL.value
 _GEOM, _CAMERA = mujoco.mjtObj.mjOBJ_GEOM.value, mujoco.mjtObj.mjOBJ_CAMERA.value
-_ASSETS: Final = (
-    *("mesh_vertnum", "mesh_facenum", "mesh_vert", "mesh_normal", "mesh_face", "mesh_facenormal", "mesh_graph"),
-    *("mesh_texcoord", "mesh_facetexcoord", "tex_type", "tex_height", "tex_width", "tex_nchannel", "tex_data"),
-    *("hfield_nrow", "hfield_ncol", "hfield_size", "hfield_data", "skin_vertnum", "skin_face", "skin_texcoord"),
-    *("flex_dim", "flex_vertnum", "flex_edge", "flex_elem", "flex_shell", "flex_texcoord", "mat_texrepeat"),
-)
-"""What a drawing context copies from a model."""
+_COPIED: Final = ("mesh_", "tex_", "hfield_", "flex_", "skin_vertnum", "skin_face", "skin_texcoord", "mat_texrepeat")
+_ASSETS: Final = [name for name in dir(mujoco.MjModel) if name.startswith(_COPIED) and not name.endswith("adr")]
+"""The arrays of a model that a drawing context copies. Addresses follow from the numbers of elements."""
+
+
+class Canvas:
+    """An OpenGL context, with MuJoCo's drawing contexts for the last few kinds of models.
+
+    A drawing context (`MjrContext`) holds the meshes, textures and skins of a model, and draws all models with the same
+    ones. Most models of this package differ only in the number of regions, so a canvas needs only a few.
+    """
+
+    def __init__(self) -> None:
+        self.context = new_context(opengl().name)
+        self.drawings: dict[int, mujoco.MjrContext] = {}  # the last one used at the end
+
+    def free(self) -> None:
+        """Frees everything, and leaves this thread without a context."""
+        self.context.make_current()
+        for drawing in self.drawings.values():
+            drawing.free()
+        self.context.free()
+
+
+class Canvases:
+    """The canvases that are not in use. There are as many as threads have drawn at the same time."""
+
+    def __init__(self) -> None:
+        self._idle: list[Canvas] = []
+        self._process = 0  # that has drawn
+
+    def draw(self, job: Callable[[Canvas], T]) -> T:
+        """Calls a function with a canvas while its context is current, and returns the result.
+
+        Raises:
+            RenderingError: if OpenGL does not work here, or this process was forked from one that has drawn.
+        """
+        if self._process not in (0, os.getpid()):
+            raise RenderingError(FORKED)
+        if problem := opengl().problem:
+            raise RenderingError(NO_OPENGL.format(error=problem))
+        try:
+            canvas = self._idle.pop()
+        except IndexError:
+            with STARTING:
+                self._process = os.getpid()
+                return self._draw(Canvas(), job)
+        return self._draw(canvas, job)
+
+    def _draw(self, canvas: Canvas, job: Callable[[Canvas], T]) -> T:
+        try:
+            if opengl().name == "egl":
+                with suppress(_OccupiedError):
+                    return _in_turn(canvas, job)
+            return _painter().submit(_in_turn, canvas, job).result()
+        finally:
+            self._idle.append(canvas)
+
+    def close(self) -> None:
+        """Frees all contexts; the next picture makes new ones. Further calls do nothing."""
+        if self._process == os.getpid():
+            with suppress(Exception):  # at exit other code may have closed the display
+                while self._idle:
+                    self._idle.pop().free()
+
+
+CANVASES: Final = Canvases()
+atexit.register(CANVASES.close)
+
+
+@cache
+def _painter() -> ThreadPoolExecutor:
+    """The thread that draws where contexts cannot take turns."""
+    return ThreadPoolExecutor(1, "magical_mj OpenGL")
+
+
+class _OccupiedError(RenderingError):
+    """A canvas's context cannot become current in this thread."""
+
+
+def _in_turn(canvas: Canvas, job: Callable[[Canvas], T]) -> T:
+    """Calls a function while a canvas's context is current. Then the previous one, if any, becomes current again."""
+    restore = _restorer() if opengl().name == "egl" else lambda: None
+    try:
+        canvas.context.make_current()
+    except Exception as error:
+        raise _OccupiedError(NO_OPENGL.format(error=error)) from error
+    try:
+        return job(canvas)
+    finally:
+        restore()
+
+
+def _restorer() -> Callable[[], Any]:
+    """A function that makes this thread's present context of EGL current again, or none if there is none."""
+    from mujoco.egl import EGL, EGL_DISPLAY
+
+    if not (context := EGL.eglGetCurrentContext()):
+        return partial(EGL.eglMakeCurrent, EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+    surfaces = EGL.eglGetCurrentSurface(EGL.EGL_DRAW), EGL.eglGetCurrentSurface(EGL.EGL_READ)
+    return partial(EGL.eglMakeCurrent, EGL.eglGetCurrentDisplay(), *surfaces, context)
+
+
+def opengl_name() -> str:
+    """OpenGL's renderer and version."""
+
+    def name(_: Canvas) -> str:
+        from OpenGL.GL import GL_RENDERER, GL_VERSION, glGetString  # it chooses the platform, from the current context
+
+        return " / ".join(glGetString(key).decode() for key in (GL_RENDERER, GL_VERSION))
+
+    return CANVASES.draw(name)
 
 
 class OpenGLRenderer:
@@ -72,20 +192,19 @@ class OpenGLRenderer:
         """A picture from a camera of the model or of the view "scene", as `rendering.renderer.Views.draw`."""
         self._update(data, camera)
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
-
-        def paint(canvas: Canvas) -> None:
-            if self._lit:  # averaged twice, for smooth slanted edges
-                twice = np.empty((2 * size, 2 * size, 3), np.uint8)
-                on_white(self._pixels(canvas, 4 * size), twice)
-                picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
-                return
-            pixels = self._pixels(canvas, 2 * size)
-            on_white(pixels, picture)
-            if uncovered is not None:
-                empty = pixels[::-1, :, 3] == 0
-                empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=uncovered)
-
-        CANVASES.draw(paint)
+        side = 4 * size if self._lit else 2 * size
+        pixels = scratch(side)[0].view(np.uint8).reshape(side, side, 4)
+        CANVASES.draw(partial(self._read, pixels))
+        if self._lit:  # averaged twice, for smooth slanted edges
+            pixels[..., 3][pixels[..., 3] > 0] = 255  # of translucent geoms
+            twice = np.empty((2 * size, 2 * size, 3), np.uint8)
+            on_white(pixels, twice)
+            picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
+            return picture
+        on_white(pixels, picture)
+        if uncovered is not None:
+            empty = pixels[::-1, :, 3] == 0
+            empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=uncovered)
         return picture
 
     def _update(self, data: mujoco.MjData, name: str) -> None:
@@ -105,14 +224,11 @@ class OpenGLRenderer:
                 scene.ngeom = 0
                 raise RenderingError(TRANSLUCENT.format(names=names))
 
-    def _pixels(self, canvas: Canvas, side: int) -> Picture:
-        """Red, green, blue, alpha; bottom row first. Shape (side, side, 4).
-
-        Alpha is 0, like the colours, where nothing was drawn. The canvas's next picture overwrites the array.
-        """
+    def _read(self, pixels: Picture, canvas: Canvas) -> None:
+        """Draws, and reads red, green, blue and alpha, bottom row first. All are 0 where nothing was drawn."""
         from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0  # the whole `OpenGL.GL` takes 85 ms and 6 MB
 
-        context = self._context(canvas)
+        context, side = self._context(canvas), len(pixels)
         resized = context.offWidth != side
         if resized:  # the whole buffer, which is cleared for each picture
             mujoco.mjr_resizeOffscreen(side, side, context)
@@ -121,14 +237,8 @@ class OpenGLRenderer:
             depth = GL_3_0.GL_DEPTH_STENCIL_ATTACHMENT, GL_3_0.GL_RENDERBUFFER, 0
             GL_3_0.glFramebufferRenderbuffer(GL_3_0.GL_FRAMEBUFFER, *depth)
         mujoco.mjr_render(mujoco.MjrRect(0, 0, side, side), self._scene, context)
-        if len(canvas.pixels) != side:
-            canvas.pixels = np.empty((side, side, 4), np.uint8)
         # MuJoCo's own mjr_readPixels has no alpha, and is slower.
-        GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, canvas.pixels)
-        if self._lit:
-            alpha = canvas.pixels[..., 3]
-            alpha[alpha > 0] = 255  # of translucent geoms
-        return canvas.pixels
+        GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, pixels)
 
     def _context(self, canvas: Canvas) -> mujoco.MjrContext:
         """The canvas's drawing context for models of this kind."""

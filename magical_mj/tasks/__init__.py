@@ -25,18 +25,9 @@ from magical_mj.tasks.spec import RULES, Rules, TaskSpec
 
 __all__ = ["KNOWN", "RULES", "SPECS", "SUITES", "Rules", "TaskSpec"]
 
-_SPECS: Final = (
-    move_to_corner.SPEC,
-    move_to_region.SPEC,
-    match_regions.SPEC,
-    make_line.SPEC,
-    find_dupe.SPEC,
-    fix_colour.SPEC,
-    cluster_colour.SPEC,
-    cluster_shape.SPEC,
-)
+_ALL = (move_to_corner, move_to_region, match_regions, make_line, find_dupe, fix_colour, cluster_colour, cluster_shape)
 
-SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({spec.name: spec for spec in _SPECS})
+SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({module.SPEC.name: module.SPEC for module in _ALL})
 """All tasks by name, in the paper's order."""
 
 SUITES: Final[Mapping[str, Mapping[str, TaskSpec]]] = MappingProxyType(

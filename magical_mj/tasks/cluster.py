@@ -42,7 +42,7 @@ from magical_mj.tasks.rules import (
     shuffled,
     uniform_integer,
 )
-from magical_mj.tasks.spec import Rules, ScoreFunction, TaskSpec
+from magical_mj.tasks.spec import Measure, Rules, TaskSpec
 
 Attribute = Literal["colour", "shape"]
 _T = TypeVar("_T")
@@ -143,7 +143,7 @@ def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)
 
 
-def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> TaskSpec:
+def spec(name: str, attribute: Attribute, demo: Scene, score: Measure) -> TaskSpec:
     """The task of clustering by an attribute."""
     return TaskSpec(
         name=name,

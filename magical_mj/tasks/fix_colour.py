@@ -93,11 +93,7 @@ def check(scene: Scene) -> None:
     homes = _homes(scene)
     numbers = [len(blocks) for blocks in homes]
     one_each = set(numbers) == {1} and len({blocks[0] for blocks in homes}) == len(homes)
-    require(
-        one_each,
-        "FixColour",
-        f"exactly one block of its own in every goal region, but the numbers are {numbers}",
-    )
+    require(one_each, "FixColour", f"exactly one block of its own in every goal region, but the numbers are {numbers}")
     odd = len(_mismatched(scene, homes))
     require(odd == 1, "FixColour", f"exactly one block whose colour differs from its goal region's, but this has {odd}")
 

@@ -65,20 +65,22 @@ def check(scene: Scene) -> None:
     require_regions(scene, "MakeLine", 0)
 
 
+def _through_pairs(points: Sequence[Point]) -> Iterator[list[tuple[float, float]]]:
+    """For the line through each pair of points: each point's position along the line and its distance from the line."""
+    for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
+        length = math.hypot(other_x - x, other_y - y)
+        if length > 0.0:  # two equal centres (never in a legal scene) define no line
+            along_x, along_y = (other_x - x) / length, (other_y - y) / length
+            offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
+            yield [(along_x * u + along_y * v, abs(along_x * v - along_y * u)) for u, v in offsets]
+
+
 def longest_line(points: Sequence[Point]) -> int:
     """The number of blocks in the longest line of blocks with these centres: m in the module's docstring."""
     longest = 1
-    for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
-        distance = math.hypot(other_x - x, other_y - y)
-        if distance == 0.0:  # two equal centres (never in a legal scene) define no line
-            continue
-        along_x, along_y = (other_x - x) / distance, (other_y - y) / distance
-        offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
-        along = sorted(
-            along_x * u + along_y * v for u, v in offsets if abs(along_x * v - along_y * u) <= INLIER_DISTANCE
-        )
+    for line in _through_pairs(points):
         run = 1
-        for here, there in itertools.pairwise(along):
+        for here, there in itertools.pairwise(sorted(along for along, off in line if off <= INLIER_DISTANCE)):
             run = run + 1 if there - here <= MAX_GAP else 1
             longest = max(longest, run)
     return longest
@@ -103,15 +105,10 @@ def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """How far the blocks are from the nearest line through two of them."""
     points = [(block.x, block.y) for block in final.blocks]
     least = math.inf
-    for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
-        length = math.hypot(other_x - x, other_y - y)
-        if length > 0.0:
-            along_x, along_y = (other_x - x) / length, (other_y - y) / length
-            offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
-            excess = [abs(along_x * v - along_y * u) - INLIER_DISTANCE for u, v in offsets]
-            along = sorted(along_x * u + along_y * v for u, v in offsets)
-            excess += [there - here - MAX_GAP for here, there in itertools.pairwise(along)]
-            least = min(least, sum(WRONG + each for each in excess if each > 0.0))
+    for line in _through_pairs(points):
+        gaps = itertools.pairwise(sorted(along for along, _ in line))
+        excess = [off - INLIER_DISTANCE for _, off in line] + [there - here - MAX_GAP for here, there in gaps]
+        least = min(least, sum(WRONG + each for each in excess if each > 0.0))
     return least
 
 

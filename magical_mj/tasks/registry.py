@@ -22,6 +22,7 @@ from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import KNOWN, RULES, SPECS, Rules, TaskSpec
 from magical_mj.tasks.languages import canonical_name, in_language, language_spec, languages, members
+from magical_mj.utils import imports
 from magical_mj.utils.errors import (
     InvalidSceneError,
     MagicalError,
@@ -31,18 +32,6 @@ from magical_mj.utils.errors import (
     check_name,
     short_repr,
     unknown_name,
-)
-from magical_mj.utils.imports import (
-    announced,
-    check_named,
-    errors_of_task,
-    imported,
-    is_reference,
-    location,
-    reference_in_folder,
-    reference_of,
-    source_of,
-    with_location,
 )
 from magical_mj.variants import OTHER_VARIANTS, Axis, variants_of, varied_axes, vary
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -108,14 +97,14 @@ def task_spec(task: str) -> TaskSpec:
         return KNOWN[task]
     if in_language(task):
         return language_spec(canonical_name(task))
-    if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
+    if isinstance(task, str) and (task in task_plugins() or imports.is_reference(task)):
         return load_spec(task)
     if (parts := _parts_of_id(task)) is not None:
         raise UnknownNameError(
             f"{short_repr(task)} names an environment and not a task: its task is {parts[0]!r} and its variant "
             f"{parts[1]!r}; give them separately"
         )
-    meant = reference_in_folder(task, _SPEC)
+    meant = imports.reference_in_folder(task, _SPEC)
     texts = (f"{prefix}:TEXT" for prefix in languages())
     raise unknown_name("task", task, (*KNOWN, *task_plugins(), *texts, "package.module:SPEC"), meant)
 
@@ -211,7 +200,7 @@ def tasks_in_file(names: Names, file: object, trusted: Collection[str] = ()) -> 
     """
     for name in listed(names, TASKS):
         if not in_language(name):
-            check_named(name, file, trusted)
+            imports.check_named(name, file, trusted)
     return listed_tasks(names)
 
 
@@ -262,7 +251,7 @@ def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Sce
     check_body_name(body)
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
-    with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):
+    with imports.errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):
         scene = vary(spec, variant, seed, body)
         check_drawn(spec, variant, seed, scene)
     return scene
@@ -313,7 +302,7 @@ def score_trajectory(task: str, scenes: Sequence[Scene], rules: Rules = "paper")
         )
     for scene in scenes:
         check_scene_type(scene)
-    with errors_of_task(f"{spec.name}.check failed"):
+    with imports.errors_of_task(f"{spec.name}.check failed"):
         spec.check(scenes[0])
     for scene in scenes[1:] if spec.trajectory else scenes[-1:]:
         _check_same(scenes[0], scene)
@@ -342,12 +331,12 @@ def _check_same(initial: Scene, final: Scene) -> None:
 @cache
 def task_plugins() -> Mapping[str, EntryPoint]:
     """The entry points of announced tasks by the tasks' names."""
-    return announced("task", ENTRY_POINTS, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
+    return imports.announced("task", ENTRY_POINTS, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
 
 
 def announced_name(task: str) -> str:
     """The announced name of the task with this reference. Other names and references are returned unchanged."""
-    return next((name for name, point in task_plugins().items() if reference_of(point) == task), task)
+    return next((name for name, point in task_plugins().items() if imports.reference_of(point) == task), task)
 
 
 def load_spec(task: str) -> TaskSpec:
@@ -358,7 +347,7 @@ def load_spec(task: str) -> TaskSpec:
         TaskError: if importing its module fails, or the object is not a valid task.
     """
     point = task_plugins().get(task)
-    spec = imported("task", task, point, TaskError)
+    spec = imports.imported("task", task, point, TaskError)
     if _CHECKED.get(task) is spec:
         return spec
     check_spec(spec, task)
@@ -382,7 +371,8 @@ def code_digest(task: str) -> str:
     point, spec = task_plugins().get(task), load_spec(task)
     functions = (getattr(spec, field.name) for field in fields(spec))
     names = {getattr(function, "__module__", None) for function in functions if callable(function)}
-    sources = {source_of(str(name)) for name in (task if point is None else reference_of(point), *names)}
+    module = task if point is None else imports.reference_of(point)
+    sources = {imports.source_of(str(name)) for name in (module, *names)}
     return hashlib.sha256(b"\0".join(sorted(source.read_bytes() for source in sources if source))).hexdigest()
 
 
@@ -413,9 +403,9 @@ def check_spec(spec: Any, task: str) -> None:
     except TaskError:
         raise
     except MagicalError as error:
-        raise TaskError(f"{task} is invalid: {error}{location(error)}") from error
+        raise TaskError(f"{task} is invalid: {error}{imports.location(error)}") from error
     except Exception as error:
-        raise TaskError(f"{task} is invalid: {with_location(error)}") from error
+        raise TaskError(f"{task} is invalid: {imports.with_location(error)}") from error
 
 
 def _check_variants(spec: TaskSpec) -> None:

@@ -28,22 +28,13 @@ REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 _ROUNDING: Final = 1e-9
 
-Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
-"""(initial scene, current scene, noise) -> the remaining subgoals. It is called only if the task is not solved. An
-expert calls it again whenever a block is not at its expected position. The noise selects one of several good plans."""
-PlanOfTrajectory = Callable[[tuple[Scene, ...], Noise], Iterable[Subgoal]]
-"""The same for tasks with `trajectory=True`: (scenes so far, noise) -> the remaining subgoals."""
-
-ScoreFunction = Callable[[Scene, Scene, Rules], float]
-"""(initial scene, final scene, rules) -> score in [0, 1]. Both scenes have the same blocks and regions."""
-DistanceFunction = Callable[[Scene, Scene, Rules], float]
-"""(initial scene, current scene, rules) -> what remains to be done, in world units: the sum over everything that is
-wrong of its distance from where it would be right. It is 0 exactly if the score is 1."""
-DistanceOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
-"""The same for tasks with `trajectory=True`: (scenes so far, rules) -> what remains to be done."""
-
-ScoreOfTrajectory = Callable[[tuple[Scene, ...], Rules], float]
-"""(scenes, rules) -> score in [0, 1], for tasks with `trajectory=True`: the initial scene and those after each step."""
+Measure = Callable[[Scene, Scene, Rules], float] | Callable[[tuple[Scene, ...], Rules], float]
+"""(initial scene, current scene, rules) -> a number. The scenes have the same blocks and regions. For tasks with
+`trajectory=True`: (scenes, rules), where the scenes are the initial one and those after each step."""
+Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]] | Callable[[tuple[Scene, ...], Noise], Iterable[Subgoal]]
+"""(initial scene, current scene, noise) -> the remaining subgoals. For tasks with `trajectory=True`: (scenes, noise).
+It is called only if the task is not solved. An expert calls it again whenever a block is not at its expected position.
+The noise selects one of several good plans."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,12 +47,13 @@ class TaskSpec(VariationRules):
     """The horizon under the paper's rules, in control steps."""
     released_steps: int | None = None
     """The horizon under the released code's rules, if it differs."""
-    score: ScoreFunction | ScoreOfTrajectory
+    score: Measure
     """The score in [0, 1], of the final scene, or of the scenes of all steps."""
     trajectory: bool = False
     """Whether `score`, `distance` and `plan` receive the scenes of all steps, instead of the first and the current."""
-    distance: DistanceFunction | DistanceOfTrajectory | None = None
-    """What remains to be done, for `reward="dense"`. Without it, the task has no dense rewards."""
+    distance: Measure | None = None
+    """What remains to be done, in world units, for `reward="dense"`: the sum over everything that is wrong of its
+    distance from where it would be right. 0 exactly if the score is 1. Without it, the task has no dense rewards."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
     """The bodies of `magical_mj.scene.bodies.BODIES` with which the scripted expert solves the task. Environments take
@@ -71,7 +63,7 @@ class TaskSpec(VariationRules):
     speeds: bool = False
     """Whether actions are x-magical's speeds (`magical_mj.assets.robot.speed_signal`). The 18 then mean full speed."""
 
-    plan: Plan | PlanOfTrajectory | None = None
+    plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
     like: str = ""
     """The benchmark's task that this task modifies. Policies for several tasks receive that task's name."""

@@ -11,13 +11,4 @@ from magical_mj.variants.rules import (
     vary,
 )
 
-__all__ = [
-    "OTHER_VARIANTS",
-    "VARIANTS",
-    "Axis",
-    "VariationRules",
-    "check_seed",
-    "variants_of",
-    "varied_axes",
-    "vary",
-]
+__all__ = ["OTHER_VARIANTS", "VARIANTS", "Axis", "VariationRules", "check_seed", "variants_of", "varied_axes", "vary"]

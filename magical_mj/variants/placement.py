@@ -190,7 +190,6 @@ def contact(scene: Scene, regions: bool = True) -> str | None:
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """A uniform draw."""
     return low + (high - low) * rng.random()
 
 
@@ -225,11 +224,7 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.ra
 
 
 def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
-    """One round of `_place`.
-
-    Raises:
-        _NoRoomError: if no legal pose is found for an object.
-    """
+    """One round of `_place`. Raises `_NoRoomError` if no legal pose is found for an object."""
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
@@ -283,10 +278,7 @@ def _find(
 ) -> tuple[Pose, Solid]:
     """The first drawn pose at which an object touches no wall and no obstacle, and the area that it covers there.
 
-    The walls are at the distance `half` from the origin.
-
-    Raises:
-        _NoRoomError: if there is none among `MAX_TRIES` draws.
+    The walls are at the distance `half` from the origin. Raises `_NoRoomError` if `MAX_TRIES` draws are not enough.
     """
     for tries in range(MAX_TRIES):
         pose = box.draw(rng, tries)

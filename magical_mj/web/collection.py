@@ -215,11 +215,8 @@ class Collection:
                 return self._episodes[key][1]
             offer, now = self._offers.get(participant), self._clock()
             facts = {"participant": participant, "task": demo.task, "variant": demo.variant, "seed": demo.scene_seed}
-            facts |= {
-                "score": demo.score,
-                "speed": _number(about.get("speed")),
-                "watched": about.get("watched") is True,
-            }
+            facts |= {"score": demo.score, "speed": _number(about.get("speed"))}
+            facts["watched"] = about.get("watched") is True
             reason = None
             if deviation is None:
                 reason = "it does not contain its final state"

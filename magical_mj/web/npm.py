@@ -76,7 +76,8 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
     """
     cache = cache or cache_folder() / "npm"
     folder = cache / "node_modules" / package.name
-    if _is(folder, package):
+    mark = folder / ".sha512"  # of the archive that was unpacked there
+    if mark.exists() and mark.read_text() == package.sha512:
         return folder
     if shutil.which("npm") is None:
         raise MagicalError(f"{package.name} {package.version} must be fetched once by npm: install node 20 or newer")
@@ -96,12 +97,6 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
     (unpacked / "package").rename(folder)
     unpacked.rmdir()
-    (folder / ".sha512").write_text(package.sha512)
+    mark.write_text(package.sha512)
     archive.unlink()
     return folder
-
-
-def _is(folder: Path, package: Package) -> bool:
-    """Whether the folder was unpacked from this archive."""
-    mark = folder / ".sha512"
-    return mark.exists() and mark.read_text() == package.sha512

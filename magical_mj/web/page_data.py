@@ -178,7 +178,7 @@ def solid_shapes() -> dict[str, Any]:
 
     margins = {"square": c.SQUARE_MARGIN}
     right = geometry.finger_outlines()
-    fingers = {"left_finger": [geometry.mirrored(outline) for outline in right], "right_finger": right}
+    left = [geometry.mirrored(outline) for outline in right]
     return {
         "blocks": {
             shape: part([[0, 0]], c.BLOCK_SIZE)
@@ -187,7 +187,7 @@ def solid_shapes() -> dict[str, Any]:
             for shape in SHAPES
         },
         "robots": {name: robot(body_named(name)) for name in BODIES},
-        "fingers": [[outline.tolist() for outline in fingers[f"{side}_finger"]] for side in SIGN],
+        "fingers": [[outline.tolist() for outline in finger] for finger in (left, right)],
         "roots": [[sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for sign in SIGN.values()],
         "pebble": part([[0, 0]], c.PEBBLE_RADIUS),
         "overlap": geometry.OVERLAP_TOLERANCE,

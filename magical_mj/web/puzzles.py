@@ -126,6 +126,8 @@ def _conjunct_data(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene) 
 def puzzle_scenes(puzzle: Puzzle, variant: str) -> dict[str, Any]:
     """The page's data of a puzzle's environment, as `magical_mj.web.page_data.environment_scenes` of a task's."""
     demo, number = variant == "Demo", DEMONSTRATIONS if variant == "Demo" else SCENES
+    rivals = [parse(rival) for rival in puzzle.rivals]
+    solved = replayed(puzzle.task, "Demo", 0, actions_of(puzzle.demonstrations[0]), "expert", 0).scenes()[-1]
     return {
         "horizon": task_spec(puzzle.task).horizon("paper"),
         "demonstrations": [],
@@ -135,19 +137,13 @@ def puzzle_scenes(puzzle: Puzzle, variant: str) -> dict[str, Any]:
                 "expert": puzzle.demonstrations[seed] if demo else "",
                 "scene": scene_data(scene := sample_scene(puzzle.task, variant, seed)),
                 "goal": goal_data(puzzle.intent, scene),
-                "rivals": _rivals_data(puzzle, scene),
+                "rivals": [
+                    {"sentence": rival.sentence, "goal": goal_data(rival, scene)}
+                    for rival in rivals
+                    if rival.grounded(scene)
+                ],
             }
             for seed in range(number)
         ],
-        "puzzle": {"task": puzzle.task, "sentence": puzzle.intent.sentence, "solved": scene_data(solved_scene(puzzle))},
+        "puzzle": {"task": puzzle.task, "sentence": puzzle.intent.sentence, "solved": scene_data(solved)},
     }
-
-
-def solved_scene(puzzle: Puzzle) -> Scene:
-    """The final scene of the first demonstration."""
-    return replayed(puzzle.task, "Demo", 0, actions_of(puzzle.demonstrations[0]), "expert", 0).scenes()[-1]
-
-
-def _rivals_data(puzzle: Puzzle, scene: Scene) -> list[dict[str, Any]]:
-    rivals = map(parse, puzzle.rivals)
-    return [{"sentence": one.sentence, "goal": goal_data(one, scene)} for one in rivals if one.grounded(scene)]

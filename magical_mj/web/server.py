@@ -168,20 +168,17 @@ class PlayServer:
         return self.origin is not None or (len(hosts) == 1 and f"http://{hosts[0].lower()}" in self._origins())
 
     def _content(self, name: str) -> bytes | None:
-        if name.startswith("scenes/"):
-            task, _, variant = name.removeprefix("scenes/").removesuffix(".json").partition("-")
-            if (task, variant) not in self.environments:
-                return None
+        folder, _, file = name.partition("/")
+        task, _, variant = file.removesuffix(".json").partition("-")
+        if folder == "scenes" and (task, variant) in self.environments:
             data = environment_scenes(task, variant)
             if self.collection is not None and "expert" not in self.collection.study.shows:
                 data |= {"demonstrations": [], "scenes": [{**scene, "expert": ""} for scene in data["scenes"]]}
-            return json.dumps(data, separators=(",", ":")).encode()
-        if name.startswith("puzzles/"):
-            task, _, variant = name.removeprefix("puzzles/").removesuffix(".json").partition("-")
-            if task not in self._puzzles or variant not in VARIANTS:
-                return None
-            return json.dumps(puzzle_scenes(self._puzzles[task], variant), separators=(",", ":")).encode()
-        return self._files.get(name)
+        elif folder == "puzzles" and task in self._puzzles and variant in VARIANTS:
+            data = puzzle_scenes(self._puzzles[task], variant)
+        else:
+            return self._files.get(name)
+        return json.dumps(data, separators=(",", ":")).encode()
 
     async def _play(self, connection: ServerConnection) -> None:
         """Serves one connection until it closes. Other connections are served while this one simulates."""

@@ -57,7 +57,7 @@ def python(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 @ON_LINUX
 def test_opengl_is_named_before_the_first_picture() -> None:
-    result = python("from magical_mj.rendering.canvas import opengl_name; print(opengl_name())")
+    result = python("from magical_mj.rendering.opengl import opengl_name; print(opengl_name())")
     assert " / " in result.stdout, result.stderr
 
 

@@ -14,8 +14,7 @@ import magical_mj
 from magical_mj.assets import style
 from magical_mj.engine.export import mjcf_text
 from magical_mj.engine.simulation import Simulation
-from magical_mj.rendering.canvas import CANVASES
-from magical_mj.rendering.opengl import KEPT, OpenGLRenderer, on_white
+from magical_mj.rendering.opengl import CANVASES, KEPT, OpenGLRenderer, on_white
 from magical_mj.rendering.picture import DRAWN_GROUPS, LARGEST, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c

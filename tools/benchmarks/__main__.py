@@ -184,7 +184,7 @@ def _entry(speed: Measurement) -> Mapping[str, Any]:
 
 def machine() -> dict[str, str | int]:
     """The machine and the versions."""
-    from magical_mj.rendering.canvas import opengl_name
+    from magical_mj.rendering.opengl import opengl_name
 
     cpu = platform.processor() or platform.machine()
     if CPU_INFO.exists():
