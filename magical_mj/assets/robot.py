@@ -236,16 +236,14 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
     `scope` is that of `planar_name`.
     """
     move_body(model, "robot", robot.pose, scope)
-    fingers = body_named(robot.body).fingers
-    if fingers:
-        for side, angle in zip(MOTORS, robot.fingers, strict=True):
-            bend_body(model, f"{scope}{side}_finger", angle)
     for wheel, force in wheel_caps(dynamics.drive_force).items():
         model.pair_friction[index_of(model, "pair", wheel), :2] = foot_friction(force)
-    for motor, torque in torque_caps(dynamics.turn_torque, dynamics.finger_torque).items():
-        if not fingers and motor in MOTORS.values():
-            continue
-        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = torque
+    caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque)
+    for motor in actuators(robot.body)[len(WHEELS) :]:
+        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = caps[motor]
+    if body_named(robot.body).fingers:
+        for side, angle in zip(MOTORS, robot.fingers, strict=True):
+            bend_body(model, f"{scope}{side}_finger", angle)
 
 
 @lru_cache(16)

@@ -7,6 +7,7 @@ pictures are the same to the byte. `NUMBA_ENABLE_CUDASIM=1` runs them without an
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -233,7 +234,7 @@ def launch(
     tables: Tables,
     faults: Faults | None,
     corner_capacity: int,
-    posed: tuple[Any, Any, Any],
+    posed: Sequence[Any],
     view: str,
     envs: Any,
     out: Any,
@@ -284,14 +285,5 @@ class Canvas:
         handle = torch.cuda.current_stream(self._device).cuda_stream
         with cuda.gpus[self._device.index or 0]:
             stream = cuda.external_stream(handle) if handle else cuda.default_stream()
-            poses, fingers, steps, chosen, pictures = map(cuda.as_cuda_array, (*posed, envs, out))
-            launch(
-                self._tables,
-                self._faults,
-                self._corner_capacity,
-                (poses, fingers, steps),
-                view,
-                chosen,
-                pictures,
-                stream,
-            )
+            *here, chosen, pictures = map(cuda.as_cuda_array, (*posed, envs, out))
+            launch(self._tables, self._faults, self._corner_capacity, here, view, chosen, pictures, stream)

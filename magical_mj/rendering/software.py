@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterable
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final
@@ -106,32 +105,23 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
         The table of polygons for `scanlines.paint`, the corners of geoms (those of skins are in the model), and the
         value of each polygon in segmentations.
     """
-    table: list[tuple[int, int, int, int, int]] = []
-    corners: list[NDArray[np.float64]] = []
-    segments: list[int] = []
-    count = 0
-
-    def add_geoms(geoms: Iterable[int]) -> None:
-        nonlocal count
-        for geom in geoms:
-            body = int(model.geom_bodyid[geom])
-            segment = _segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body))
-            for part in _parts(model, geom):
-                table.append((count, count + len(part), body, geom, 0))
-                corners.append(part)
-                segments.append(segment)
-                count += len(part)
-
-    shown = np.flatnonzero(drawn(model.geom_group))
-    moves = model.body_weldid[model.geom_bodyid[shown]] != 0
-    add_geoms(shown[~moves].tolist())
-    for skin in range(model.nskin):
-        first, number = int(model.skin_vertadr[skin]), int(model.skin_vertnum[skin])
-        for start in range(first, first + number, 4):
-            table.append((start, start + 4, 0, skin, 1))
-            segments.append(min(REGION + skin // 2, BLOCK - 1))  # fill and border
-    add_geoms(shown[moves].tolist())
-    return np.array(table, np.int32), np.concatenate(corners), np.array(segments, np.uint32)
+    shown = np.flatnonzero(drawn(model.geom_group)).tolist()
+    parts = [(geom, part) for geom in shown for part in _parts(model, geom)]
+    ends = np.cumsum([len(part) for _, part in parts]).tolist()
+    bodies, roots = model.geom_bodyid.tolist(), model.body_weldid.tolist()
+    still, moving = [], []  # rows of the table, with the values in segmentations
+    for (geom, part), end in zip(parts, ends, strict=True):
+        body = bodies[geom]
+        segment = _segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body))
+        (moving if roots[body] else still).append((end - len(part), end, body, geom, 0, segment))
+    spans = zip(model.skin_vertadr.tolist(), model.skin_vertnum.tolist(), strict=True)
+    skins = [
+        (start, start + 4, 0, skin, 1, min(REGION + skin // 2, BLOCK - 1))  # fill and border
+        for skin, (first, count) in enumerate(spans)
+        for start in range(first, first + count, 4)
+    ]
+    table = np.array([*still, *skins, *moving], np.int32)
+    return table[:, :5].copy(), np.concatenate([part for _, part in parts]), table[:, 5].astype(np.uint32)
 
 
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
