@@ -175,13 +175,13 @@ def in_words(action: int | NDArray[Any]) -> str:
     return ", ".join(words + ["grip"] * gripper) or "nothing"
 
 
-def file_names(episodes: Iterable[tuple[str, EpisodeResult]]) -> list[str]:
-    """The names of the videos that `film_episodes` makes."""
-    names: list[str] = []
+def by_file_name(episodes: Iterable[tuple[str, EpisodeResult]]) -> dict[str, tuple[str, EpisodeResult]]:
+    """The episodes by the names of the videos that `film_episodes` makes."""
+    named: dict[str, tuple[str, EpisodeResult]] = {}
     for which, score in episodes:
         name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
-        names.append(f"{len(names)}-{name}" if name in names else name)  # methods a/b and a-b have the same name here
-    return names
+        named[f"{len(named)}-{name}" if name in named else name] = which, score  # methods a/b and a-b are the same here
+    return named
 
 
 def film_episodes(
@@ -189,7 +189,7 @@ def film_episodes(
 ) -> dict[str, str]:
     """Makes a video of each episode. Episodes are pairs such as ("best", episode). Returns description -> file name."""
     links: dict[str, str] = {}
-    for name, (which, score) in zip(file_names(episodes), episodes, strict=True):
+    for name, (which, score) in by_file_name(episodes).items():
         with film(out / name, REPORT_SIZE, REPORT_SPEED, overwrite=True) as movie:
             replay(movie, score, renderer)
         about = f"{score.variant}, seed {score.seed}, score {score.score:.2f}"

@@ -14,7 +14,7 @@ from typer import Argument, Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
-from magical_mj.cli.film import file_names, film_episodes
+from magical_mj.cli.film import by_file_name, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import obstacle
@@ -89,10 +89,10 @@ def make_report(
         with counting(screen, "replaying episodes") as watch:
             found = explained.explain(folders, rules, may_name, lost=last_solvable, jobs=jobs, watch=watch)
     out = make_writable_folder(out or folders[0] / "report")
-    replaced = begin(out, [*file_names(episodes), *([explained.FOLDER] if explain else [])])
+    replaced = begin(out, [*by_file_name(episodes), *([explained.FOLDER] if explain else [])])
     links = film_episodes(episodes, out)
     if found is not None:
-        films = {score.key: f"../{name}" for name, (_, score) in zip(file_names(episodes), episodes, strict=True)}
+        films = {score.key: f"../{name}" for name, (_, score) in by_file_name(episodes).items()}
         explained.write_explanation(found, out / explained.FOLDER, films)
         links = {"Which goal did a policy pursue?": f"{explained.FOLDER}/{explained.PAGE}", **links}
     page = write_report(data, out, links)

@@ -38,8 +38,8 @@ def demonstrations_given(
 ) -> dict[str, tuple[Demonstration | Stored, ...]]:
     """The demonstrations that policies receive, by the task that is played.
 
-    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made, and
-    `watch` follows that.
+    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made, with
+    calls of `watch`.
 
     Raises:
         DemonstrationError: if a task has too few, or the expert fails.
@@ -89,7 +89,7 @@ def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
 
 
 def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
-    """Demonstrations with their states. Stored actions are replayed, unless another version has stored them."""
+    """Demonstrations with their states. Stored actions are replayed; those of another version are an error."""
     from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
 
     path = stored.default_path()

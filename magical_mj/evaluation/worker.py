@@ -29,16 +29,7 @@ from magical_mj.evaluation.given import (
 from magical_mj.evaluation.rollouts import Env, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import (
-    Act,
-    Episode,
-    PolicyError,
-    Transitions,
-    policy_task,
-    uses_demonstrations,
-    uses_instruction,
-    uses_simulation,
-)
+from magical_mj.policies.interface import Act, Episode, PolicyError, Transitions, policy_task
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.shifts.registry import split_body
@@ -150,8 +141,8 @@ class Player:
         """
         source = self.policies[unit.policy, unit.run]
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
-        env, others = self._env(unit, policy), self._others(unit)
-        episodes, results = self._episodes(unit, policy, others), self._results(unit, source, policy, others)
+        env, others = self._env(unit, source), self._others(unit)
+        episodes, results = self._episodes(unit, source, policy, others), self._results(unit, source, policy, others)
         limit, split = self.settings.time_limit, Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
         several, seconds = len(unit.seeds) > 1, limit * len(unit.seeds)
 
@@ -177,12 +168,12 @@ class Player:
         for what in list(self._kept):
             self._drop(what)
 
-    def _env(self, unit: Unit, policy: Act) -> Env | VectorEnv[Any, Any, Any]:
-        settings, size, reads = self.settings, len(unit.seeds), uses_instruction(policy)
+    def _env(self, unit: Unit, source: Source) -> Env | VectorEnv[Any, Any, Any]:
+        settings, size, reads = self.settings, len(unit.seeds), "instruction" not in source.unnoticed
         key = unit.task, unit.variant, unit.shift, reads
         if settings.batched or size > 1:
             return self._keep("vector", (*key, size), lambda: _vector_env(unit, settings, reads))
-        observed = bool(settings.wrap) or not uses_simulation(policy)
+        observed = bool(settings.wrap) or not source.simulated
         return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, reads))
 
     def _others(self, unit: Unit) -> list[str]:
@@ -192,9 +183,9 @@ class Player:
         body = self.settings.body if self.settings.control == "wrong-instruction" else None
         return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
 
-    def _episodes(self, unit: Unit, policy: Act, others: Sequence[str]) -> list[Episode]:
+    def _episodes(self, unit: Unit, source: Source, policy: Act, others: Sequence[str]) -> list[Episode]:
         """The information that the policy receives at the start of each episode. `others` is from `_others`."""
-        task, shown = policy_task(unit.task, policy, self.settings.like), self._shown(unit.task, policy)
+        task, shown = policy_task(unit.task, policy, self.settings.like), self._shown(unit.task, source)
         misled = self.settings.control == "wrong-instruction"
         sentences = [task_spec(other).summary if misled else "" for other in others]
         return [
@@ -202,12 +193,12 @@ class Player:
             for seed, sentence in zip(unit.seeds, sentences, strict=True)
         ]
 
-    def _shown(self, task: str, policy: Act) -> tuple[Any, ...]:
+    def _shown(self, task: str, source: Source) -> tuple[Any, ...]:
         """The demonstrations of a task in the form that the policy uses."""
-        if not uses_demonstrations(policy):
+        if not source.shown:
             return ()
         demos, settings = self.demonstrations[task], self.settings
-        if uses_simulation(policy):
+        if source.simulated:
             return self._keep("demonstrations", (task, ""), lambda: with_states(demos))
         key = task, settings.observed
         return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
@@ -220,7 +211,7 @@ class Player:
         facts: dict[str, Any] = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
-            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.observed,
+            "preset": getattr(policy, "preset", None) if source.simulated else settings.observed,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,

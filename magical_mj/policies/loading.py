@@ -76,7 +76,8 @@ class Source:
             hash is not checked.
         batches: whether it acts in batches of observations. Set by `playable`, like the attributes below.
         preset: the preset of its observations.
-        unnoticed: the effects of shifts that it cannot notice.
+        unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
+        simulated: whether it uses the simulation instead of observations.
         shown: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
         played_in: the variants of the scenes in its training, if they are known, separated by commas.
@@ -91,6 +92,7 @@ class Source:
     batches: bool = False
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
+    simulated: bool = False
     shown: bool = False
     demonstration_set: int = 1
     played_in: str = "Demo"
@@ -231,6 +233,7 @@ def playable(
                 batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
                 preset=preset,
                 unnoticed=_unnoticed(policy, preset),
+                simulated=uses_simulation(policy),
                 shown=uses_demonstrations(policy),
                 needs_plan=getattr(policy, "needs_plan", False),
                 **learnt_from(source.origin, policy),
