@@ -38,6 +38,7 @@ class TrainingEnvs(VecEnv):
 
     Attributes:
         tasks: the numbers of the environments' tasks, ascending.
+        scores: those of the episodes that have ended. `ExternalRewardPPO` empties the list before each rollout.
     """
 
     render_mode: str | None = None
@@ -53,6 +54,7 @@ class TrainingEnvs(VecEnv):
         self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
+        self.scores: list[float] = []
         seen, actions = single
         if settings.states:
             seen = spaces.Box(-np.inf, np.inf, (HISTORY, *(seen.shape or ())), np.float32)
@@ -85,8 +87,8 @@ class TrainingEnvs(VecEnv):
             infos[number] = {
                 "terminal_observation": {OBSERVATION: last[number], TASK: self._one_hot[number]},
                 "TimeLimit.truncated": not broken[number],  # a broken state is a termination
-                "eval_score": float(scores[number]),
             }
+        self.scores += scores[ended].tolist()
         self._restart(ended, observations)
         return self._observations(observations), np.zeros(self.num_envs, np.float32), ended, infos
 
