@@ -47,9 +47,8 @@ class TrainingEnvs(VecEnv):
         tasks, siblings = len(settings.tasks), settings.ppo.environments // len(settings.tasks)
         self.tasks = np.repeat(np.arange(tasks), siblings)
         self._one_hot = np.eye(tasks, dtype=np.float32)[self.tasks]
-        # The number of random actions at the start of each environment's first episode. If all environments started
-        # together, they would always be at the same step of their episodes, and each batch would contain only one phase
-        # of the task. So they are spread over the horizon, as in rlpyt, the paper's library, by default.
+        # The number of random actions at the start of each environment's first episode: environments are spread over
+        # the horizon, as in rlpyt, the paper's library, so that each batch contains all phases of the task.
         horizons = np.array([task_spec(task).horizon() for task in settings.tasks])[self.tasks]
         self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
