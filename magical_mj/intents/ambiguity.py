@@ -105,7 +105,7 @@ class Judge:
         self._together, self._alone = np.flatnonzero(together), np.flatnonzero(~together)
         likes = [self.intents[number] for number in self._together]
         conjuncts = sorted({one for intent in likes for one in intent.conjuncts}, key=lambda one: one.selector == REST)
-        used = {one.selector for one in conjuncts if RELATIONS[one.relation].of_blocks and one.selector != REST}
+        used = {one.selector for one in conjuncts if one.definition.of_blocks and one.selector != REST}
         self._table = _table_of(conjuncts, sorted(used) or [ALL])
         number_of = {conjunct: number for number, conjunct in enumerate(conjuncts)}
         pairs = [sorted((number_of[intent.conjuncts[0]], number_of[intent.conjuncts[-1]])) for intent in likes]
@@ -129,9 +129,7 @@ class Judge:
 def _is_like_rivals(intent: Intent) -> bool:
     """Whether an intent has at most two conjuncts, of the kinds that rivals have."""
     return len(intent.conjuncts) <= 2 and all(
-        one.selector == ALL
-        if one.relation == "clustered"
-        else one.selector != REST or RELATIONS[one.relation].each is not None
+        one.selector == ALL if one.relation == "clustered" else one.selector != REST or one.definition.each is not None
         for one in intent.conjuncts
     )
 
@@ -166,7 +164,7 @@ def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _
     kinds = [one if one.selector == REST else replace(one, selector=ALL) for one in conjuncts]
     kind_of = {kind: number for number, kind in enumerate(dict.fromkeys(kinds))}
     selector_of = {selector: number for number, selector in enumerate(selectors)}
-    of = [selector_of.get(one.selector, -1) if RELATIONS[one.relation].of_blocks else -1 for one in conjuncts]
+    of = [selector_of.get(one.selector, -1) if one.definition.of_blocks else -1 for one in conjuncts]
     return _Table(
         tuple(conjuncts),
         np.array([conjunct_bits(one) for one in conjuncts]),
@@ -232,7 +230,7 @@ def _of_selectors(kind: Conjunct, masks: Flags, valid: Flags, initial: Scene, fi
         initial: the initial scene.
         final: the final scene.
     """
-    relation = RELATIONS[kind.relation]
+    relation = kind.definition
     if relation.each is not None:
         return _of_each(kind, relation.each, ~masks if kind.selector == REST else masks, initial, final) & valid
     if not relation.of_blocks or kind.relation == "clustered":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
+from magical_mj.intents.relations import ANY, Conjunct
 from magical_mj.intents.selectors import REGION, REST, Selector, Test
 
 
@@ -26,7 +26,7 @@ def without_repetition(conjuncts: Sequence[Conjunct]) -> list[Conjunct]:
 
 def implies(one: Conjunct, other: Conjunct) -> bool:
     """Whether the form of two different conjuncts shows that the other holds where one does and both say something."""
-    relation = RELATIONS[one.relation]
+    relation = one.definition
     if (one.relation, other.relation) == ("exactly", "in"):
         return other.any_of and other.argument == REGION and narrower(one.selector, other.selector)
     if one.relation != other.relation or one.number != other.number or REST in (one.selector, other.selector):
@@ -74,4 +74,4 @@ def _means_something_where(conjunct: Conjunct, other: Conjunct) -> bool:
     if conjunct.selector == other.selector or conjunct.any_of:
         return True
     plain = all(test.name in ("colour", "shape") and test.value != REGION for test in conjunct.selector)
-    return plain and RELATIONS[conjunct.relation].least == 0
+    return plain and conjunct.definition.least == 0

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from magical_mj.intents.relations import ANY, HOME, RELATIONS, Conjunct
+from magical_mj.intents.relations import ANY, HOME, Conjunct
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, names_one
 from magical_mj.scene.constants import SHAPES
 
@@ -62,7 +62,7 @@ def _clauses(conjunct: Conjunct) -> list[str]:
     """What asks for one conjunct, in different words."""
     argument = conjunct.argument
     one = conjunct.any_of or names_one(conjunct.selector) or conjunct.number == 1
-    blocks = _blocks(conjunct) if RELATIONS[conjunct.relation].of_blocks else ""
+    blocks = _blocks(conjunct) if conjunct.definition.of_blocks else ""
     words = {
         "argument": argument,
         "blocks": blocks,

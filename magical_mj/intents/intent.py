@@ -141,7 +141,7 @@ def intent_bits(conjuncts: Sequence[Conjunct]) -> float:
 
 def conjunct_bits(conjunct: Conjunct) -> float:
     """The description length of one conjunct."""
-    relation = RELATIONS[conjunct.relation]
+    relation = conjunct.definition
     bits = math.log2(len(RELATIONS)) + math.log2(len(relation.arguments)) + (1.0 if relation.quantified else 0.0)
     if conjunct.relation == "exactly":
         bits += 2.0
@@ -192,7 +192,7 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
     kept = sorted(without_repetition(single), key=lambda one: (order.index(one.relation), str(one)))
     if len(kept) > MOST_CONJUNCTS:
         raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
-    naming = [one.selector for one in kept if RELATIONS[one.relation].of_blocks and one.selector != REST]
+    naming = [one.selector for one in kept if one.definition.of_blocks and one.selector != REST]
     with_others = any(one.selector == REST for one in kept)
     if with_others and not naming and len(kept) > 1:  # others are all blocks
         return intent_of([replace(one, selector=ALL) for one in kept])

@@ -16,7 +16,7 @@ import numpy as np
 
 from magical_mj.intents.distances import ARRANGED, Floats, Slack, distances, slack_of
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.relations import RELATIONS, Conjunct
+from magical_mj.intents.relations import Conjunct
 from magical_mj.intents.selectors import block_of
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.tasks.cluster import NEARER
@@ -108,7 +108,7 @@ class _Attempt:
         self._conjuncts = [
             (conjunct, blocks)
             for conjunct, blocks in zip(intent.conjuncts, intent.blocks(initial), strict=True)
-            if RELATIONS[conjunct.relation].of_blocks
+            if conjunct.definition.of_blocks
         ]
         references = [block_of(conjunct.argument, initial) for conjunct, _ in self._of("near")]
         self._order = sorted(self._wants, key=lambda index: index not in references)
@@ -213,7 +213,7 @@ class _Attempt:
 
 def _drive(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The subgoal of the robot, if a relation about it does not hold."""
-    about = [conjunct for conjunct in intent.conjuncts if not RELATIONS[conjunct.relation].of_blocks]
+    about = [conjunct for conjunct in intent.conjuncts if not conjunct.definition.of_blocks]
     if all(all(conjunct.parts(initial, now)) for conjunct in about):
         return []
     wants = [slack_of(conjunct, initial, None) for conjunct in about]
@@ -268,5 +268,5 @@ def _blocks_hold(intent: Intent, initial: Scene, final: Scene) -> bool:
     return all(
         all(parts)
         for conjunct, parts in zip(intent.conjuncts, intent.parts(initial, final), strict=True)
-        if RELATIONS[conjunct.relation].of_blocks
+        if conjunct.definition.of_blocks
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.relations import RELATIONS, STAYED
+from magical_mj.intents.relations import STAYED
 from magical_mj.scene import Scene
 
 SAME_PLACE: Final = 0.3
@@ -55,7 +55,7 @@ def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
     wanted: set[int] = set()
     every = intent.parts(initial, initial), intent.blocks(initial)
     for conjunct, parts, blocks in zip(intent.conjuncts, *every, strict=True):
-        relation = RELATIONS[conjunct.relation]
+        relation = conjunct.definition
         if all(parts):
             continue
         flags = relation.each(conjunct.argument, initial, initial) if relation.each else [False] * len(initial.blocks)
@@ -106,7 +106,7 @@ def ending(
     if solved:
         return {"intended": 1.0}
     moved, wanted = set(moved_blocks(initial, final)), intended_blocks(intent, initial)
-    if not any(RELATIONS[conjunct.relation].of_blocks for conjunct in intent.conjuncts):
+    if not any(conjunct.definition.of_blocks for conjunct in intent.conjuncts):
         return {_robot_ending(demonstrated, initial, final): 1.0}
     if not moved:
         return {"nothing": 1.0}

@@ -65,10 +65,14 @@ class Conjunct:
     def __str__(self) -> str:
         parts = [str(self.number)] if self.relation == "exactly" else []
         parts += [ANY] if self.any_of else []
-        parts += [text_of(self.selector)] if RELATIONS[self.relation].of_blocks else []
-        if argument := RELATIONS[self.relation].written(self.argument):
-            parts.append(argument)
+        parts += [text_of(self.selector)] if self.definition.of_blocks else []
+        parts += [self.definition.prefix + self.argument] if self.argument else []
         return f"{self.relation}({', '.join(parts)})"
+
+    @property
+    def definition(self) -> Relation:
+        """How the relation is written and judged."""
+        return RELATIONS[self.relation]
 
     def parts(self, initial: Scene, final: Scene, named: tuple[int, ...] = ()) -> list[bool]:
         """Whether it holds, for each object.
@@ -82,7 +86,7 @@ class Conjunct:
             UngroundedError: if it means nothing in the initial scene, or is about no block, though something is wanted
                 of one.
         """
-        relation, blocks = RELATIONS[self.relation], self.blocks(initial, named)
+        relation, blocks = self.definition, self.blocks(initial, named)
         if relation.each is not None:
             flags = relation.each(self.argument, initial, final)
             parts = [flag for flag in (flags[index] for index in blocks) if flag is not None]
@@ -95,7 +99,7 @@ class Conjunct:
 
     def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
         """The blocks that it is about; none for relations of the robot."""
-        if not RELATIONS[self.relation].of_blocks:
+        if not self.definition.of_blocks:
             return ()
         if self.selector == REST:
             return tuple(index for index in range(len(initial.blocks)) if index not in named)
@@ -103,7 +107,7 @@ class Conjunct:
 
     def judged(self, blocks: Sequence[int], initial: Scene) -> list[int]:
         """Those of its blocks that the relation can judge: not, for example, the reference of `near`."""
-        if (each := RELATIONS[self.relation].each) is None:
+        if (each := self.definition.each) is None:
             return list(blocks)
         flags = each(self.argument, initial, initial)
         return [index for index in blocks if flags[index] is not None]
@@ -143,10 +147,6 @@ class Relation:
     def quantified(self) -> bool:
         """Whether "any" may stand before the selector."""
         return self.each is not None and self.least > 0
-
-    def written(self, value: str) -> str:
-        """An argument as a text writes it."""
-        return f"{self.prefix}{value}" if value else ""
 
 
 def _in(argument: str, initial: Scene, final: Scene) -> list[bool | None]:

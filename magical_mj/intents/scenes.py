@@ -16,7 +16,7 @@ import numpy as np
 
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.plans import solved
-from magical_mj.intents.relations import HOME, RELATIONS, Conjunct
+from magical_mj.intents.relations import HOME, Conjunct
 from magical_mj.intents.selectors import REGION, Test, UngroundedError
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE, REGION_SIZE, SHAPES, Colour, Shape
@@ -84,7 +84,7 @@ def accepts(intent: Intent, scene: Scene) -> bool:
 def keeps(conjunct: Conjunct) -> bool:
     """Whether a relation asks to change nothing where it holds, such as `untouched`."""
     starts_in = any(test.name == "starts" and test.value != "out" for test in conjunct.selector)
-    return RELATIONS[conjunct.relation].least == 0 or conjunct.argument == HOME or starts_in
+    return conjunct.definition.least == 0 or conjunct.argument == HOME or starts_in
 
 
 def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:

@@ -193,8 +193,7 @@ def keep_freed_memory() -> None:
     """Makes glibc keep freed memory. With other C libraries it does nothing.
 
     Training frees and allocates blocks of many megabytes in every batch. By default these are returned to the system,
-    which must clear them again: a quick BC step would take 1.7 times as long. A larger threshold for returned blocks is
-    not enough: glibc allows 32 MiB at most, and a batch of the full network needs 72 MiB at once.
+    which must clear them again: a quick BC step would take 1.7 times as long.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -207,9 +206,8 @@ def keep_freed_memory() -> None:
 def threads_for(settings: TrainingSettings, begun: int | None = None) -> int:
     """The number of PyTorch's threads for a training: one for states; otherwise `begun`, or PyTorch's default.
 
-    With another number of threads, sums are rounded differently. The networks for states are so small that a second
-    thread gains a tenth on idle cores. On busy cores, threads wait for each other: BC did 1.4 batches per second with
-    two threads, and 106 with one.
+    With another number of threads, sums are rounded differently. The networks for states are so small that threads
+    gain little, and on busy cores they wait for each other.
     """
     return 1 if settings.states else begun or torch.get_num_threads()
 

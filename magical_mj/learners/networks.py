@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Final
 
 import torch
@@ -37,18 +36,9 @@ The scale is fixed. If features were scaled by their deviation in the demonstrat
 would dominate as soon as they vary a little, as in the Jitter variant.
 """
 
-_ENTITY: Final[Mapping[str, int]] = {
-    "position seen by the robot": 2,
-    "heading seen by the robot": 2,  # sine and cosine; all regions are parallel to the axes
-    "position": 2,
-    "shape": 4,
-    "colour": 4,
-    "movements": 3 * (HISTORY - 1),
-    "half size": 2,
-    "is a region": 1,
-}
-"""The features of a block or a region and their widths, in order. Features that do not apply are 0."""
-ENTITY_FEATURES: Final = sum(_ENTITY.values())
+ENTITY_FEATURES: Final = 2 + 2 + 2 + 4 + 4 + 3 * (HISTORY - 1) + 2 + 1
+"""Of a block or a region: position and heading (sine and cosine) in the robot's frame, position, shape, colour,
+movements, half size, and 1 for a region. Features that do not apply are 0. The angle of a region is 0."""
 ROBOT_FEATURES: Final = 6 + 5 * (HISTORY - 1)
 
 
@@ -314,36 +304,23 @@ class _Robot:
         moved = (poses[:, -1:] - poses[:, :-1]) / _MOVEMENT
         return torch.cat([self.rotated(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
 
-    def view(self, position: Tensor, angle: Tensor) -> dict[str, Tensor]:
-        """Objects with these positions (n, rows, 2) and angles (n, rows, 1) in its frame: some of the `_ENTITY`."""
+    def view(self, position: Tensor, angle: Tensor) -> list[Tensor]:
+        """The first three features of objects with positions (n, rows, 2) and angles (n, rows, 1)."""
         heading = angle - self.angle[:, None, None]
-        return {
-            "position seen by the robot": self.rotated(position - self.position[:, None]),
-            "heading seen by the robot": torch.cat([heading.sin(), heading.cos()], -1),
-            "position": position,
-        }
+        seen = self.rotated(position - self.position[:, None])
+        return [seen, torch.cat([heading.sin(), heading.cos()], -1), position]
 
 
 def _of_blocks(blocks: Tensor, robot: _Robot) -> Tensor:
     """The features (n, rows, ENTITY_FEATURES) of blocks (n, HISTORY, rows, columns)."""
     now = blocks[:, -1]
-    view = robot.view(now[..., 1:3], now[..., 3:4])
-    names = {"shape": now[..., SHAPES], "colour": now[..., COLOURS]}
-    return _rows({**view, **names, "movements": robot.movements(blocks[..., 1:4])})
+    view, movements = robot.view(now[..., 1:3], now[..., 3:4]), robot.movements(blocks[..., 1:4])
+    return nn.functional.pad(torch.cat([*view, now[..., SHAPES], now[..., COLOURS], movements], -1), (0, 3))
 
 
 def _of_regions(regions: Tensor, robot: _Robot) -> Tensor:
     """The features (n, rows, ENTITY_FEATURES) of regions (n, rows, columns)."""
     lower, upper = regions[..., 1:3], regions[..., 3:5]
-    view = robot.view((lower + upper) / 2, torch.zeros_like(regions[..., :1]))
-    half = (upper - lower) / 2
-    return _rows({**view, "colour": regions[..., 5:], "half size": half, "is a region": torch.ones_like(half[..., :1])})
-
-
-def _rows(features: Mapping[str, Tensor]) -> Tensor:
-    """Concatenates features of the `_ENTITY`, each of shape (n, rows, width), in its order. Missing ones are 0."""
-    position = features["position"]
-    columns = []
-    for name, width in _ENTITY.items():
-        columns.append(features[name] if name in features else position.new_zeros(*position.shape[:2], width))
-    return torch.cat(columns, -1)
+    view, half = robot.view((lower + upper) / 2, torch.zeros_like(regions[..., :1])), (upper - lower) / 2
+    shape, movements = (regions.new_zeros(*regions.shape[:2], width) for width in (4, 3 * (HISTORY - 1)))
+    return torch.cat([*view, shape, regions[..., 5:], movements, half, torch.ones_like(half[..., :1])], -1)

@@ -12,7 +12,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import DictRolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -106,24 +105,6 @@ class EvenBuffer(DictRolloutBuffer):
             )
 
 
-class _Scores(BaseCallback):
-    """The mean score of the episodes that ended in the last update with finished episodes; 0 before the first one."""
-
-    latest = 0.0
-
-    def _on_rollout_start(self) -> None:
-        self._ended = list[float]()
-
-    def _on_step(self) -> bool:
-        pairs = zip(self.locals["infos"], self.locals["dones"], strict=True)
-        self._ended += [info["eval_score"] for info, done in pairs if done]
-        return True
-
-    def _on_rollout_end(self) -> None:
-        if self._ended:
-            self.latest = float(np.mean(self._ended))
-
-
 class ExternalRewardPPO(PPO):
     """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
@@ -163,9 +144,10 @@ class ExternalRewardPPO(PPO):
         )
         self._environments = environments
         self._rollout_size = ppo.environments * ppo.steps
-        self._scores = _Scores()
+        self.score = 0.0
+        """The mean score of the episodes in the last rollout in which episodes ended; 0 before the first one."""
         self.set_logger(Logger(folder=None, output_formats=[]))  # the default one makes a temporary folder
-        self._setup_learn(ppo.total_steps // self._rollout_size * self._rollout_size, self._scores)
+        _, self._callback = self._setup_learn(ppo.total_steps // self._rollout_size * self._rollout_size)
 
     @staticmethod
     def _wrap_env(env: TrainingEnvs, *_: Any) -> TrainingEnvs:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -174,7 +156,10 @@ class ExternalRewardPPO(PPO):
 
     def collect(self, *, pairs: bool = False) -> Rollout:
         """Plays `ppo.steps` steps in each environment, and returns them; with `pairs`, with the following states."""
-        self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
+        self._environments.scores.clear()
+        self.collect_rollouts(self._environments, self._callback, self.rollout_buffer, self.n_steps)
+        if self._environments.scores:
+            self.score = float(np.mean(self._environments.scores))
         buffer = self.rollout_buffer
         seen = buffer.observations[OBSERVATION]
         if pairs:
@@ -199,7 +184,7 @@ class ExternalRewardPPO(PPO):
         self.train()
         metrics = self.logger.name_to_value
         return {
-            "score": self._scores.latest,
+            "score": self.score,
             "entropy": -float(metrics["train/entropy_loss"]),
             "kl": float(metrics["train/approx_kl"]),
             "value loss": float(metrics["train/value_loss"]),
@@ -214,7 +199,7 @@ class ExternalRewardPPO(PPO):
             "starts": np.array(self._last_episode_starts),
             "steps": self.num_timesteps,
             "epochs": self._n_updates,
-            "score": self._scores.latest,
+            "score": self.score,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -224,7 +209,7 @@ class ExternalRewardPPO(PPO):
         self._last_obs = self._environments.set_state(state["environments"])
         self._last_episode_starts = state["starts"]
         self.num_timesteps, self._n_updates = state["steps"], state["epochs"]
-        self._scores.latest = state["score"]
+        self.score = state["score"]
 
 
 class RewardLearner(Learner):

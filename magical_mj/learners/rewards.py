@@ -111,17 +111,6 @@ def agreement(sums: Sequence[float] | NDArray[np.float64], scores: Sequence[floa
     return Agreement(correlation, auc)
 
 
-class _Run(NamedTuple):
-    """A training with its settings."""
-
-    path: Path
-    settings: TrainingSettings
-
-    @property
-    def learns_reward(self) -> bool:
-        return learns_reward(self.settings.method)
-
-
 def evaluate_rewards(
     runs: Path | str | Iterable[Path | str],
     variants: str | Iterable[str] = "all",
@@ -151,25 +140,25 @@ def evaluate_rewards(
     """
     if as_integer(scenes, 1) is None:
         raise SettingsError(f"scenes must be an integer of at least 1, not {short_repr(scenes)}")
-    listed = [runs] if isinstance(runs, str | PathLike) else runs
-    found = [_Run(path := files.to_path(run), settings_in(path)) for run in listed]
-    folders = [run.path.resolve() for run in found]
-    if twice := [run.path for run, folder in zip(found, folders, strict=True) if folders.count(folder) > 1]:
+    paths = [files.to_path(run) for run in ([runs] if isinstance(runs, str | PathLike) else runs)]
+    settings_of = {path: settings_in(path) for path in paths}
+    folders = [path.resolve() for path in paths]
+    if twice := [path for path, folder in zip(paths, folders, strict=True) if folders.count(folder) > 1]:
         raise SettingsError(f"give each training once: {twice[-1]} is given twice, and its episodes would count double")
-    if not any(run.learns_reward for run in found):
+    rewarding = [path for path in paths if learns_reward(settings_of[path].method)]
+    if not rewarding:
         able = ", ".join(filter(learns_reward, METHODS))
         raise SettingsError(f"none of these trainings has learnt a reward: give a training of {able}")
-    if len(presets := {run.settings.preset for run in found}) > 1:
+    if len(presets := {settings.preset for settings in settings_of.values()}) > 1:
         raise SettingsError(f"the trainings have different presets: {', '.join(sorted(presets))}")
     rows = []
-    for task in dict.fromkeys(task for run in found for task in run.settings.tasks):
-        own = [run for run in found if task in run.settings.tasks]
-        if not any(run.learns_reward for run in own):
-            continue
-        for _, variant in environments(task, variants):
+    for task in dict.fromkeys(task for settings in settings_of.values() for task in settings.tasks):
+        own = {path: settings for path, settings in settings_of.items() if task in settings.tasks}
+        judging = [path for path in rewarding if path in own]
+        for _, variant in environments(task, variants) if judging else ():
             watch(f"{task}-{variant}")
             played = list(_episodes(task, variant, scenes, own, jobs))
-            rows += [row for run in own if run.learns_reward for row in _judged(run, task, variant, played)]
+            rows += [row for path in judging for row in _judged(path, own[path], played)]
     return pd.DataFrame(rows)
 
 
@@ -194,7 +183,9 @@ class _Played(NamedTuple):
     demonstration: Demonstration
 
 
-def _episodes(task: str, variant: str, scenes: int, runs: Sequence[_Run], jobs: int | None) -> Iterator[_Played]:
+def _episodes(
+    task: str, variant: str, scenes: int, runs: Mapping[Path, TrainingSettings], jobs: int | None
+) -> Iterator[_Played]:
     """The episodes of all kinds in an environment."""
     steps = task_spec(task).horizon()
     keys = [(task, variant, SPLITS["dev"] + number) for number in range(scenes)]
@@ -213,24 +204,23 @@ def _episodes(task: str, variant: str, scenes: int, runs: Sequence[_Run], jobs: 
         ]
         for kind, chosen, demonstrator in kinds:
             yield _Played(kind, "", replayed(task, variant, made.seed, chosen.tolist(), demonstrator))
-    played = {"tasks": task, "variants": variant, "episodes": scenes, "split": "dev", "preset": runs[0].settings.preset}
-    frame = evaluate(
-        {f"{run.settings.method} {number}": run.path for number, run in enumerate(runs)}, jobs=jobs, **played
-    )
+    policies = {f"{settings.method} {number}": path for number, (path, settings) in enumerate(runs.items())}
+    preset = next(iter(runs.values())).preset
+    frame = evaluate(policies, tasks=task, variants=variant, episodes=scenes, split="dev", preset=preset, jobs=jobs)
     for row in frame.itertuples():
         demonstration = replayed(task, variant, int(row.seed), actions_of(row.actions), "policy")
         yield _Played("policy", str(row.policy).partition(" ")[0], demonstration)
 
 
-def _judged(run: _Run, task: str, variant: str, played: Sequence[_Played]) -> Iterator[dict[str, object]]:
+def _judged(path: Path, settings: TrainingSettings, played: Sequence[_Played]) -> Iterator[dict[str, object]]:
     """A row for each episode."""
-    with torch_settings(threads_for(run.settings)), closing(learner_of_reward(run.path, run.settings)) as learner:
+    with torch_settings(threads_for(settings)), closing(learner_of_reward(path, settings)) as learner:
         for kind, player, demonstration in played:
             yield {
-                "run": str(run.path),
-                "method": run.settings.method,
-                "task": task,
-                "variant": variant,
+                "run": str(path),
+                "method": settings.method,
+                "task": demonstration.task,
+                "variant": demonstration.variant,
                 "seed": demonstration.scene_seed,
                 "kind": kind,
                 "player": player,

@@ -38,6 +38,7 @@ class TrainingEnvs(VecEnv):
 
     Attributes:
         tasks: the numbers of the environments' tasks, ascending.
+        scores: those of the episodes that have ended. `ExternalRewardPPO` empties the list before each rollout.
     """
 
     render_mode: str | None = None
@@ -46,13 +47,13 @@ class TrainingEnvs(VecEnv):
         tasks, siblings = len(settings.tasks), settings.ppo.environments // len(settings.tasks)
         self.tasks = np.repeat(np.arange(tasks), siblings)
         self._one_hot = np.eye(tasks, dtype=np.float32)[self.tasks]
-        # The number of random actions at the start of each environment's first episode. If all environments started
-        # together, they would always be at the same step of their episodes, and each batch would contain only one phase
-        # of the task. So they are spread over the horizon, as in rlpyt, the paper's library, by default.
+        # The number of random actions at the start of each environment's first episode: environments are spread over
+        # the horizon, as in rlpyt, the paper's library, so that each batch contains all phases of the task.
         horizons = np.array([task_spec(task).horizon() for task in settings.tasks])[self.tasks]
         self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
+        self.scores: list[float] = []
         seen, actions = single
         if settings.states:
             seen = spaces.Box(-np.inf, np.inf, (HISTORY, *(seen.shape or ())), np.float32)
@@ -85,8 +86,8 @@ class TrainingEnvs(VecEnv):
             infos[number] = {
                 "terminal_observation": {OBSERVATION: last[number], TASK: self._one_hot[number]},
                 "TimeLimit.truncated": not broken[number],  # a broken state is a termination
-                "eval_score": float(scores[number]),
             }
+        self.scores += scores[ended].tolist()
         self._restart(ended, observations)
         return self._observations(observations), np.zeros(self.num_envs, np.float32), ended, infos
 

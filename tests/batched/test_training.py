@@ -57,7 +57,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedEnvs) -> Non
         assert dones.tolist() == [False, step == 1]
     assert infos[0] == {}
     assert infos[1]["TimeLimit.truncated"]
-    assert infos[1]["eval_score"] == 0.0
+    assert worlds.scores == [0.0]
     last = infos[1]["terminal_observation"]
     np.testing.assert_array_equal(last[TASK], [0, 1])
     assert np.abs(last[OBSERVATION].astype(float) - wanted[OBSERVATION][1]).mean() < 0.05
