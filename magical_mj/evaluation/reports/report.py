@@ -176,6 +176,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
             for suffix in ("png", "pdf"):
                 with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
                     drawing.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
+                drawing.set_layout_engine(None)  # the next file has the same layout
     return page
 
 
