@@ -77,7 +77,9 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
             f"the encoder in {path} learnt from demonstrations of set {number}: add --set demos.set={number}, so that "
             "evaluations of the policy record it"
         )
-    if problem := _misfit(encoder.weights, Torso(settings.network, batch_norm=True).convolutions.state_dict()):
+    with torch.device("meta"):  # only for its shapes
+        wanted = Torso(settings.network, batch_norm=True).convolutions.state_dict()
+    if problem := _misfit(encoder.weights, wanted):
         raise SettingsError(
             f"the encoder in {path} {problem}: give one by bc, or a file by save_encoder, with the same sizes "
             "(network.*, quick)"

@@ -69,7 +69,9 @@ def test_training_uses_the_encoders_features(tmp_path: Path) -> None:
     """The first loss is that of the file's weights in evaluation mode, which differ from those of a batch."""
     encoder = random_encoder(tmp_path / "encoder.safetensors")
     settings = using(tmp_path / "encoder.safetensors", augment="none")
+    before = torch.get_rng_state()
     learner, twin = BehaviouralCloning(settings), BehaviouralCloning(settings)
+    assert torch.equal(torch.get_rng_state(), before)
     reference = Torso(settings.network, batch_norm=True).eval()
     reference.convolutions.load_state_dict(dict(encoder.weights))
     reference.linear.load_state_dict(twin.actor.torso.linear.state_dict())
