@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 from xml.etree import ElementTree as ET
 
 from magical_mj.engine import Engine
@@ -41,14 +40,13 @@ class InspectServer(PlayServer):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        known = json.loads(self._files["catalogue.json"])
-        if self.model:
-            name, *files = self.model
-            known["model"] = {"name": name, "files": files}
-        self._files["catalogue.json"] = json.dumps(known).encode()
         self._files |= library_files()
         self._files |= {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
         self._files |= {f"model/{name}": content for name, content in self.model.items()}
+
+    def _catalogue(self) -> dict[str, Any]:
+        name, *files = self.model or [""]
+        return super()._catalogue() | ({"model": {"name": name, "files": files}} if name else {})
 
     def _content(self, name: str) -> bytes | None:
         if not name.startswith("models/"):

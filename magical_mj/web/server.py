@@ -83,17 +83,19 @@ class PlayServer:
     """The allowed sources of scripts, for browsers."""
 
     def __post_init__(self) -> None:
+        self._puzzles = {puzzle.name: puzzle for puzzle in self.puzzles}
+        self._operator = "" if self.collection is None else self.collection.token("operator")
+        self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
+        self._files["catalogue.json"] = json.dumps(self._catalogue()).encode()
+        self._files[""] = self._files["index.html"]
+
+    def _catalogue(self) -> dict[str, Any]:
         pairs = [pair for puzzle in self.puzzles for pair in puzzle.environments]
         known = {**catalogue(self.environments, "server", puzzles=pairs), "collects": self.collection is not None}
-        self._puzzles = {puzzle.name: puzzle for puzzle in self.puzzles}
-        self._operator = ""
         if self.collection is not None:
             study = self.collection.study
             known |= {"shows": study.shows, "title": study.title, "instructions": study.instructions}
-            self._operator = self.collection.token("operator")
-        self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
-        self._files["catalogue.json"] = json.dumps(known).encode()
-        self._files[""] = self._files["index.html"]
+        return known
 
     async def start(self) -> Server:
         """Starts the server. The returned server is an asynchronous context manager.
