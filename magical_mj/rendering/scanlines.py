@@ -205,16 +205,10 @@ def fill(x: Any, y: Any, count: int, colour: int, rows: Any, side: int, scratch:
 
 @inlined
 def paint(scene: Any, colours: Any, frames: Any, view: Any, side: int, scratch: Any) -> None:
-    """Paints polygons in their order, later ones over earlier ones. The arguments are those of `place` and `fill`.
+    """Paints polygons in their order and in these colours, later ones over earlier ones.
 
-    Args:
-        scene: the polygons.
-        colours: of each polygon.
-        frames: of each body.
-        view: of the camera.
-        side: samples per side of the picture.
-        scratch: samples row by row from below, shape (side * side,); for each row, the first sample of a polygon and
-            the one after its last, shapes (side,).
+    The other arguments are those of `place` and `fill`. The arrays in `scratch` have the shapes (side * side,), (side,)
+    and (side,).
     """
     x, y = np.empty(MAX_CORNERS, np.int64), np.empty(MAX_CORNERS, np.int64)
     scratch[0][: side * side] = 0

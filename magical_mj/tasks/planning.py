@@ -38,8 +38,7 @@ REACHABLE: Final = 0.84  # blocks are placed within this square (half side)
 GRID: Final = 0.06
 
 # Lines, with the costs FETCHING and CARRYING
-# between neighbours; blocks are up to 0.31 wide, and the score allows gaps up to 0.42
-SPACINGS: Final = (0.29, 0.34, 0.39)
+SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.31 wide, the score allows gaps up to 0.42
 ANGLES: Final = 24
 STAYS: Final = 0.09  # a block this near to its target position is not moved
 LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
@@ -50,8 +49,7 @@ FIXED_COST: Final = 1000.0  # cost of moving a block that should stay
 LINE_LIMIT: Final = 0.84  # lines end within this square
 
 # Clusters
-# the values that replace FETCHING, CARRYING and APART for clusters
-CLUSTER_FETCHING, CLUSTER_CARRYING, CLUSTER_APART = 16.0, 13.0, 0.28
+CLUSTER_FETCHING, CLUSTER_CARRYING, CLUSTER_APART = 16.0, 13.0, 0.28  # instead of FETCHING, CARRYING and APART
 WRONG_COST: Final = 60.0  # cost of a block that is nearer to another kind
 SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of the limit
 DOUBTFUL, HOPELESS = 0.7, 2.2  # the cost of a wrong block rises between these shares
