@@ -28,13 +28,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import (
-    Demonstration,
-    Demonstrator,
-    files_in,
-    read,
-    unpacked,
-)
+from magical_mj.demos.demonstration import Demonstration, Demonstrator, files_in, read, unpacked
 from magical_mj.demos.recording import replayed
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene.bodies import GRIPPER, body_named

@@ -18,10 +18,7 @@ LONG: Final = (" that ", " whose ", " nearest ", " farthest ")
 """Words of descriptions that come last in a clause, since "all blocks that are not stars next to ..." is ambiguous."""
 CLAUSES: Final[dict[str, tuple[str, ...]]] = {
     "in": ("bring {blocks} into the region", "put {blocks} in the region", "move {blocks} into the region"),
-    HOME: (
-        "keep {blocks} in the region where {they} started",
-        "leave {blocks} in the region where {they} started",
-    ),
+    HOME: ("keep {blocks} in the region where {they} started", "leave {blocks} in the region where {they} started"),
     KEPT: ("keep {blocks} in the region", "let the region still contain {blocks}"),
     "out": ("make sure that {blocks} {are} outside all regions", "let no region contain {any}"),
     "exactly": (

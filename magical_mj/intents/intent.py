@@ -64,7 +64,7 @@ class Intent:
     def share(self, initial: Scene, final: Scene) -> float:
         """The mean over conjuncts of the share of objects for which each holds; 0 where one means nothing."""
         try:
-            shares = [_share(parts) for parts in self.parts(initial, final)]
+            shares = [share_of(parts) for parts in self.parts(initial, final)]
         except UngroundedError:
             return 0.0
         return sum(shares) / len(shares) if min(shares) < 1.0 else 1.0
@@ -130,7 +130,8 @@ class Intent:
         return paraphrases_of(self.conjuncts)
 
 
-def _share(parts: list[bool]) -> float:
+def share_of(parts: list[bool]) -> float:
+    """The share of objects for which a conjunct holds; 1 if it is about none."""
     return sum(parts) / len(parts) if parts else 1.0
 
 

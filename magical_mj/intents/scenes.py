@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from magical_mj.intents.intent import Intent
+from magical_mj.intents.intent import Intent, share_of
 from magical_mj.intents.plans import solved
 from magical_mj.intents.relations import HOME, Conjunct
 from magical_mj.intents.selectors import REGION, Test, UngroundedError
@@ -67,7 +67,7 @@ def missing(intent: Intent, scene: Scene) -> str:
     except UngroundedError as error:
         return f"a relation is about nothing there: {error}"
     shares = [
-        sum(part) / len(part) if part else 1.0
+        share_of(part)
         for conjunct, part in zip(intent.conjuncts, parts, strict=True)
         if not (all(part) and keeps(conjunct))
     ]
@@ -126,9 +126,9 @@ def _proposal(intent: Intent, rng: np.random.Generator) -> Scene:
     while len(kinds) < number:
         kinds.append(pick(rng, kinds) if kinds and rng.random() < 0.3 else (pick(rng, colours), pick(rng, shapes)))
     kinds = shuffled(rng, kinds)
-    if any(test == Test("odd", "colour") for test in tests):
+    if Test("odd", "colour") in tests:
         kinds = [(kinds[0][0] if index else pick(rng, COLOURS), shape) for index, (_, shape) in enumerate(kinds)]
-    if any(test == Test("odd", "shape") for test in tests):
+    if Test("odd", "shape") in tests:
         kinds = [(colour, kinds[0][1] if index else pick(rng, SHAPES)) for index, (colour, _) in enumerate(kinds)]
     inner = regions if homes else pick(rng, (0, 1, 1, 2)) * regions
     boxes = tuple(_box(pick(rng, colours if rng.random() < 0.7 else COLOURS), index) for index in range(regions))

@@ -133,13 +133,7 @@ class Run:
                 watch(self.name, progress)
 
         train(self.settings, self.trained, resume=True, watch=count)
-        frame = evaluate(
-            {self.method: self.trained},
-            out=self.scores,
-            resume=True,
-            jobs=1,
-            **self.played,
-        )
+        frame = evaluate({self.method: self.trained}, out=self.scores, resume=True, jobs=1, **self.played)
         means = frame.groupby("variant", sort=False)["score"].mean()
         scores = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
         return f"{self.name}: {'trained' if updates else 'was trained before'}; {scores}"

@@ -83,12 +83,7 @@ class Torso(nn.Module):
     """
 
     def __init__(
-        self,
-        network: NetworkSettings,
-        *,
-        batch_norm: bool = False,
-        actions: bool = False,
-        features: int | None = None,
+        self, network: NetworkSettings, *, batch_norm: bool = False, actions: bool = False, features: int | None = None
     ) -> None:
         super().__init__()
         self.features = features or network.hidden

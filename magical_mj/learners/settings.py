@@ -131,12 +131,7 @@ class PPOSettings(Settings, part="ppo"):
     normalise_advantages: Annotated[bool, Meta(description="in each minibatch; rlpyt does not")] = False
     gradient_norm: Positive = 1.0
     averaging: Annotated[
-        float,
-        Meta(
-            ge=0,
-            lt=1,
-            description="the decay of the policies' moving average, which is evaluated",
-        ),
+        float, Meta(ge=0, lt=1, description="the decay of the policies' moving average, which is evaluated")
     ] = 0.0
     reward_deviation: Annotated[Positive, Meta(description="standard deviation of the normalised rewards")] = 0.1
 
@@ -186,8 +181,7 @@ class TrainingSettings(Settings):
     method: Annotated[str, Meta(description="one of `magical_mj.learners.METHODS`, or the name of your own method")]
     tasks: Annotated[tuple[str, ...], Meta(description="several tasks mean multi-task learning")]
     seed: Annotated[
-        int,
-        Meta(ge=0, le=2**63 - 1, description="Determines which demonstrations are used, and all random numbers."),
+        int, Meta(ge=0, le=2**63 - 1, description="Determines which demonstrations are used, and all random numbers.")
     ] = 0
     demonstrations: Annotated[
         Count | None,
@@ -197,10 +191,7 @@ class TrainingSettings(Settings):
         str, Meta(description="the folder with your own demonstrations, instead of those that come with the tasks")
     ] = ""
     preset: Annotated[str, Meta(description="The observation preset, such as LoRes4A.")] = "LoRes4E"
-    augment: Annotated[
-        Literal["all", "none", "no-trans-rot"],
-        Meta(description="all, none, or no-trans-rot."),
-    ] = "all"
+    augment: Annotated[Literal["all", "none", "no-trans-rot"], Meta(description="all, none, or no-trans-rot.")] = "all"
     device: Annotated[str, Meta(description="auto, cpu, cuda, ...")] = "auto"
     renderer: Annotated[
         RendererName | None,

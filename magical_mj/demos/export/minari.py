@@ -36,11 +36,7 @@ def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
 
 
 def to_minari(
-    demos: Sequence[Demonstration],
-    name: str | None = None,
-    preset: str = "State",
-    *,
-    overwrite: bool = False,
+    demos: Sequence[Demonstration], name: str | None = None, preset: str = "State", *, overwrite: bool = False
 ) -> str:
     """Writes demonstrations of one environment as a Minari data set.
 
