@@ -64,12 +64,17 @@ test("it opens and is played", async () => {
   assert.ok(rate > 0);
 });
 
-test("all environments can be played, and SweepToTop", async () => {
+test("each task and each variant can be played, and SweepToTop", async () => {  // all environments are opened in inspect.test.mjs
   await page.goto(`${site.address}play/?speed=${SPEED}`);
   const { environments } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
   assert.equal(environments.length, 66);
-  const since = performance.now();
-  for (const { task, variant } of environments) {
+  const since = performance.now(), seen = new Set();
+  const chosen = environments.filter((/** @type {any} */ { task, variant }) => {
+    const fresh = variant === "All" || !seen.has(task) || !seen.has(variant);
+    seen.add(task).add(variant);
+    return fresh;
+  });
+  for (const { task, variant } of chosen) {
     await page.evaluate((hash) => { location.hash = hash; }, `${task}-${variant}-1`);
     await page.waitForFunction(([task, variant]) => /** @type {any} */ (document.getElementById("task")).value === task
       && /** @type {any} */ (document.getElementById("variant")).value === variant, [task, variant]);
@@ -83,7 +88,7 @@ test("all environments can be played, and SweepToTop", async () => {
     assert.notEqual(await picture(), before, `${task}-${variant}: nothing moved`);
     assert.deepEqual(complaints, [], `${task}-${variant}`);
   }
-  console.log(`${environments.length} environments in ${((performance.now() - since) / 1000).toFixed(0)} s`);
+  console.log(`${chosen.length} environments in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
 test("the expert reaches the full score, and a player's episode is saved", async () => {
