@@ -171,5 +171,5 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     (run / "config.toml").unlink()
     refused("is not the folder of a training", path=run)
     with pytest.raises(SettingsError, match=r"point trains its convolutions, so bc\.encoder is for bc"):
-        train(tiny("point", **{"bc.encoder": file}), tmp_path / "new")
+        train(using(file, method="point"), tmp_path / "new")
     assert using(Path("near")).bc.encoder == str(Path("near").absolute())
