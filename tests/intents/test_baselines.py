@@ -80,7 +80,7 @@ def statements() -> list[str]:
     assert 2 * half == len(in_scenes(8))
     return [
         "are {} for random actions, {} for BC from demonstrations in one scene, and {} for a policy".format(*first),
-        "in a simulator has {} from one scene and {} from four.".format(*first[3:]),
+        "in a simulator has {} from one scene and {} from four [contrasting](#scenes) ones.".format(*first[3:]),
         f"plans score {one} from one scene, {eight} from eight random ones and {chosen} from eight contrasting ones.",
         f"Eight contrasting scenes settle half of the intents, eight random ones {few} of {len(in_scenes(8))}.",
         f"With eight scenes, contrasting ones gain {planned[0]:.2f} ({planned[1]:.2f} to {planned[2]:.2f}) over random",
