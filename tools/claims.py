@@ -50,7 +50,7 @@ class Claim(NamedTuple):
 
 
 def claims(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """The paper's claims, each with two of its figures, the same two of ours, and in which of both it holds."""
+    """The paper's claims, each with two of its figures and the same two of ours, by where they hold."""
     papers = {method.name: method for method in paper}
     papers[CLONED] = papers["BC (ST)"]
     ours = {name: methods[our_name] for name, our_name in OURS.items()}
@@ -60,14 +60,14 @@ def claims(methods: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
         (False, True): "only here",
         (False, False): "in neither",
     }
-    rows = []
+    rows: dict[str, list[Sequence[str]]] = {verdict: [] for verdict in verdicts.values()}
     for theirs, here in zip(_claimed(papers), _claimed(ours), strict=True):
         figures = (f"{claim.first:.2f}, {claim.second:.2f}" for claim in (theirs, here))
-        rows.append((theirs.text, *figures, verdicts[theirs.holds, here.holds]))
-    seen = [
-        (claim.text, "", f"{claim.first:.2f}, {claim.second:.2f}", verdicts[True, claim.holds]) for claim in _seen(ours)
-    ]
-    return table(("The paper's claim", "Its numbers", "Ours", "Holds"), [*rows, *seen])
+        rows[verdicts[theirs.holds, here.holds]].append((theirs.text, *figures))
+    for claim in _seen(ours):
+        rows[verdicts[True, claim.holds]].append((claim.text, "", f"{claim.first:.2f}, {claim.second:.2f}"))
+    groups = [row for verdict, group in rows.items() if group for row in ((f"**Holds {verdict}**", "", ""), *group)]
+    return table(("The paper's claim", "Its numbers", "Ours"), groups)
 
 
 def _claimed(methods: Mapping[str, Standing]) -> list[Claim]:
