@@ -22,7 +22,7 @@ from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import PhysicsError
 from magical_relational.hindsight import SPEED
-from magical_relational.samples import MOVED, PATH_POINTS, Replay, Samples, front, in_hand
+from magical_relational.replay import MOVED, PATH_POINTS, Replay, Samples, front, in_hand
 
 NEAR: Final = range(4, 17)
 """The robot leaves a demonstration this number of steps before a grip."""
@@ -177,4 +177,5 @@ def _samples(start: _Start, attempt: _Rollout) -> Samples:
     pair, _, freedom = start.replay.freedoms(here)
     seen = torch.from_numpy(states[steps])
     pivot = blocks_of(seen)[:, start.block, 1:3].clone()
-    return Samples(seen, torch.from_numpy(actions[steps]), *start.replay.loose(here), ahead, pair, pivot, freedom)
+    loose, looks = start.replay.loose(here), start.replay.looks(len(here))
+    return Samples(seen, torch.from_numpy(actions[steps]), *loose, ahead, pair, pivot, freedom, looks)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import blocks_of
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
+from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS
 from magical_mj.utils.errors import PhysicsError
-from magical_relational.samples import PATH_POINTS, Replay, Samples, front, in_hand
+from magical_relational.replay import PATH_POINTS, Replay, Samples, front, in_hand
 
 Floats = NDArray[np.floating[Any]]
 
@@ -213,7 +213,10 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
     poses = np.concatenate([transformed(play.states[:, :2]), play.states[:, 2:3].astype(float) + angle], 1)
     ahead = front(poses) if moment.held is None else transformed(blocks[:, moment.held, 1:3])
     steps = np.arange(end)
-    good = _clear(poses[:end], ahead[:end], replay, moment) & _direct(poses[:end], context[:3], end - steps)
+    here = np.array([moment.step])
+    loose = replay.loose(here)
+    free = loose[2][0, MAX_REGIONS:].numpy() & replay.deliveries
+    good = _clear(poses[:end], ahead[:end], replay, moment, free) & _direct(poses[:end], context[:3], end - steps)
     steps = steps[good]
     if not len(steps):
         return None
@@ -226,21 +229,26 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
         held[:, 3] = torch.from_numpy(blocks[steps, moment.held, 3] + angle)
     later = np.linspace(steps, end, PATH_POINTS // 2, axis=1).round().astype(int)
     path = torch.from_numpy(np.concatenate([poses[later][..., :2], ahead[later]], 1)).float()
-    here = np.array([moment.step])
+    others = blocks_of(states)
+    near = torch.cdist(path, others[..., 1:3]).amin(1) < APART[0]
+    others[..., 0] *= ~(near & torch.from_numpy(free))
     loose, freedoms = (
-        [part.expand(len(steps), *part.shape[1:]) for part in parts]
-        for parts in (replay.loose(here), replay.freedoms(here))
+        [part.expand(len(steps), *part.shape[1:]) for part in parts] for parts in (loose, replay.freedoms(here))
     )
-    return Samples._make([states, torch.from_numpy(play.actions[steps]), *loose, path, *freedoms])
+    return Samples._make(
+        [states, torch.from_numpy(play.actions[steps]), *loose, path, *freedoms, replay.looks(len(steps))]
+    )
 
 
-def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment) -> NDArray[np.bool_]:
+def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The steps with a remaining path that stays clear of other blocks, or as clear as the path's end."""
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
-    others = blocks[:, 0] > 0
+    others = (blocks[:, 0] > 0) & ~free
     if moment.held is not None:
         others[moment.held] = False
     positions, clear = blocks[others, 1:3], np.ones(len(poses), bool)
+    if not len(positions):
+        return clear
     ends = [replay.states[moment.step, :2], *(() if moment.held is None else (blocks[moment.held, 1:3],))]
     for own, end, apart in zip((poses[:, :2], ahead), ends, APART, strict=False):
         least = np.minimum(apart, np.linalg.norm(positions - end, axis=1) - TOUCHED)

@@ -43,7 +43,8 @@ from magical_relational.grips import gripped
 from magical_relational.hindsight import by_hindsight
 from magical_relational.network import Ensemble, graph
 from magical_relational.policy import save_policy
-from magical_relational.samples import Replay, Samples, displace, joined, mirror, rename
+from magical_relational.replay import PATH_POINTS, Samples, joined, read
+from magical_relational.samples import contrast, displace, mirror, rename
 from magical_relational.settings import PREMISES, RelationalSettings, RelationalTrainingSettings
 
 REPORT: Final = "assumptions.json"
@@ -54,6 +55,10 @@ SHOWN: Final = 0.35
 """The share of unchanged samples."""
 GRIPPED: Final = 0.25
 """The share of `grips` among all other samples, if it is assumed. Half of the rest are from `hindsight`."""
+NEARBY: Final = 0.1
+"""The share of a path of hindsight is proportional to its length plus this (units), if `delivery` is assumed."""
+RELEASED: Final = 0.12
+"""The share of releases among all other samples, if `delivery` is assumed."""
 AVERAGED: Final = 0.2
 """The share of the latest weights in the moving average of weights, which plays more consistently."""
 NOISE: Final = (0.01, 0.01, 0.02)
@@ -61,27 +66,41 @@ NOISE: Final = (0.01, 0.01, 0.02)
 
 
 class Sources(NamedTuple):
-    """The sources of samples: demonstrations without no-ops, paths from hindsight, and grips.
+    """The sources of samples: demonstrations without no-ops, paths from hindsight, grips, and releases.
 
-    The last two fall back to demonstrations if empty.
+    All others fall back to demonstrations if empty.
     """
 
     shown: Samples
     paths: Samples
     grips: Samples
+    releases: Samples
 
 
-def demonstrated(demonstrations: Sequence[Demonstration], chosen: RelationalSettings, seed: int) -> Sources:
-    """The samples of demonstrations, and those of hindsight and grips in their scene if these are to be assumed."""
+def demonstrated(
+    demonstrations: Sequence[Demonstration], chosen: RelationalSettings, seed: int, *, deliveries: bool = False
+) -> Sources:
+    """The samples of demonstrations, and those of hindsight and grips in their scene if these are to be assumed.
+
+    With `deliveries`, the demonstrations are read as deliveries of blocks (see `magical_relational.replay`).
+    """
     rng = np.random.default_rng(seed)
+    found, taken = list[Samples](), list[Samples]()
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
-        replays = [Replay(engine, demonstration) for demonstration in demonstrations]
-        shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
-        found = (
-            by_hindsight(engine, replays, chosen.ways, chosen.plays, rng) if "hindsight" in chosen.assumptions else []
-        )
-        taken = gripped(engine, replays, chosen.grips, rng) if "grips" in chosen.assumptions else []
-    return Sources(shown, joined(found or [shown]), joined(taken or [shown]))
+        replays = read(engine, demonstrations, deliveries=deliveries)
+        if "hindsight" in chosen.assumptions:
+            found = by_hindsight(engine, replays, chosen.ways, chosen.plays, rng)
+        if "grips" in chosen.assumptions:
+            taken = gripped(engine, replays, chosen.grips, rng)
+    shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
+    left = [replay.samples(replay.releases()) for replay in replays]
+    left = left if sum(len(part.actions) for part in left) else [shown]
+    paths = joined(found or [shown])
+    if found and deliveries:  # more from afar
+        steps = (paths.path[:, 1 : PATH_POINTS // 2] - paths.path[:, : PATH_POINTS // 2 - 1]).norm(dim=2).sum(1)
+        weights = (steps + NEARBY).double()
+        paths = paths.of(torch.from_numpy(rng.choice(len(steps), len(steps), p=(weights / weights.sum()).numpy())))
+    return Sources(shown, paths, joined(taken or [shown]), joined(left))
 
 
 class Relational(Method):
@@ -97,7 +116,8 @@ class Relational(Method):
         chosen = settings.relational
         (task,) = settings.tasks
         self._assumptions = tuple(chosen.assumptions)
-        self._sources = demonstrated(data.chosen(settings, task), chosen, settings.seed)
+        self._demonstrations = data.chosen(settings, task)
+        self._read: dict[bool, Sources] = {}
         self.draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
@@ -204,18 +224,33 @@ class Relational(Method):
             restore_optimizer(optimizer, saved)
         self.draw.set_state(state["draw"])
 
+    def _sources(self, assumed: Sequence[str]) -> Sources:
+        """The sources under these assumptions. Without assumptions, both readings have the same states and actions."""
+        deliveries = "delivery" in (assumed or self._assumptions)
+        if deliveries not in self._read:
+            settings = self.settings
+            self._read[deliveries] = demonstrated(
+                self._demonstrations, settings.relational, settings.seed, deliveries=deliveries
+            )
+        return self._read[deliveries]
+
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, changed under these assumptions."""
         shown = round(SHOWN * size)
         grips = round(GRIPPED * (size - shown)) if "grips" in assumed else 0
-        paths = (size - shown - grips) // 2 if "hindsight" in assumed else 0
+        releases = round(RELEASED * (size - shown)) if "delivery" in assumed else 0
+        paths = (size - shown - grips - releases) // 2 if "hindsight" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self.draw))
-            for source, count in zip(self._sources, (size - paths - grips, paths, grips), strict=True)
+            for source, count in zip(
+                self._sources(assumed), (size - paths - grips - releases, paths, grips, releases), strict=True
+            )
         ]
         samples = joined(parts)
         if "displace" in assumed:
             displace(samples.of(slice(shown, None)), self.draw, pairs="egocentric" in assumed)
+        if "contrast" in assumed:
+            contrast(samples.of(slice(shown, None)), self.draw)
         samples = samples.of(torch.randperm(size, generator=self.draw))
         states, actions = samples.states, samples.actions
         if "mirror" in assumed:

@@ -11,7 +11,7 @@ from magical_mj.learners.settings import Positive, Share, TrainingSettings
 from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.settings import Count, Names, Settings
 
-ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace")
+ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "grips", "displace", "delivery", "contrast")
 """The assumptions that `relational` tries, in this order: see `magical_relational.samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only if another one was kept."""
