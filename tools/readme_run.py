@@ -49,6 +49,7 @@ def run(text: str, folder: Path) -> None:
     reader = folder / "reader"
     reader.mkdir()
     variables = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    variables.pop("PYTHONDONTWRITEBYTECODE", None)  # the first command compiles for the others
     constraints = f"-q --no-compile --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
     for language, code in [("console", FIRST), *BLOCK.findall(text)]:
         if language == "python":

@@ -23,7 +23,7 @@ from magical_mj.learners.policy import export_policy, load_policy
 from magical_mj.policies.interface import actions_of
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import from_states
+from tests.helpers.learners import EXPORTS, from_states
 from tools.diverse_demonstrations import MATCHED, PEOPLE, demonstration
 from tools.research.demonstration_statistics import STATISTICS
 
@@ -92,6 +92,7 @@ def test_they_are_shown_and_exported(shell: Shell) -> None:
     assert "leave out the files" in shell.fails(2, "demos", "info", "datasets", "--set", "2")
 
 
+@EXPORTS
 def test_trainings_evaluations_and_entries_record_the_set(tmp_path: Path) -> None:
     settings = from_states(**{"demos.set": 2})
     seeds = {row.seed for row in stored_rows(FILES[2]) if row.task == "MoveToRegion"}

@@ -31,7 +31,7 @@ from magical_mj.learners.vector_envs import OBSERVATION
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import check_resumes, from_states, playing, stopped
+from tests.helpers.learners import EXPORTS, check_resumes, from_states, playing, stopped
 
 NAMES = ("robot.x", "robot.y", "region0.x_min", "region0.y_min", "region0.x_max", "region0.y_max")
 X, Y, *BOX = (STATE_NAMES.index(name) for name in NAMES)
@@ -135,6 +135,7 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     check_resumes("ppo", {"preset": "State", "reward.run": tmp_path / "gail", "reward.variant": "Layout"}, tmp_path)
 
 
+@EXPORTS
 def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: Path) -> None:
     """An evaluation records it, also of an exported policy, and an entry keeps it when its card changes."""
     train(from_states(method="iq-learn"), tmp_path / "iq")
