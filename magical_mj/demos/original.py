@@ -88,7 +88,7 @@ def from_original(path: Path | str) -> Original:
             "can be replayed, since others started in unknown scenes"
         )
     score = content.get("score")
-    score = score if (number := _numbers(score)) is None else number[()]
+    score = score if (number := _numbers(score)) is None else number.tolist()
     score = float(score) if isinstance(score, float | int) and math.isfinite(score) else None
     actions, steps = _actions(path, content["trajectory"]), SPECS[task].horizon()
     if len(actions) > steps:
@@ -111,7 +111,10 @@ def _actions(path: Path, trajectory: Any) -> list[int]:
 
 def _fields(trajectory: Any) -> Iterator[tuple[Any, Any]]:
     """The names and values of a trajectory, or their numbers if they have no names."""
-    parts = [trajectory.args, trajectory.state] if isinstance(trajectory, _Kept) else [trajectory]
+    parts = [trajectory]
+    if isinstance(trajectory, _Kept):
+        state = trajectory.state
+        parts = [trajectory.args, *(state if isinstance(state, tuple) else [state])]  # a tuple if there are slots
     for part in parts:
         if isinstance(part, Mapping):
             yield from part.items()

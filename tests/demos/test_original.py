@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import dataclasses
 import gzip
 import os
 import pickle
@@ -27,7 +28,7 @@ def packed(path: Path, content: object, protocol: int = 4) -> Path:
     """A file like those of the original: gzipped, with records by the names of its own classes."""
     module = ModuleType(MODULE)
     Trajectory.__module__, Trajectory.__qualname__ = MODULE, Trajectory.__name__
-    module.MAGICALTrajectory = Trajectory  # type: ignore[attr-defined]
+    module.MAGICALTrajectory, module.Slots = Trajectory, Slots  # type: ignore[attr-defined]
     before = {name: sys.modules.get(name) for name in ("magical", MODULE)}
     sys.modules |= {"magical": ModuleType("magical"), MODULE: module}
     try:
@@ -76,6 +77,22 @@ def test_fields_in_another_order_and_in_dicts_are_found(tmp_path: Path) -> None:
     ):
         path = packed(tmp_path / f"demo-{number}.pkl.gz", {**whole, "trajectory": trajectory})
         assert from_original(path).demonstration.score == 1.0
+
+
+@dataclasses.dataclass(slots=True)
+class Slots:
+    """A record whose class has slots."""
+
+    acts: Any
+    obs: Any
+
+
+@pytest.mark.parametrize("score", [1, 0.5, np.float16(0.5), np.float32(0.5), np.int64(1), None])
+def test_records_with_slots_and_all_kinds_of_scores_are_read(tmp_path: Path, score: Any) -> None:
+    Slots.__module__ = MODULE
+    whole = episode("MoveToRegion", magical_mj.demos.load("MoveToRegion")[0].actions, score=score)
+    whole["trajectory"] = Slots(whole["trajectory"].acts, whole["trajectory"].obs)
+    assert from_original(packed(tmp_path / "demo.pkl.gz", whole)).score == score
 
 
 class Runs:

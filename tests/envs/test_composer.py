@@ -185,6 +185,18 @@ def test_hooks_run_and_change_nothing_by_themselves() -> None:
     assert calls == ["initialize_episode", *step, *step] * 2
 
 
+def test_a_copy_of_the_physics_is_in_the_same_episode() -> None:
+    """To observe it, for example in a search, changes nothing: the steps so far still count."""
+    env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
+    env.reset()
+    for _ in range(3):
+        env.step(1)
+    env.task.observables["state"].observation_callable(env.physics.copy())()
+    assert not env.task.should_terminate_episode(env.physics.copy())
+    assert env.get_state().steps == 3
+    assert sum(1 for _ in iter(lambda: env.step(1).last(), True)) == env.horizon - 4
+
+
 def test_observables_have_buffers_and_delays() -> None:
     env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
     an_action = env.task.physics_steps_per_control_step

@@ -117,14 +117,18 @@ class SceneTask(composer.Task):
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode, which uses composer's model and data."""
         model, data = physics.model.ptr, physics.data.ptr
-        if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
+        simulation = self._simulation
+        if simulation is None or simulation.model is not model or simulation.data is not data:
             self.free()
             self.scene_model.find_in(model)
             renderer = self.settings.renderer
-            self._simulation = Simulation(self.setup, self.scene_model, model, data, renderer, CAMERA_NAMES)
-        self.scene_model.coordinates = self._simulation.scene_model.coordinates
-        self._simulation.scene_model, self._simulation.shifts = self.scene_model, self.shifts
-        return self._simulation
+            own = Simulation(self.setup, self.scene_model, model, data, renderer, CAMERA_NAMES)
+            if simulation is not None:  # a copy of the physics is in the same episode
+                own.steps, own.trajectory = simulation.steps, simulation.trajectory
+            self._simulation = simulation = own
+        self.scene_model.coordinates = simulation.scene_model.coordinates
+        simulation.scene_model, simulation.shifts = self.scene_model, self.shifts
+        return simulation
 
     def free(self) -> None:
         """Frees the renderer."""
@@ -142,15 +146,28 @@ class SceneTask(composer.Task):
         """The observables of the names in `load(observations=)`, all enabled."""
         return self._observables
 
-    def set_timesteps(self, *timesteps: float, **named: float) -> None:
-        """Raises a `SettingsError`: the timesteps are fixed."""
-        del timesteps, named
-        raise SettingsError(FIXED_TIMESTEPS)
+    @property
+    def control_timestep(self) -> float:
+        """Seconds per action. Setting it raises a `SettingsError`."""
+        return 1 / c.CONTROL_RATE
 
-    control_timestep: Any = property(lambda _: 1 / c.CONTROL_RATE, set_timesteps)
-    """Seconds per action."""
-    physics_timestep: Any = property(lambda _: TIMESTEP, set_timesteps)
-    """Seconds per step of MuJoCo."""
+    @control_timestep.setter
+    def control_timestep(self, new_value: float) -> None:
+        self.set_timesteps(new_value, TIMESTEP)
+
+    @property
+    def physics_timestep(self) -> float:
+        """Seconds per step of MuJoCo. Setting it raises a `SettingsError`."""
+        return TIMESTEP
+
+    @physics_timestep.setter
+    def physics_timestep(self, new_value: float) -> None:
+        self.set_timesteps(self.control_timestep, new_value)
+
+    def set_timesteps(self, control_timestep: float, physics_timestep: float) -> None:
+        """Raises a `SettingsError`: the timesteps are fixed."""
+        del control_timestep, physics_timestep
+        raise SettingsError(FIXED_TIMESTEPS)
 
     @property
     def physics_steps_per_control_step(self) -> int:
