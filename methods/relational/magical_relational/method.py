@@ -43,7 +43,7 @@ from magical_relational.grips import gripped
 from magical_relational.hindsight import by_hindsight
 from magical_relational.network import Ensemble, graph
 from magical_relational.policy import save_policy
-from magical_relational.replay import PATH_POINTS, Samples, joined, read
+from magical_relational.replay import Samples, joined, read
 from magical_relational.samples import contrast, displace, mirror, rename
 from magical_relational.settings import PREMISES, RelationalSettings, RelationalTrainingSettings
 
@@ -55,8 +55,6 @@ SHOWN: Final = 0.35
 """The share of unchanged samples."""
 GRIPPED: Final = 0.25
 """The share of `grips` among all other samples, if it is assumed. Half of the rest are from `hindsight`."""
-NEARBY: Final = 0.1
-"""The share of a path of hindsight is proportional to its length plus this (units), if `delivery` is assumed."""
 RELEASED: Final = 0.12
 """The share of releases among all other samples, if `delivery` is assumed."""
 AVERAGED: Final = 0.2
@@ -95,12 +93,7 @@ def demonstrated(
     shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
     left = [replay.samples(replay.releases()) for replay in replays]
     left = left if sum(len(part.actions) for part in left) else [shown]
-    paths = joined(found or [shown])
-    if found and deliveries:  # more from afar
-        steps = (paths.path[:, 1 : PATH_POINTS // 2] - paths.path[:, : PATH_POINTS // 2 - 1]).norm(dim=2).sum(1)
-        weights = (steps + NEARBY).double()
-        paths = paths.of(torch.from_numpy(rng.choice(len(steps), len(steps), p=(weights / weights.sum()).numpy())))
-    return Sources(shown, paths, joined(taken or [shown]), joined(left))
+    return Sources(shown, joined(found or [shown]), joined(taken or [shown]), joined(left))
 
 
 class Relational(Method):
