@@ -1,23 +1,19 @@
-"""Stable-baselines3's PPO with our networks, and the base class of GAIL, WGAIL-GP and AL, which learn a reward."""
+"""PPO with external rewards, and the base class of GAIL, WGAIL-GP, AIRL and AL, which learn a reward.
+
+PPO's equations are those of Schulman et al., "Proximal policy optimization algorithms" (arXiv 1707.06347).
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import torch
-from gymnasium import spaces
+from gymnasium.wrappers.utils import RunningMeanStd
 from numpy.typing import NDArray
-from stable_baselines3 import PPO
-from stable_baselines3.common.buffers import DictRolloutBuffer
-from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Schedule
-from stable_baselines3.common.utils import obs_as_tensor
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -25,94 +21,58 @@ from magical_mj.learners.data import Batch, Dataset, Rollout
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.networks import Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs, training_envs
+from magical_mj.learners.vector_envs import TrainingEnvs, training_envs
 from magical_mj.utils.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: observations from `as_input`, actions (n,) and numbers of tasks (n,)."""
 
 
-class ActorCritic(BasePolicy):
-    """An `Actor` and a critic for stable-baselines3. They share all layers except the last (appendix)."""
+class ActorCritic(nn.Module):
+    """An `Actor` and a critic. They share all layers except the last (appendix)."""
 
-    def __init__(
-        self,
-        observation_space: spaces.Dict,
-        action_space: spaces.Discrete,
-        lr_schedule: Schedule,
-        actor: Actor,
-        critic: Heads,
-        **others: Any,
-    ) -> None:
-        del others
-        super().__init__(observation_space, action_space)
+    def __init__(self, actor: Actor, critic: Heads) -> None:
+        super().__init__()
         self.actor, self.critic = actor, critic
-        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as in rlpyt
 
-    def distribution_and_values(self, observations: Mapping[str, Tensor]) -> tuple[Categorical, Tensor]:
-        """The distribution of actions, and values of shape (n, 1). Pictures have the channels last."""
-        tasks = observations[TASK].argmax(1)
-        features = self.actor.torso(as_input(observations[OBSERVATION], self.device))
-        # The rows have space for the one-hot task: rows of another length would change the last bits of trainings'
-        # results.
-        features = torch.cat([features, observations[TASK]], 1)[:, : self.actor.torso.features]
-        return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)
-
-    def forward(self, observations: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Drawn actions (n,), values (n, 1) and the actions' log probabilities (n,)."""
-        distribution, values = self.distribution_and_values(observations)
-        actions = distribution.sample()
-        return actions, values, distribution.log_prob(actions)
-
-    def evaluate_actions(self, observations: Mapping[str, Tensor], actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values (n, 1), and the log probabilities of actions and the entropies, (n,) each."""
-        distribution, values = self.distribution_and_values(observations)
-        return values, distribution.log_prob(actions), distribution.entropy()
-
-    def predict_values(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Values, shape (n, 1)."""
-        return self.distribution_and_values(observations)[1]
-
-    def _predict(self, observation: Any, deterministic: bool = False) -> Tensor:
-        del deterministic
-        return self(observation)[0]
+    def forward(self, observations: NDArray[Any] | Tensor, tasks: Tensor) -> tuple[Categorical, Tensor]:
+        """The distributions of actions and the values (n,), for environments' observations and tasks (n,)."""
+        features = self.actor.torso(as_input(observations, tasks.device))
+        # Rows have space for a one-hot task: rows of another length would change the last bits of trainings' results.
+        size, heads = features.shape[1], self.critic.bias.shape[0]
+        features = nn.functional.pad(features, (0, heads))[:, :size]
+        return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)[:, 0]
 
 
-class EvenBuffer(DictRolloutBuffer):
-    """A rollout whose minibatches are split evenly between the tasks, and drawn by the run's own generator.
+class Steps(NamedTuple):
+    """A rollout with what PPO needs to learn from it. All shapes are (steps, environments, ...)."""
 
-    `tasks` are the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
-    """
-
-    def __init__(self, *sizes: Any, tasks: NDArray[np.int64], generator: torch.Generator, **others: Any) -> None:
-        super().__init__(*sizes, **others)
-        self.tasks, self.generator = tasks, generator
-
-    def get(self, batch_size: int | None = None) -> Iterator[DictRolloutBufferSamples]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """All samples once, in minibatches. In each, the tasks' numbers of samples differ by one at most."""
-        count = int(self.tasks[-1]) + 1
-        each = self.buffer_size * self.n_envs // count
-        permutations = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
-        order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
-        order = order % self.buffer_size * self.n_envs + order // self.buffer_size
-        arrays = self.actions, self.values, self.log_probs, self.advantages, self.returns
-        observations = {key: torch.as_tensor(values).flatten(0, 1) for key, values in self.observations.items()}
-        others = [torch.as_tensor(values).flatten(0, 1) for values in arrays]
-        for numbers in order.split(batch_size or len(order)):
-            yield DictRolloutBufferSamples(
-                {key: values.index_select(0, numbers).to(self.device) for key, values in observations.items()},
-                *(values.index_select(0, numbers).to(self.device) for values in others),
-            )
+    observations: NDArray[Any]
+    actions: NDArray[np.int64]
+    log_probs: NDArray[np.float32]
+    values: NDArray[np.float32]
+    ended: NDArray[np.bool_]
+    """Whether the step ended an episode."""
+    bootstrap: NDArray[np.float32]
+    """gamma V(s) of the last state s of an episode that the horizon ended, otherwise 0. It is added to the reward."""
 
 
-class ExternalRewardPPO(PPO):
+class PPO:
     """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
-    Where the paper gives no detail, this follows its library rlpyt: advantages are not normalised, the clipping
-    range falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared
-    error. Unlike rlpyt, it treats the horizon as truncation, not termination: returns are bootstrapped with the value
-    of the last state. The critic's heads use the actor's torso. The generator draws minibatches.
+    Where the paper on MAGICAL gives no detail, this follows its library rlpyt: advantages are not normalised, the
+    clipping range falls with the learning rate, Adam's eps is 1e-8, and values are not clipped. Unlike rlpyt, it treats
+    the horizon as truncation, not termination: returns are bootstrapped with the value of the last state.
+
+    Trainings equal those of stable-baselines3's PPO to the bit (tests/learners/test_stable_baselines3.py). Its `learn`
+    takes rewards from the environments, and has no step in which rewards are computed for a rollout.
+
+    Attributes:
+        steps: the latest rollout.
+        score: the mean score of the episodes in the last rollout in which episodes ended; 0 before the first one.
     """
+
+    steps: Steps
 
     def __init__(
         self,
@@ -121,95 +81,151 @@ class ExternalRewardPPO(PPO):
         actor: Actor,
         critic: Heads,
         generator: torch.Generator,
-        device: torch.device,
     ) -> None:
-        ppo = settings.ppo
-        super().__init__(
-            ActorCritic,  # pyright: ignore[reportArgumentType]  (PPO uses no more of a policy than it has)
-            environments,
-            learning_rate=lambda left: left * ppo.learning_rate,
-            n_steps=ppo.steps,
-            batch_size=ppo.minibatch,
-            n_epochs=ppo.epochs,
-            gamma=ppo.discount,
-            gae_lambda=ppo.gae_lambda,
-            clip_range=(lambda left: left * ppo.clip) if ppo.anneal_clip else ppo.clip,
-            normalize_advantage=ppo.normalise_advantages,
-            ent_coef=ppo.entropy,
-            max_grad_norm=ppo.gradient_norm,
-            rollout_buffer_class=EvenBuffer,
-            rollout_buffer_kwargs={"tasks": environments.tasks, "generator": generator},
-            policy_kwargs={"actor": actor, "critic": critic},
-            device=device,
-        )
-        self._environments = environments
-        self._rollout_size = ppo.environments * ppo.steps
+        """The critic's heads use the actor's torso. The generator draws minibatches, PyTorch's global one actions."""
+        self.settings = settings.ppo
+        self.policy = ActorCritic(actor, critic)
+        self.optimizer = torch.optim.Adam(self.policy.parameters(), self.settings.learning_rate, fused=True)
         self.score = 0.0
-        """The mean score of the episodes in the last rollout in which episodes ended; 0 before the first one."""
-        self.set_logger(Logger(folder=None, output_formats=[]))  # the default one makes a temporary folder
-        _, self._callback = self._setup_learn(ppo.total_steps // self._rollout_size * self._rollout_size)
+        self._generator, self._environments = generator, environments
+        self._tasks = torch.as_tensor(environments.tasks, device=critic.bias.device)
+        self._rollout_size = self.settings.environments * self.settings.steps
+        self._total = self.settings.total_steps // self._rollout_size * self._rollout_size
+        self._played = 0
+        self._observations = environments.reset()
 
-    @staticmethod
-    def _wrap_env(env: TrainingEnvs, *_: Any) -> TrainingEnvs:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Returns `env` itself: stable-baselines3 would move the channels of pictures first, which is slow."""
-        return env
-
+    @torch.no_grad()
     def collect(self, *, pairs: bool = False) -> Rollout:
         """Plays `ppo.steps` steps in each environment, and returns them; with `pairs`, with the following states."""
-        self._environments.scores.clear()
-        self.collect_rollouts(self._environments, self._callback, self.rollout_buffer, self.n_steps)
-        if self._environments.scores:
-            self.score = float(np.mean(self._environments.scores))
-        buffer = self.rollout_buffer
-        seen = buffer.observations[OBSERVATION]
+        rows, scores = [], list[float]()
+        for _ in range(self.settings.steps):
+            seen = self._observations
+            distributions, values = self.policy(seen, self._tasks)
+            drawn = distributions.sample()
+            actions = drawn.cpu().numpy()
+            step = self._environments.step(actions)
+            bootstrap = np.zeros(len(actions), np.float32)
+            for env in np.flatnonzero(step.ended & ~step.broken):  # a broken state is a termination
+                _, value = self.policy(step.last[env : env + 1], self._tasks[env : env + 1])
+                bootstrap[env] = (self.settings.discount * value).item()
+            log_probs = distributions.log_prob(drawn).cpu().numpy()
+            rows.append((seen, actions, log_probs, values.cpu().numpy(), step.ended, bootstrap))
+            scores += step.scores[step.ended].tolist()
+            self._observations = step.observations
+        self.steps = Steps(*map(np.stack, zip(*rows, strict=True)))
+        self._played += self._rollout_size
+        if scores:
+            self.score = float(np.mean(scores))
+        seen = self.steps.observations
         if pairs:
             seen = np.concatenate([seen, self.successors()[..., -1:, :]], -2)
-        return Rollout(*map(torch.as_tensor, (seen, buffer.actions[..., 0], self._environments.tasks)))
+        return Rollout(*map(torch.as_tensor, (seen, self.steps.actions, self._environments.tasks)))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
-        buffer = self.rollout_buffer
-        seen, last = buffer.observations[OBSERVATION], cast("dict[str, NDArray[Any]]", self._last_obs)[OBSERVATION]
-        ended = np.stack([*buffer.episode_starts[1:], np.asarray(self._last_episode_starts)]).astype(bool)
-        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], last]))
+        seen, ended = self.steps.observations, self.steps.ended
+        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], self._observations]))
+
+    def advantages(self, rewards: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Generalised advantage estimation (equations 11 and 12) of the latest rollout.
+
+        With delta_t = r_t + gamma V(s_t+1) - V(s_t), the advantage is A_t = delta_t + gamma lambda A_t+1. After the
+        last step of an episode, V(s_t+1) and A_t+1 are 0. All shapes are (steps, environments).
+        """
+        gamma, gae_lambda = self.settings.discount, self.settings.gae_lambda
+        rewards = rewards + self.steps.bootstrap
+        with torch.no_grad():
+            next_values = self.policy(self._observations, self._tasks)[1].cpu().numpy()
+        advantages, next_advantages = np.empty_like(rewards), np.zeros_like(next_values)
+        for t in reversed(range(len(rewards))):
+            values, continues = self.steps.values[t], 1.0 - self.steps.ended[t].astype(np.float32)
+            delta = rewards[t] + gamma * next_values * continues - values
+            advantages[t] = next_advantages = delta + gamma * gae_lambda * continues * next_advantages
+            next_values = values
+        return advantages
 
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
-        """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
-        buffer = self.rollout_buffer
-        buffer.rewards += rewards  # environments give 0; SB3 has already added gamma * V(last state) at truncations
-        with torch.no_grad():
-            last = self.policy.predict_values(obs_as_tensor(self._last_obs, self.device))  # pyright: ignore[reportArgumentType]
-        buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]
-        self._update_current_progress_remaining(self.num_timesteps - self._rollout_size, self._total_timesteps)
-        self.train()
-        metrics = self.logger.name_to_value
-        return {
-            "score": self.score,
-            "entropy": -float(metrics["train/entropy_loss"]),
-            "kl": float(metrics["train/approx_kl"]),
-            "value loss": float(metrics["train/value_loss"]),
-        }
+        """One update of the policy and the critic: `ppo.epochs` passes through the latest rollout.
+
+        It maximises equation 9, L_CLIP - c1 L_VF + c2 S. With r = pi(a | s) / pi_old(a | s), clipped to 1 +- eps:
+
+        - L_CLIP = mean of min(r A, clip(r) A) (equation 7); A is the advantage,
+        - L_VF = mean of (V(s) - return)^2, with c1 = 1 / 2; the return is A + V_old(s),
+        - S = mean entropy of the policy, with c2 = `ppo.entropy`.
+
+        Args:
+            rewards: of all steps of the rollout, shape (steps, environments).
+
+        Returns:
+            The score, the means of the entropy and L_VF over all minibatches, and the last epoch's mean estimate of
+            KL(pi_old, pi).
+        """
+        ppo, steps = self.settings, self.steps
+        left = 1.0 - (self._played - self._rollout_size) / self._total  # the share of the training that is left
+        clip = left * ppo.clip if ppo.anneal_clip else ppo.clip
+        self.optimizer.param_groups[0]["lr"] = left * ppo.learning_rate
+        advantages = self.advantages(rewards)
+        tasks = np.broadcast_to(self._environments.tasks, rewards.shape)
+        columns = (steps.actions, tasks, steps.log_probs, advantages, advantages + steps.values)
+        columns = [torch.as_tensor(column.reshape(-1)) for column in columns]
+        observations = torch.as_tensor(steps.observations).flatten(0, 1)
+        entropies, value_losses, divergences = list[float](), list[float](), list[float]()
+        for _ in range(ppo.epochs):
+            divergences.clear()
+            for rows in even_minibatches(self._environments.tasks, ppo.steps, ppo.minibatch, self._generator):
+                batch = (column[rows].to(self._tasks.device) for column in columns)
+                actions, numbers, old_log_probs, gains, returns = batch
+                if ppo.normalise_advantages:
+                    gains = (gains - gains.mean()) / (gains.std() + 1e-8)
+                distributions, values = self.policy(observations.index_select(0, rows), numbers)
+                log_ratios = distributions.log_prob(actions) - old_log_probs
+                ratios = log_ratios.exp()
+                objective = torch.min(gains * ratios, gains * ratios.clamp(1 - clip, 1 + clip)).mean()
+                value_loss = nn.functional.mse_loss(values, returns)
+                entropy = distributions.entropy().mean()
+                loss = -objective - ppo.entropy * entropy + 0.5 * value_loss
+                self.optimizer.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(self.policy.parameters(), ppo.gradient_norm)
+                self.optimizer.step()
+                entropies.append(entropy.item())
+                value_losses.append(value_loss.item())
+                divergences.append((ratios - 1 - log_ratios).mean().item())  # http://joschu.net/blog/kl-approx.html
+        means = {"entropy": entropies, "kl": divergences, "value loss": value_losses}
+        return {"score": self.score, **{name: float(np.mean(values)) for name, values in means.items()}}
 
     def get_state(self) -> dict[str, Any]:
         """The weights, and the states of the optimizer, the environments and the training."""
         return {
             "weights": self.policy.state_dict(),
-            "optimizer": self.policy.optimizer.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
             "environments": self._environments.get_state(),
-            "starts": np.array(self._last_episode_starts),
-            "steps": self.num_timesteps,
-            "epochs": self._n_updates,
+            "steps": self._played,
             "score": self.score,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores a state from `get_state`."""
         self.policy.load_state_dict(state["weights"])
-        restore_optimizer(self.policy.optimizer, state["optimizer"])
-        self._last_obs = self._environments.set_state(state["environments"])
-        self._last_episode_starts = state["starts"]
-        self.num_timesteps, self._n_updates = state["steps"], state["epochs"]
-        self.score = state["score"]
+        restore_optimizer(self.optimizer, state["optimizer"])
+        self._observations = self._environments.set_state(state["environments"])
+        self._played, self.score = state["steps"], state["score"]
+
+
+def even_minibatches(tasks: NDArray[np.int64], steps: int, size: int, generator: torch.Generator) -> Iterator[Tensor]:
+    """The numbers of all samples of a rollout, once each, in minibatches that are split evenly between the tasks.
+
+    Args:
+        tasks: the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
+        steps: the number of steps in each environment. Samples are numbered step by step.
+        size: the number of samples in a minibatch.
+        generator: draws the order.
+    """
+    count = int(tasks[-1]) + 1
+    each = steps * len(tasks) // count
+    permutations = [torch.randperm(each, generator=generator) + task * each for task in range(count)]
+    order = torch.stack(permutations, dim=1).flatten()  # the tasks alternate
+    yield from (order % steps * len(tasks) + order // steps).split(size)
 
 
 class RewardLearner(Learner):
@@ -238,7 +254,7 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
-            self._ppo = ExternalRewardPPO(settings, self._environments, actor, critic, self._draw, self.device)
+            self._ppo = PPO(settings, self._environments, actor, critic, self._draw)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
         self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._draw}
 
@@ -255,7 +271,7 @@ class RewardLearner(Learner):
         return cast("Actor", self._average.module)
 
     def update(self) -> Mapping[str, float]:
-        """One rollout, its rewards and PPO's step. Restores the global generators, which stable-baselines3 uses."""
+        """One rollout, its rewards and PPO's step. Restores the global generators, which draw the actions."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))

@@ -2,118 +2,88 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.vector import VectorEnv
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.interface import HISTORY, History, histories
+from magical_mj.policies.interface import HISTORY, histories
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra
 
-OBSERVATION: Final = "seen"
-"""The key of an environment's stack of frames, shape (96, 96, 12) uint8; or history, shape (HISTORY, names) float32."""
-TASK: Final = "task"
-"""The key of an environment's task as a one-hot vector, shape (tasks,) float32."""
 
-Observations = dict[str, NDArray[Any]]
-_Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float64], NDArray[np.bool_]]
-"""A step's result: observations; which episodes ended; last observations of these; scores; which states are broken."""
+class Step(NamedTuple):
+    """One action in every environment. Where an episode has ended, the next one has begun."""
+
+    observations: NDArray[Any]
+    """Stacks of frames, shape (n, 96, 96, 12) uint8; or histories of states, shape (n, HISTORY, names) float32."""
+    ended: NDArray[np.bool_]
+    last: NDArray[Any]
+    """The last observations of the episodes that have ended, in the same shape."""
+    scores: NDArray[np.float64]
+    """Of the episodes that have ended."""
+    broken: NDArray[np.bool_]
+    """Which episodes ended because their state was no longer finite."""
 
 
-class TrainingEnvs(VecEnv):
-    """The environments of a run, for stable-baselines3: single environments on all cores, or one batch.
-
-    `single` contains the spaces of one environment's observations and actions.
+class TrainingEnvs(ABC):
+    """The environments of a run: single environments on all cores, or one batch.
 
     Attributes:
         tasks: the numbers of the environments' tasks, ascending.
-        scores: those of the episodes that have ended. `ExternalRewardPPO` empties the list before each rollout.
     """
 
-    render_mode: str | None = None
-
-    def __init__(self, settings: TrainingSettings, single: tuple[spaces.Space[Any], spaces.Space[Any]]) -> None:
-        tasks, siblings = len(settings.tasks), settings.ppo.environments // len(settings.tasks)
-        self.tasks = np.repeat(np.arange(tasks), siblings)
-        self._one_hot = np.eye(tasks, dtype=np.float32)[self.tasks]
+    def __init__(self, settings: TrainingSettings) -> None:
+        siblings = settings.ppo.environments // len(settings.tasks)
+        self.tasks = np.repeat(np.arange(len(settings.tasks)), siblings)
         # The number of random actions at the start of each environment's first episode: environments are spread over
         # the horizon, as in rlpyt, the paper's library, so that each batch contains all phases of the task.
         horizons = np.array([task_spec(task).horizon() for task in settings.tasks])[self.tasks]
         self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
-        self._history: History | None = None
-        self.scores: list[float] = []
-        seen, actions = single
-        if settings.states:
-            seen = spaces.Box(-np.inf, np.inf, (HISTORY, *(seen.shape or ())), np.float32)
-        space = spaces.Dict({OBSERVATION: seen, TASK: spaces.Box(0, 1, (tasks,), np.float32)})
-        super().__init__(len(self.tasks), space, actions)
+        self._latest: NDArray[Any]
+
+    @abstractmethod
+    def reset(self) -> NDArray[Any]:
+        """Begins the episodes at different steps, and returns the observations."""
 
     @abstractmethod
     def get_state(self) -> Any:
         """The state of all environments."""
 
     @abstractmethod
-    def set_state(self, state: Any) -> Observations:
+    def set_state(self, state: Any) -> NDArray[Any]:
         """Restores a state, and returns its observations, like `reset`."""
 
     @abstractmethod
-    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
-        """One action in every environment. Where an episode ends, the next one begins."""
+    def close(self) -> None:
+        """Frees the simulations."""
 
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        """Stores the actions for `step_wait`."""
-        self._actions = actions
+    @abstractmethod
+    def _play(self, actions: NDArray[np.int64]) -> Step:
+        """One action in every environment, with states instead of their histories."""
 
-    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """One action in every environment. The rewards are 0."""
-        observations, ended, last, scores, broken = self._play(self._actions)
-        if self._history:
-            last = self._history.add(last)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for number in np.flatnonzero(ended):
-            infos[number] = {
-                "terminal_observation": {OBSERVATION: last[number], TASK: self._one_hot[number]},
-                "TimeLimit.truncated": not broken[number],  # a broken state is a termination
-            }
-        self.scores += scores[ended].tolist()
-        self._restart(ended, observations)
-        return self._observations(observations), np.zeros(self.num_envs, np.float32), ended, infos
-
-    def _restart(self, chosen: NDArray[np.bool_], observations: NDArray[Any]) -> None:
-        if self._history:
-            self._history.restart(chosen, observations)
-
-    def _restored(self, latest: NDArray[Any]) -> Observations:
-        """Continues with these observations, for states with their histories."""
+    def step(self, actions: NDArray[np.int64]) -> Step:
+        """One action in every environment."""
+        step = self._play(actions)
         if self._states:
-            self._history = History(latest[:, -1])
-            self._history.states = latest
-        return self._observations(latest)
+            last = np.concatenate([self._latest[:, 1:], step.last[:, None]], axis=1)
+            step = step._replace(observations=_restarted(last, step.ended, step.observations), last=last)
+        self._latest = step.observations
+        return step
 
-    def _observations(self, observations: NDArray[Any]) -> Observations:
-        return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
 
-    def _refuse(self, *_: Any, **__: Any) -> Any:
-        """Single environments are not accessible."""
-        raise NotImplementedError
-
-    set_attr = env_method = env_is_wrapped = _refuse
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the vector, repeated for each environment."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+def _restarted(latest: NDArray[Any], begin: NDArray[np.bool_], states: NDArray[Any]) -> NDArray[Any]:
+    """The histories after some environments began an episode: these contain its first state only."""
+    return np.where(begin[:, None, None], states[:, None], latest)
 
 
 class LocalEnvs(TrainingEnvs):
@@ -126,18 +96,17 @@ class LocalEnvs(TrainingEnvs):
         variant = settings.reward.variant
         envs = [MagicalEnv(task, variant, settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
         self._envs = VectorEnv(envs, autoreset_mode=AutoresetMode.DISABLED)
-        super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
-        self._episodes = np.full(self.num_envs, -1)
+        super().__init__(settings)
+        self._episodes = np.zeros(len(envs), np.int64)
         self._taken = [list[int]() for _ in envs]
 
-    def reset(self) -> Observations:
-        """Begins the next episodes, the first ones with random actions."""
-        self._episodes += 1
-        counts = self._random_starts if not self._episodes.any() else np.zeros_like(self._random_starts)
-        rngs = map(self._rng, range(self.num_envs))
+    def reset(self) -> NDArray[Any]:
+        """Begins the first episodes with random actions."""
+        rngs = map(self._rng, range(len(self.tasks)))
+        counts = self._random_starts
         return self._replay([rng.integers(len(ACTIONS), size=n).tolist() for rng, n in zip(rngs, counts, strict=True)])
 
-    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
+    def _play(self, actions: NDArray[np.int64]) -> Step:
         last, _, _, ended, infos = self._envs.step(actions)
         for taken, action in zip(self._taken, actions.tolist(), strict=True):
             taken.append(action)
@@ -148,14 +117,14 @@ class LocalEnvs(TrainingEnvs):
                 self._taken[number] = []
             seeds = [self._scene_seed(number) if ends else None for number, ends in enumerate(ended)]
             observations, _ = self._envs.reset(seed=seeds, options={"reset_mask": ended})
-        return observations, ended, last, infos["eval_score"], np.zeros_like(ended)
+        return Step(observations, ended, last, infos["eval_score"], np.zeros_like(ended))
 
     def get_state(self) -> list[dict[str, Any]]:
         """The number of each environment's episode, and the episode's actions so far."""
         pairs = zip(self._episodes.tolist(), self._taken, strict=True)
         return [{"episode": episode, "actions": np.array(taken, np.int64)} for episode, taken in pairs]
 
-    def set_state(self, state: Sequence[dict[str, Any]]) -> Observations:
+    def set_state(self, state: Sequence[dict[str, Any]]) -> NDArray[Any]:
         """Restores a state by replaying its actions."""
         self._episodes = np.array([env["episode"] for env in state])
         return self._replay([env["actions"].tolist() for env in state])
@@ -164,10 +133,10 @@ class LocalEnvs(TrainingEnvs):
         """Frees the simulations."""
         self._envs.close()
 
-    def _replay(self, actions: list[list[int]]) -> Observations:
+    def _replay(self, actions: list[list[int]]) -> NDArray[Any]:
         """Plays these actions in the environments' current episodes."""
         self._taken = actions
-        latest: list[Any] = [None] * self.num_envs
+        latest: list[Any] = [None] * len(actions)
 
         def replay(number: int) -> None:
             env = self._envs.envs[number]
@@ -176,7 +145,8 @@ class LocalEnvs(TrainingEnvs):
             latest[number] = histories(np.array(seen))[-1] if self._states else seen[-1]
 
         self._envs.each_environment(replay)
-        return self._restored(np.stack(latest))
+        self._latest = np.stack(latest)
+        return self._latest
 
     def _scene_seed(self, number: int) -> int:
         return int(self._rng(number).integers(2**63))
@@ -188,7 +158,7 @@ class LocalEnvs(TrainingEnvs):
 class BatchedEnvs(TrainingEnvs):
     """All environments of a run in one batch, on the learner's device.
 
-    Observations are copied to the host, where stable-baselines3 keeps rollouts.
+    Observations are copied to the host, where rollouts are kept.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -202,35 +172,36 @@ class BatchedEnvs(TrainingEnvs):
             seed=settings.seed,
         )
         self._arrays = Arrays(self._batch)
-        super().__init__(settings, (self._batch.single_observation_space, self._batch.single_action_space))
+        super().__init__(settings)
 
-    def reset(self) -> Observations:
+    def reset(self) -> NDArray[Any]:
         """Starts the environments at different steps, so that their random actions end together."""
         rng = np.random.default_rng(self._seed)
-        observations, _ = self._arrays.reset()
-        self._history = History(observations) if self._states else None
+        first, _ = self._arrays.reset()
+        self._latest = np.repeat(first[:, None], HISTORY, axis=1) if self._states else first
         for left in range(int(self._random_starts.max()), -1, -1):
             begin = self._random_starts == left
             if begin.any():
-                observations, _ = self._arrays.reset(options={"reset_mask": begin})
-                self._restart(begin, observations)
+                first, _ = self._arrays.reset(options={"reset_mask": begin})
+                self._latest = _restarted(self._latest, begin, first) if self._states else first
             if left:
-                self.step(rng.integers(len(ACTIONS), size=self.num_envs))
-        return self._observations(observations)
+                self.step(rng.integers(len(ACTIONS), size=len(self.tasks)))
+        return self._latest
 
-    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
+    def _play(self, actions: NDArray[np.int64]) -> Step:
         observations, _, _, ended, info = self._arrays.step(actions)
         last, final = info.get("final_obs", observations), info.get("final_info", info)
-        return observations, ended, last, final["eval_score"], final["broken"]
+        return Step(observations, ended, last, final["eval_score"], final["broken"])
 
     def get_state(self) -> dict[str, Any]:
         """The state of all environments."""
-        return {"worlds": self._arrays.get_state(), "history": self._history and self._history.states}
+        return {"worlds": self._arrays.get_state(), "history": self._latest if self._states else None}
 
-    def set_state(self, state: dict[str, Any]) -> Observations:
+    def set_state(self, state: dict[str, Any]) -> NDArray[Any]:
         """Restores a state, and returns its observations, like `reset`."""
         observations = self._arrays.set_state(state["worlds"])
-        return self._restored(state["history"] if self._states else observations)
+        self._latest = state["history"] if self._states else observations
+        return self._latest
 
     def close(self) -> None:
         """Frees the simulation."""

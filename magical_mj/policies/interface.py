@@ -241,10 +241,6 @@ class History:
         self.states = np.concatenate([self.states[..., 1:, :], states[..., None, :]], axis=-2)
         return self.states
 
-    def restart(self, mask: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
-        """Starts new episodes in the masked rows, with their rows of `states`, shape (n, names)."""
-        self.states = np.where(mask[:, None, None], states[:, None], self.states)
-
 
 class NoopAgent:
     """Does nothing."""

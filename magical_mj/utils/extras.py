@@ -16,7 +16,7 @@ MODULES: Final = {
     "dask": ("distributed",),
     "eval": ("matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
-    "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
+    "il": ("kornia", "safetensors", "tensorboard", "torch"),
     "minari": ("h5py", "minari"),
     "onnx": ("onnxruntime", "onnxscript"),
     "robomimic": ("h5py",),

@@ -16,7 +16,7 @@ from magical_mj import MagicalEnv, batched
 from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.run_folder import CHECKPOINT
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedEnvs, LocalEnvs
+from magical_mj.learners.vector_envs import BatchedEnvs, LocalEnvs
 from magical_mj.policies.interface import HISTORY
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
@@ -44,24 +44,18 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedEnvs) -> Non
     """Pictures, tasks, ends and what is said of them, beside the copies of the environments."""
     copies = LocalEnvs(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
-    assert worlds.observation_space == copies.observation_space
     observations, wanted = worlds.reset(), copies.reset()
     worlds._batch._steps[1] = 38  # an episode that is nearly over
     for step in range(2):
-        assert observations[OBSERVATION].dtype == wanted[OBSERVATION].dtype
-        np.testing.assert_array_equal(observations[TASK], wanted[TASK])
-        assert np.abs(observations[OBSERVATION].astype(float) - wanted[OBSERVATION]).mean() < 0.05
-        observations, rewards, dones, infos = worlds.step(np.array([1, 1]))
-        wanted = copies.step(np.array([1, 1]))[0]
-        assert not rewards.any()
-        assert dones.tolist() == [False, step == 1]
-    assert infos[0] == {}
-    assert infos[1]["TimeLimit.truncated"]
-    assert worlds.scores == [0.0]
-    last = infos[1]["terminal_observation"]
-    np.testing.assert_array_equal(last[TASK], [0, 1])
-    assert np.abs(last[OBSERVATION].astype(float) - wanted[OBSERVATION][1]).mean() < 0.05
-    assert np.abs(observations[OBSERVATION][1].astype(float) - copies.reset()[OBSERVATION][1]).mean() < 0.05
+        assert observations.dtype == wanted.dtype
+        assert np.abs(observations.astype(float) - wanted).mean() < 0.05
+        observations, ended, last, scores, broken = worlds.step(np.array([1, 1]))
+        wanted = copies.step(np.array([1, 1])).observations
+        assert ended.tolist() == [False, step == 1]
+    assert not broken.any()
+    assert scores[1] == 0.0
+    assert np.abs(last[1].astype(float) - wanted[1]).mean() < 0.05
+    assert np.abs(observations[1].astype(float) - copies.reset()[1]).mean() < 0.05
     copies.close()
 
 
@@ -69,9 +63,8 @@ def test_nothing_is_expected_after_a_broken_state(worlds: BatchedEnvs) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
     worlds._batch.physics._state["qvel"][1] = float("nan")
-    _, _, dones, infos = worlds.step(np.array([1, 1]))
-    assert dones.tolist() == [False, True]
-    assert not infos[1]["TimeLimit.truncated"]
+    step = worlds.step(np.array([1, 1]))
+    assert step.ended.tolist() == step.broken.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("worlds", [{"tasks": "MoveToRegion", "preset": "State"}], indirect=True)
@@ -79,19 +72,18 @@ def test_histories_of_states_begin_with_their_episode(worlds: BatchedEnvs) -> No
     """Two worlds of one task: the second has a head start of half an episode."""
     single = MagicalEnv("MoveToRegion", "Demo", "State")
     first = np.tile(single.reset(seed=0)[0], (HISTORY, 1))
-    before = worlds.reset()[OBSERVATION]
+    before = worlds.reset()
     assert before.shape == (2, HISTORY, len(STATE_NAMES))
     assert worlds._batch._steps.tolist() == [0, 20]
     np.testing.assert_allclose(before[0], first, atol=1e-6)
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
     worlds._batch._steps[1] = 39
-    observations, _, dones, infos = worlds.step(np.array([1, 3]))
-    assert dones.tolist() == [False, True]
-    np.testing.assert_array_equal(observations[OBSERVATION][0, :-1], before[0, 1:])
-    np.testing.assert_allclose(observations[OBSERVATION][1], first, atol=1e-6)
-    last = infos[1]["terminal_observation"][OBSERVATION]
-    np.testing.assert_array_equal(last[:-1], before[1, 1:])
-    assert np.abs(last[-1] - first[-1]).max() > 0.01
+    observations, ended, last, _, _ = worlds.step(np.array([1, 3]))
+    assert ended.tolist() == [False, True]
+    np.testing.assert_array_equal(observations[0, :-1], before[0, 1:])
+    np.testing.assert_allclose(observations[1], first, atol=1e-6)
+    np.testing.assert_array_equal(last[1, :-1], before[1, 1:])
+    assert np.abs(last[1, -1] - first[-1]).max() > 0.01
     single.close()
 
 

@@ -8,43 +8,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.utils import obs_as_tensor
 
 from magical_mj.learners.data import Dataset, Rollout
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.policy import load_policy, save_policy
-from magical_mj.learners.ppo import EvenBuffer, ExternalRewardPPO, RewardNormaliser
+from magical_mj.learners.ppo import PPO, RewardNormaliser, even_minibatches
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, training_envs
+from magical_mj.learners.vector_envs import training_envs
 from magical_mj.policies.interface import Episode
 from tests.helpers.learners import playing
 
 CPU = torch.device("cpu")
 
 
-def improver(settings: TrainingSettings) -> ExternalRewardPPO:
+def improver(settings: TrainingSettings) -> PPO:
     with seeded(settings.seed):
         actor = Actor(settings.network, len(settings.tasks))
         critic = Heads(len(settings.tasks), actor.torso.features, 1)
         generator = torch.Generator().manual_seed(0)
-        return ExternalRewardPPO(settings, training_envs(settings), actor, critic, generator, CPU)
+        return PPO(settings, training_envs(settings), actor, critic, generator)
 
 
 @pytest.fixture
-def ppo() -> Iterator[ExternalRewardPPO]:
+def ppo() -> Iterator[PPO]:
     learner = improver(playing())
     yield learner
-    learner.env.close()
+    learner._environments.close()
 
 
 def test_copies_are_split_evenly_between_tasks() -> None:
     environments = training_envs(playing(tasks="MoveToRegion,FixColour"))
     assert environments.tasks.tolist() == [0, 0, 1, 1]
     observations = environments.reset()
-    assert observations[OBSERVATION].shape == (4, 96, 96, 12)
-    assert observations[OBSERVATION].dtype == np.uint8
-    np.testing.assert_array_equal(observations[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
+    assert observations.shape == (4, 96, 96, 12)
+    assert observations.dtype == np.uint8
     environments.close()
 
 
@@ -61,15 +59,15 @@ def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
     environments.reset()
     ends = []
     for _ in range(40):
-        _, rewards, dones, infos = environments.step(np.zeros(4, int))
-        assert not rewards.any()
-        ends.append(dones)
+        step = environments.step(np.ones(4, int))
+        ends.append(step.ended)
     assert np.sum(ends, axis=0).tolist() == [1, 1, 1, 1]
     assert [int(np.argmax(end)) for end in np.transpose(ends)] == [39, 29, 19, 9]
-    assert dones.tolist() == [True, False, False, False]
-    assert infos[0]["TimeLimit.truncated"]
-    assert infos[0]["terminal_observation"][OBSERVATION].shape == (96, 96, 12)
-    assert len(environments.scores) == 4
+    assert step.ended.tolist() == [True, False, False, False]
+    assert not step.broken.any()
+    assert step.last.shape == (4, 96, 96, 12)
+    assert not np.array_equal(step.last[0], step.observations[0])
+    assert 0 <= step.scores[0] <= 1
     assert [state["episode"] for state in environments.get_state()] == [1, 1, 1, 1]
     environments.close()
 
@@ -80,49 +78,27 @@ def test_environments_are_restored_in_mid_episode() -> None:
     rng = np.random.default_rng(0)
     first.reset()
     for _ in range(30):
-        seen = first.step(rng.integers(18, size=4))[0]
-    first.scores.clear()
-    restored = second.set_state(first.get_state())
-    np.testing.assert_array_equal(restored[OBSERVATION], seen[OBSERVATION])
-    np.testing.assert_array_equal(restored[TASK], seen[TASK])
+        seen = first.step(rng.integers(18, size=4)).observations
+    np.testing.assert_array_equal(second.set_state(first.get_state()), seen)
     for _ in range(30):
         actions = rng.integers(18, size=4)
-        ours, theirs = first.step(actions), second.step(actions)
-        np.testing.assert_array_equal(ours[0][OBSERVATION], theirs[0][OBSERVATION])
-        np.testing.assert_array_equal(ours[2], theirs[2])
-    assert first.scores == second.scores
+        for ours, theirs in zip(first.step(actions), second.step(actions), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
     first.close()
     second.close()
 
 
 def test_minibatches_are_even_over_tasks() -> None:
     """Every sample comes once, and each minibatch of 8 has two or three of each of three tasks."""
-    copies = np.repeat([0, 1, 2], 2)
-    spaces = improver_spaces()
-    buffer = EvenBuffer(
-        4, *spaces, tasks=copies, generator=torch.Generator().manual_seed(0), device=CPU, n_envs=6, gamma=0.5
-    )
-    buffer.full = True
-    buffer.values = np.arange(24, dtype=np.float32).reshape(4, 6)  # 6 x step + copy
-    buffer.returns = buffer.values + 100
-    batches = [batch.old_values.numpy() for batch in buffer.get(8)]
-    again = [batch.old_values.numpy() for batch in buffer.get(8)]
-    assert sorted(np.concatenate(batches)) == list(range(24))
+    tasks = np.repeat([0, 1, 2], 2)
+    generator = torch.Generator().manual_seed(0)
+    before = np.random.get_state()[1]  # noqa: NPY002
+    batches, again = ([batch.numpy() for batch in even_minibatches(tasks, 4, 8, generator)] for _ in range(2))
+    assert sorted(np.concatenate(batches)) == list(range(24))  # 6 x step + environment
     assert not np.array_equal(batches, again)
     for batch in batches:
-        assert set(np.bincount(copies[batch.astype(int) % 6])) <= {2, 3}
-    batch = next(buffer.get(8))
-    np.testing.assert_array_equal(batch.returns - batch.old_values, 100)
-    assert batch.observations[OBSERVATION].dtype == torch.uint8
-    before = np.random.get_state()[1]  # noqa: NPY002
-    list(buffer.get())
+        assert set(np.bincount(tasks[batch % 6])) <= {2, 3}
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-
-
-def improver_spaces() -> tuple:
-    environments = training_envs(playing())
-    environments.close()
-    return environments.observation_space, environments.action_space
 
 
 def test_rollouts_are_drawn_evenly_over_tasks() -> None:
@@ -142,13 +118,13 @@ def test_rollouts_are_drawn_evenly_over_tasks() -> None:
     assert torch.cat([batch.tasks for batch in whole]).tolist() == 4 * [0, 0, 0, 1, 1, 1]
 
 
-def test_pictures_are_scaled_once_and_stay_fast(ppo: ExternalRewardPPO) -> None:
+def test_pictures_are_scaled_once_and_stay_fast(ppo: PPO) -> None:
     """What the torso gets is exactly what `as_input` makes of the stacks, channels last in memory."""
     got = []
     ppo.policy.actor.torso.register_forward_pre_hook(lambda _, inputs: got.append(inputs[0]))
     rollout = ppo.collect()
     ppo.improve(np.zeros((4, 4), np.float32))
-    assert len(got) == 4 + 1 + 1 + 4  # collecting; its last values, and ours; two epochs of two minibatches
+    assert len(got) == 4 + 1 + 4  # collecting; its last values; two epochs of two minibatches
     for stacks in got:
         assert stacks.is_contiguous(memory_format=torch.channels_last)
         assert stacks.max() <= 1
@@ -161,37 +137,32 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     ppo = improver(settings)
     ppo.collect()
     ppo.improve(np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32))
-    seen = ppo.env.reset()
-    save_policy(tmp_path, ppo.policy_kwargs["actor"], settings)
+    seen, tasks, actor = ppo._environments.reset(), torch.tensor([0, 0, 1, 1]), ppo.policy.actor
+    save_policy(tmp_path, actor, settings)
     saved = load_policy(tmp_path)
     with torch.inference_mode():
-        logits = ppo.policy.distribution_and_values(obs_as_tensor(seen, CPU))[0].logits
-        actor = ppo.policy_kwargs["actor"]
-        theirs = saved.actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
-        np.testing.assert_array_equal(
-            actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
-        )
+        logits = ppo.policy(seen, tasks)[0].logits
+        theirs = saved.actor(as_input(seen, CPU), tasks).log_softmax(1)
+        np.testing.assert_array_equal(actor(as_input(seen, CPU), tasks).log_softmax(1), theirs)
     torch.testing.assert_close(logits, theirs, rtol=0, atol=1e-6)
     assert logits.shape == (4, ONE_HOT)
     saved.reset_batch([Episode("FixColour", "Demo", 0, 0)] * 2)
-    assert saved.act_batch(seen[OBSERVATION][2:]).shape == (2,)
-    ppo.env.close()
+    assert saved.act_batch(seen[2:]).shape == (2,)
+    ppo._environments.close()
 
 
 def test_a_task_trains_its_own_heads_only() -> None:
     """PPO's loss for samples of the second task has no gradient in the first task's heads."""
     ppo = improver(playing(tasks="MoveToRegion,FixColour"))
-    seen = obs_as_tensor(ppo.env.reset(), CPU)
-    second = {key: value[2:] for key, value in seen.items()}
-    values, log_probs, entropy = ppo.policy.evaluate_actions(second, torch.tensor([3, 4]))
-    (values.sum() + log_probs.sum() + entropy.sum()).backward()
+    distributions, values = ppo.policy(ppo._environments.reset()[2:], torch.tensor([1, 1]))
+    (values.sum() + distributions.log_prob(torch.tensor([3, 4])).sum() + distributions.entropy().sum()).backward()
     for heads in (ppo.policy.actor.head, ppo.policy.critic):
         for weights in heads.parameters():
             assert weights.grad is not None
             assert not weights.grad[0].any()
             assert weights.grad[1].any()
     assert ppo.policy.actor.torso.linear[0].weight.grad.any()
-    ppo.env.close()
+    ppo._environments.close()
 
 
 def test_new_policies_tell_pictures_apart() -> None:
@@ -213,41 +184,36 @@ def test_new_policies_tell_pictures_apart() -> None:
             assert seen.float().mean() > 0.8
 
 
-def test_rewards_from_outside_become_returns(ppo: ExternalRewardPPO) -> None:
-    """Generalised advantages by their definition; the value of a state that ends an episode stands for what follows."""
+def test_rewards_from_outside_become_returns(ppo: PPO) -> None:
+    """Generalised advantages by definition. The value of a truncated episode's last state is added to its reward."""
     rng = np.random.default_rng(0)
     for _ in range(3):  # in the third rollout, the steps 9 to 12, the last copy's first episode ends
         ppo.collect()
-        bootstrap = ppo.rollout_buffer.rewards.copy()
-        rewards = rng.normal(size=(4, 4)).astype(np.float32)
-        with torch.no_grad():
-            last = ppo.policy.predict_values(obs_as_tensor(ppo._last_obs, CPU)).numpy()[:, 0]
-        ends = ppo._last_episode_starts
-        ppo.improve(rewards)
-    buffer, gamma, decay = ppo.rollout_buffer, ppo.gamma, ppo.gamma * ppo.gae_lambda
-    assert np.flatnonzero(bootstrap).tolist() == [1 * 4 + 3]
-    expected, after, following = np.zeros((4, 4)), np.zeros(4), last
+    rewards = rng.normal(size=(4, 4)).astype(np.float32)
+    steps, gamma, decay = ppo.steps, ppo.settings.discount, ppo.settings.discount * ppo.settings.gae_lambda
+    with torch.no_grad():
+        following = ppo.policy(ppo._observations, torch.zeros(4, dtype=torch.int64))[1].numpy()
+    assert np.flatnonzero(steps.bootstrap).tolist() == np.flatnonzero(steps.ended).tolist() == [1 * 4 + 3]
+    expected, after = np.zeros((4, 4)), np.zeros(4)
     for step in (3, 2, 1, 0):
-        goes_on = 1 - (ends if step == 3 else buffer.episode_starts[step + 1])
-        reward = rewards[step] + bootstrap[step]
-        error = reward + gamma * following * goes_on - buffer.values[step]
+        goes_on = ~steps.ended[step]
+        error = rewards[step] + steps.bootstrap[step] + gamma * following * goes_on - steps.values[step]
         after = error + decay * goes_on * after
-        expected[step], following = after, buffer.values[step]
-    np.testing.assert_allclose(buffer.advantages, expected, atol=1e-5)
-    assert buffer.episode_starts[2].tolist() == [0, 0, 0, 1]
+        expected[step], following = after, steps.values[step]
+    np.testing.assert_allclose(ppo.advantages(rewards), expected, atol=1e-5)
 
 
-def test_the_learning_rate_falls_to_zero(ppo: ExternalRewardPPO) -> None:
+def test_the_learning_rate_falls_to_zero(ppo: PPO) -> None:
     """From the settings' rate in the first of four updates by equal steps: it is 0 after the last."""
     rates = []
     for _ in range(4):
         ppo.collect()
         ppo.improve(np.zeros((4, 4), np.float32))
-        rates.append(ppo.policy.optimizer.param_groups[0]["lr"])
+        rates.append(ppo.optimizer.param_groups[0]["lr"])
     np.testing.assert_allclose(rates, 3e-4 * np.array([1, 0.75, 0.5, 0.25]))
 
 
-def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: ExternalRewardPPO) -> None:
+def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: PPO) -> None:
     ppo.score = 0.125
     scores = []
     for _ in range(4):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import lzma
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,6 @@ from magical_mj.learners.rewards import (
     learner_of_reward,
     sum_of_rewards,
 )
-from magical_mj.learners.vector_envs import OBSERVATION
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
@@ -123,7 +122,7 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     train(playing("gail", preset="State"), tmp_path / "gail")
     settings = playing("ppo", preset="State", **{"reward.run": tmp_path / "gail", "reward.variant": "Layout"})
     learner = OnLearntReward(settings)
-    starts = cast("dict[str, Any]", learner._environments.reset())[OBSERVATION][:, -1]
+    starts = learner._environments.reset()[:, -1]
     assert len({tuple(box) for box in starts[:, BOX].tolist()}) == len(starts)  # each has a layout of its own
     reward = learner_of_reward(tmp_path / "gail", playing("gail", preset="State"))
     rollout = learner.collect()
