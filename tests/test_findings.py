@@ -20,6 +20,7 @@ from magical_mj.leaderboard.standings import ABOVE, GROUPS, Standing, published
 from magical_mj.scene import constants as c
 from tools import released
 from tools.claims import OURS
+from tools.demonstration_sets import lost
 from tools.scores import by_released_rules, own_methods
 
 pytestmark = pytest.mark.xdist_group("results")  # which are read once
@@ -205,6 +206,15 @@ def test_the_range_of_jitter_is_named_where_one_moves_from_the_original() -> Non
 def test_the_demonstrations_page_has_the_scores_of_behavioural_cloning() -> None:
     page = " ".join((ROOT / "docs" / "demonstrations.md").read_text("utf-8").split())
     assert f"scores {mean(STATES, 'Demo'):.2f} in Demo and {mean(STATES, 'Jitter'):.2f} in Jitter with ours" in page
+
+
+def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
+    page = " ".join((ROOT / "docs" / "demonstrations.md").read_text("utf-8").split())
+    two, four = ("MoveToRegion", "FixColour"), ("MoveToRegion", "FixColour", "MoveToCorner", "MatchRegions")
+    states, pictures = lost(STATES, TASKS)[1], lost("pixels-bc-quick", four)[1]
+    assert f"BC loses {states:.0%} of its score from states and {pictures:.0%} from" in page.replace(" %", "%")
+    gail, cloning = lost("state-gail", two)[0], lost(STATES, two)[0]
+    assert f"{gail:.2f} in its two tasks, where BC from states loses {cloning:.2f}." in page
 
 
 def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:

@@ -74,10 +74,23 @@ def collect(entry: str, folders: Sequence[Path]) -> None:
     )
 
 
+def mean(scores: Scores, variant: str, tasks: Collection[str]) -> float:
+    """The mean over these tasks that have the variant."""
+    pairs = [(task, variant) for task in tasks if (task, variant) in ENVIRONMENTS]
+    return float(np.mean([np.mean([runs.mean() for runs in scores[pair].values()]) for pair in pairs]))
+
+
+def lost(entry: str, tasks: Collection[str], variant: str = "Demo") -> tuple[float, float]:
+    """How much lower a method's mean is with set 2 than with set 1, in score and as a share."""
+    before = mean(scores_of(read_entry(ROOT / "results" / entry).episodes), variant, tasks)
+    loss = before - mean(stored(entry), variant, tasks)
+    return loss, loss / before
+
+
 def mean_and_interval(scores: Scores, variant: str, tasks: Collection[str]) -> str:
     """The mean over these tasks that have the variant, with its 95 % interval."""
+    value = mean(scores, variant, tasks)
     pairs = [(task, variant) for task in tasks if (task, variant) in ENVIRONMENTS]
-    value = np.mean([np.mean([runs.mean() for runs in scores[pair].values()]) for pair in pairs])
     low, high = percentile_interval(resample([[*scores[pair].values()] for pair in pairs]).mean(axis=0))
     return f"{value:.2f} [{low:.2f}, {high:.2f}]"
 

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
+import pandas as pd
 import torch
 from torch import Tensor, nn
 
@@ -28,7 +29,6 @@ from magical_mj.learners.encoder import Encoder, save_encoder
 from magical_mj.learners.networks import Torso
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import VARIANTS
-from tools.research.pretraining import trained
 
 
 class InverseDynamics(BehaviouralCloning):
@@ -60,13 +60,14 @@ def episodes_in(folder: Path) -> dict[str, list[Demonstration]]:
 
 
 def learnt(episodes: Mapping[str, Sequence[Demonstration]], batches: int, seed: int, *, quick: bool) -> Encoder:
-    """The encoder after this number of batches."""
+    """The encoder after this number of batches. Prints how well the network predicted actions in the last tenth."""
     settings: TrainingSettings = load_settings(
         "bc", tuple(episodes), quick=quick, seed=seed, **{"bc.batches": max(1, batches)}
     )
     learner = InverseDynamics(settings, episodes)
+    metrics = pd.DataFrame([learner.update() for _ in range(batches)])
     if batches:
-        trained(learner)
+        print(metrics.tail(max(1, batches // 10)).mean().round(3).to_dict())
     learner.recalibrate()
     played = {demo.variant for found in episodes.values() for demo in found}
     weights = cast("Torso", learner.actor.torso).convolutions.state_dict()
