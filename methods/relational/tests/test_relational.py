@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import lzma
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -389,6 +391,7 @@ def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], me
         train(load_settings("relational", tasks, **changes), tmp_path / "run")
 
 
+ENTRY, TABLE = "../../results/state-relational", ("Demo", "Layout", "All")
 PICTURES: dict[str, Any] = {**TINY, **RELATIONAL, "network.channels": 8, "bc.batches": 3, "bc.batch_size": 8}
 
 
@@ -461,6 +464,20 @@ def test_ones_own_demonstrations_are_learnt_from(method: str, changes: dict[str,
 @pytest.mark.parametrize(("method", "changes"), TRAININGS)
 def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) -> None:
     check_seeds(method, {**RELATIONAL, **changes})
+
+
+def test_the_table_of_newer_assumptions_is_that_of_its_runs() -> None:
+    folder = Path(__file__).parents[1]
+    with (folder / "newer.csv").open() as file:
+        runs = list(csv.DictReader(file))
+    entry = [json.loads(lzma.decompress(file.read_bytes())) for file in sorted((folder / ENTRY).glob("?.json.xz"))]
+    text = (folder / "README.md").read_text()
+    for task in {run["task"] for run in runs}:
+        newer = [[float(run[variant]) for variant in TABLE] for run in runs if run["task"] == task]
+        older = [[np.mean(run["episodes"]["score"][f"{task}-{variant}"]) for variant in TABLE] for run in entry]
+        for name, scores in ((f"{task}, the first six", older), (f"{task}, all", newer)):
+            means = " | ".join(f"{mean:.2f}" for mean in np.mean(scores, axis=0))
+            assert f"| {name} | {len(scores)} | {means} |" in text
 
 
 @pytest.mark.slow
