@@ -64,8 +64,8 @@ class PPO:
     clipping range falls with the learning rate, Adam's eps is 1e-8, and values are not clipped. Unlike rlpyt, it treats
     the horizon as truncation, not termination: returns are bootstrapped with the value of the last state.
 
-    Trainings equal those of stable-baselines3's PPO to the bit (tests/learners/test_stable_baselines3.py). Its `learn`
-    takes rewards from the environments, and has no step in which rewards are computed for a rollout.
+    With the same rewards and random numbers, trainings equal those of stable-baselines3's PPO to the bit
+    (tests/learners/test_stable_baselines3.py). That PPO takes rewards from the environments only.
 
     Attributes:
         steps: the latest rollout.
