@@ -133,7 +133,7 @@ class Relation:
         together: judges the selected blocks together, such as whether they form a line; or the robot.
         of_blocks: whether it has a selector. Otherwise, it is a relation of the robot.
         prefix: the prefix of an argument in texts, such as "to=".
-        least: the least number of selected blocks for which it is defined. 0: it also holds if there are none.
+        least: the least number of selected blocks for which it is defined. 0: it also holds without any.
     """
 
     arguments: tuple[str, ...] = ("",)

@@ -348,7 +348,7 @@ def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
     folder, policy = next((split for split in splits if split[0] and Path(split[0]).is_dir()), splits[0])
     scores = _read([Path(folder)])
     names = list(scores["policy"].cat.categories)
-    is_clear = policy in names if policy else len(names) == 1
+    is_clear = policy in names if policy else len(names) <= 1
     if not is_clear:
         raise SettingsError(f"{folder} holds {', '.join(names)}: name one of them, as in {folder}:{names[0]}")
     policy = policy or names[0]

@@ -45,7 +45,7 @@ LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
 SAVED: Final = 100
-"""The number of updates after which a network is written."""
+"""A network is written each time after this number of updates."""
 GROUPS: Final = 48
 """The number of contexts in a planner's batch."""
 STEPS: Final = 4

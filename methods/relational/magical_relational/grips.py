@@ -29,7 +29,7 @@ NEAR: Final = range(4, 17)
 LATE: Final = 6
 """In a grip, the fingers close within this number of steps after the block starts to move."""
 SEGMENTS: Final = (2, 4)
-"""The smallest and the largest number of random segments of driving or turning, by which the robot leaves."""
+"""The smallest and the largest number of random segments of driving or turning when the robot leaves."""
 LONGEST: Final = 5
 """The largest number of steps of a segment."""
 REACH: Final = 0.75

@@ -203,7 +203,7 @@ def _turn(angle: Any) -> Floats:
 def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
     """Samples of a play's first part, transformed so that it ends at a moment.
 
-    Only steps whose remaining path is clear and direct become samples. None if there are no such steps.
+    Only steps whose remaining path is clear and direct become samples. None without such steps.
     """
     end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
     context, last = replay.states[moment.step], play.states[end]

@@ -118,7 +118,7 @@ class Replay:
         states: shape (steps + 1, names).
         saved: the engine's states, of the same length.
         actions: shape (steps,).
-        never: the number of states, which stands for a step that does not occur.
+        never: the number of states; as a step it means "does not occur".
         positions: of the blocks, in the arena, shape (steps + 1, MAX_BLOCKS, 2).
         matters: whether each block is moved, here or in another demonstration (see `read`), shape (MAX_BLOCKS,).
         begins: the step of each block's first motion, or `never`, shape (MAX_BLOCKS,).
