@@ -228,7 +228,7 @@ class TrainingView:
 def evaluate_reward(
     runs: Annotated[
         list[Path],
-        Argument(help="Folders of trainings. Those without a learnt reward, as of bc, only add episodes."),
+        Argument(help="Folders of trainings. Methods without a learnt reward, such as bc, only add episodes."),
     ],
     variants: option.Variants = "all",
     scenes: Annotated[

@@ -261,7 +261,7 @@ def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, free: 
 
 
 def _direct(poses: Floats, end: NDArray[Any], steps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether the remaining steps are at most `LONGER` than turning, driving straight and turning again."""
+    """Whether the remaining path is not much longer (`LONGER`) than turning, driving straight and turning again."""
     to_end = end[:2] - poses[:, :2]
     distance = np.linalg.norm(to_end, axis=1)
     bearing = np.arctan2(to_end[:, 1], to_end[:, 0]) - math.pi / 2 - poses[:, 2]
