@@ -170,6 +170,6 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     refused("has no convolutions: it is not for pictures", path=tmp_path / "states")
     (run / "config.toml").unlink()
     refused("is not the folder of a training", path=run)
-    with pytest.raises(SettingsError, match=r"point trains its convolutions, so bc\.encoder is for bc"):
+    with pytest.raises(SettingsError, match=r"point trains its own convolutions: leave out bc\.encoder"):
         train(using(file, method="point"), tmp_path / "new")
     assert using(Path("near")).bc.encoder == str(Path("near").absolute())
