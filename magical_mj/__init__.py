@@ -1,8 +1,8 @@
 """The MAGICAL benchmark for robust imitation (Toyer et al., NeurIPS 2020) on MuJoCo.
 
-A table of tasks and test variants (`magical_mj.ENVIRONMENTS`): through dm_env with `load`, through Gymnasium with
-``gymnasium.make("magical_mj/FindDupe-Demo-LoRes4E-v0")``, and as MJCF files with `export_mjcf`. Importing this package
-registers the Gymnasium environments.
+`magical_mj.ENVIRONMENTS` lists the environments: pairs of a task and a test variant. They are available through dm_env
+with `load`, through Gymnasium with ``gymnasium.make("magical_mj/FindDupe-Demo-LoRes4E-v0")``, and as MJCF files with
+`export_mjcf`. Importing this package registers the Gymnasium environments.
 """
 
 from __future__ import annotations
@@ -77,7 +77,10 @@ _NAMES: Final = {
 
 
 def __getattr__(name: str) -> Any:
-    """Names that need the simulator, imported at first use: an unusable MUJOCO_GL makes `import mujoco` fail."""
+    """Imports names that need the simulator at first use.
+
+    With an invalid MUJOCO_GL, `import mujoco` fails. All other names of this package still work.
+    """
     if name in _MODULES:
         return import_module(f"{__name__}.{name}")
     if name in _NAMES:

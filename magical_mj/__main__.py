@@ -7,5 +7,5 @@ if __name__ == "__main__":
         from magical_mj.cli import main
 
         sys.exit(main())
-    except KeyboardInterrupt:  # before `main` takes care of it
+    except KeyboardInterrupt:  # during the import; later, `main` handles it
         sys.exit(130)

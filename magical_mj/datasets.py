@@ -29,7 +29,7 @@ __all__ = ["FORMATS", "Format", "load", "make_env_and_datasets"]
 Format = Literal["npz", "minari", "lerobot", "webdataset"]
 FORMATS: Final = ("npz", "minari", "lerobot", "webdataset")
 VALIDATED: Final = 5
-"""One of this number of demonstrations is used for validation."""
+"""One in this number of demonstrations is used for validation."""
 
 
 def load(
@@ -38,7 +38,7 @@ def load(
     folder: Path | str = "datasets",
     *,
     preset: str | None = None,
-    set: DemonstrationSet = 1,  # noqa: A002 - as `magical_mj.demos.load`
+    set: DemonstrationSet = 1,  # noqa: A002 - the same name as in `magical_mj.demos.load`
 ) -> Any:
     """The data set of a task's demonstrations. It is written if it does not exist.
 
@@ -60,7 +60,8 @@ def load(
         MissingExtraError, MagicalError: if the library is not installed.
     """
     check_name("format of data sets", to, FORMATS)
-    preset = preset if preset is not None else "State" if to == "minari" else "LoRes4E"
+    if preset is None:
+        preset = "State" if to == "minari" else "LoRes4E"
     demos = demonstrations.load(task, set=set)
     target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset)
     if to != "minari":

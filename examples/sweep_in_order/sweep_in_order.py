@@ -3,16 +3,16 @@
 x-magical's task SweepToTop with subtasks, and a wrapper with rewards of its own. Use this file as a start for others.
 
 Goal
-    All pieces are in the zone along the top wall, and each came there before the next one.
+    All pieces are in the zone along the top wall, and each entered it before the next one.
 
 What varies
-    As in SweepToTop, but for the colours, which say the order.
+    The same as in SweepToTop, except the colours, which define the order.
 
 Score
-    The share of the pieces that are in the zone at the end and were there before all later ones.
+    The share of the pieces that count: those in the zone at the end that entered it before all later ones.
 
 Remaining distance
-    The sum of 0.3 and the way to y = 0.88 over the pieces that do not count.
+    For each piece that does not count: 0.3 plus its distance below y = 0.88. The result is the sum.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def check(scene: Scene) -> None:
 
 
 def counting(scenes: Sequence[Scene]) -> list[bool]:
-    """For each piece in order, whether it is in the zone now and was there before all later ones."""
+    """For each piece in order, whether it is in the zone now and entered it before all later ones."""
     colours = [block.colour for block in scenes[0].blocks]
     pieces = [colours.index(colour) for colour in ORDER]
     inside = np.array([arrived(scene)[pieces] for scene in scenes])  # (scenes, 3)
@@ -58,7 +58,7 @@ def score(scenes: Sequence[Scene], rules: Rules = "paper") -> float:
 
 
 def distance(scenes: Sequence[Scene], rules: Rules = "paper") -> float:
-    """The ways of the pieces that do not count."""
+    """The sum over the pieces that do not count, see above."""
     heights = {block.colour: block.y for block in scenes[-1].blocks}
     pairs = zip(ORDER, counting(scenes), strict=True)
     return sum(WRONG + max(ARRIVED - heights[colour], 0.0) for colour, counts in pairs if not counts)

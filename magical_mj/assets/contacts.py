@@ -36,7 +36,7 @@ FINGER_TOUCHES: Final = 2  # vertices of the fingers
 PRESS: Final = 1e4
 FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 ROTOR_INERTIA: Final = 40.0
-"""Of wheels, rotors and motors: too heavy to be slowed by friction."""
+"""The inertia of wheels, rotors and motors, so large that friction does not slow them."""
 CLASS: Final = "magical_mj"
 """The default class that contains all others."""
 

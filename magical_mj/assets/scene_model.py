@@ -380,6 +380,6 @@ class SceneModel:
             fingers = tuple(self.fingers(qpos).tolist())
             now = dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))
         if self.scene.pebbles:
-            places = qpos[self.coordinates.pebbles[:, :2]].tolist()
-            now = dataclasses.replace(now, pebbles=tuple(Pebble(x, y) for x, y in places))
+            positions = qpos[self.coordinates.pebbles[:, :2]].tolist()
+            now = dataclasses.replace(now, pebbles=tuple(Pebble(x, y) for x, y in positions))
         return now

@@ -74,11 +74,12 @@ def make(
         if as_integer(value, least) is None:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {short_repr(value)}")
     pairs = environments(task, variant)
-    if whole := [name for name in dict.fromkeys(name for name, _ in pairs) if task_spec(name).trajectory]:
-        raise SettingsError(
-            f"batched environments do not store the scenes of all steps, but the score of {whole[0]} depends on them; "
-            "use gymnasium.make or make_vec"
-        )
+    for name, _ in pairs:
+        if task_spec(name).trajectory:
+            raise SettingsError(
+                f"batched environments do not store the scenes of all steps, but the score of {name} depends on them; "
+                "use gymnasium.make or make_vec"
+            )
     if num_envs < len(pairs):
         raise SettingsError(
             f"num_envs={num_envs} must be at least {len(pairs)}, one environment for each task and variant"

@@ -87,7 +87,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         check_name("reward", reward, REWARDS)
         if reward == "dense":
             raise SettingsError(
-                "batched worlds have no dense rewards, which need every world's scene at every step: use "
+                "batched environments have no dense rewards, which need each environment's scene at each step: use "
                 'reward="score" here, or gymnasium.make_vec'
             )
         seed = check_seed(seed)

@@ -81,7 +81,7 @@ class Frames:
         self._painter.set_episodes(episodes, envs)
 
     def observe(self, physics: Physics, steps: Tensor) -> Observation:
-        """Adds the current pictures, after so many steps of each episode, to the stacks. Returns new tensors."""
+        """Adds the current pictures to the stacks. `steps` is each episode's number of steps. Returns new tensors."""
         self._drawn += 1
         self._painter.set_steps(steps)
         poses, fingers = physics.poses, physics.fingers

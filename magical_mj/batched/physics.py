@@ -273,7 +273,11 @@ class Slot(NamedTuple):
 
     def rows(self, field: str) -> NDArray[np.int64]:
         """The indices of the slot in one of `SHAPE_FIELDS`."""
-        return self.geoms if field in GEOM_FIELDS else np.array(self.bodies) if field in BODY_FIELDS else self.joints
+        if field in GEOM_FIELDS:
+            return self.geoms
+        if field in BODY_FIELDS:
+            return np.array(self.bodies)
+        return self.joints
 
     @classmethod
     def of(cls, model: mujoco.MjModel, number: int) -> Slot:

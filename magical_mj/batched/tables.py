@@ -1,6 +1,6 @@
-"""What observations of a batch need of episodes, as arrays, computed when scenes are sampled.
+"""Constant parts of a batch's observations, as arrays, computed when scenes are sampled.
 
-For state vectors, these are the constant entries; for pictures polygons, colours, cameras, and the episode's shifts.
+State vectors need their constant entries; pictures need polygons, colours, cameras, and the episodes' shifts.
 
 The polygons are those of the software renderer, read from one compiled model with a block of each shape and colour and
 a region of each colour. So pictures are the software renderer's to the byte, except where a corner is within rounding
@@ -163,7 +163,7 @@ def episode_tables(
 
     Args:
         scenes: the scenes of the episodes.
-        seeds: their seeds, from which shifts draw their values.
+        seeds: their seeds; the values of shifts are drawn from them.
         shifts: the strengths of shifts that are drawn.
         steps: the largest number of steps of an episode, plus one.
 

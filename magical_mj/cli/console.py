@@ -174,7 +174,7 @@ class Bars(Progress):
         super().__exit__(kind, error, trace)
 
     def stop(self) -> None:
-        """As rich's, which ends bars in a file or a pipe by an empty line, but not where none is left."""
+        """Like rich's, but without the empty line that it writes to a file or a pipe after bars that disappear."""
         (self.live if self.live.transient else super()).stop()
 
     def make_tasks_table(self, tasks: Iterable[Work]) -> Table:

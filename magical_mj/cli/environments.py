@@ -77,9 +77,11 @@ def _intents(names: str | None) -> Iterator[str]:
 
     for name in listed(names or "all", NAMES):
         name = name.removeprefix("intent:")
-        tasks = {f"intent:{name}/{number}": task for number, task in enumerate(tasks_in(name) if name in NAMES else ())}
-        single = {} if tasks else {f"intent:{name}": task_of(task_name(f"intent:{name}").removeprefix("intent:"))}
-        for label, task in (tasks or single).items():
+        if name in NAMES:
+            tasks = {f"intent:{name}/{number}": task for number, task in enumerate(tasks_in(name))}
+        else:
+            tasks = {f"intent:{name}": task_of(task_name(f"intent:{name}").removeprefix("intent:"))}
+        for label, task in tasks.items():
             yield f"{label:<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
 
 

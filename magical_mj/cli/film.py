@@ -35,7 +35,7 @@ PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
 TITLE_SHADE: Final = (255, 255, 255, 225)  # RGBA of the band behind a title
 SMALLEST_TEXT: Final = 8  # pixels
-PAUSE: Final = 1  # seconds for which the first and the last frame of an episode are shown
+PAUSE: Final = 1  # seconds; an episode's first and last frame are shown this long
 REPORT_SIZE: Final = 192  # pixels; of the videos in reports
 REPORT_SPEED: Final = 4  # times real time
 

@@ -42,7 +42,7 @@ Wish = Literal["reset", "next", "discard", "quit"]
 LINES: Final = 3  # of text below the pictures
 LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
-FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
+FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses without a display
 TEXT_SIZE: Final = 22  # pixels
 ORIGIN: Final = re.compile(r"https?://([\w.-]+|\[[\da-f:.]+\])(:\d+)?/*", re.IGNORECASE)
 LARGEST_SEED: Final = 2**53 - 1
@@ -217,7 +217,7 @@ class Window:
     A speed of 1 is real time; 0 is as fast as possible. `advice` is added to the error about a missing display.
 
     Raises:
-        MagicalError: if pygame-ce is not installed, or there is no display.
+        MagicalError: if pygame-ce is not installed, or no window can be opened.
     """
 
     def __init__(self, title: str, size: int, speed: float = 1.0, advice: str = "") -> None:
@@ -230,7 +230,7 @@ class Window:
         try:
             pygame.display.init()
             if pygame.display.get_driver() in FALLBACKS and not os.environ.get("SDL_VIDEODRIVER"):
-                raise pygame.error("there is no display, or it does not answer")
+                raise pygame.error("SDL found no display, or the display does not answer")
             self._surface = pygame.display.set_mode((2 * size, size + BAR))
         except pygame.error as error:
             pygame.display.quit()

@@ -50,7 +50,7 @@ def sources_of(
         if path.is_dir():
             inside = magical_mj.demos.files_in(path)
             if not inside:
-                raise DemonstrationError(f"there are no demonstrations in {path}")
+                raise DemonstrationError(f"{path} contains no demonstrations")
             chosen |= {file.resolve(): file for file in inside}
         elif path.exists():
             chosen[path.resolve()] = path

@@ -180,7 +180,7 @@ def bars(screen: Console) -> Bars:
 
 @contextmanager
 def repeating(poll: Callable[[], None]) -> Iterator[None]:
-    """A context in which a thread calls a function every few seconds. Its expected errors are ignored."""
+    """While the context is open, a thread calls `poll` every few seconds. Errors of files and our own are ignored."""
     ended = threading.Event()
 
     def repeat() -> None:
@@ -227,7 +227,8 @@ class TrainingView:
 
 def evaluate_reward(
     runs: Annotated[
-        list[Path], Argument(help="Folders of trainings. Those that learn no reward, such as bc, only add episodes.")
+        list[Path],
+        Argument(help="Folders of trainings. Methods without a learnt reward, such as bc, only add episodes."),
     ],
     variants: option.Variants = "all",
     scenes: Annotated[

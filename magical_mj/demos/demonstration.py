@@ -78,7 +78,7 @@ class Demonstration:
 
     @property
     def name(self) -> str:
-        """The names of task and variant, and of body and shifts if there are any.
+        """The names of the task and the variant, then of the body and the shifts, if it has any.
 
         Examples: ``"FindDupe-Demo"``, ``"SweepToTop-Layout-longstick"``.
         """
@@ -277,7 +277,8 @@ def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_physical(shifts: str) -> None:
     """Raises a `DemonstrationError` for shifts of pictures and instructions, which demonstrations do not contain."""
-    if others := [part for part in filter(None, re.split("[,+]", shifts)) if named_in(part) not in PHYSICAL]:
+    parts = filter(None, re.split("[,+]", shifts))
+    if others := [part for part in parts if named_in(part) not in PHYSICAL]:
         raise DemonstrationError(
             f"a demonstration can have the shifts {', '.join(PHYSICAL)}, not {others[0]}: it contains states, and its "
             "pictures and instructions are made when it is used"
@@ -325,7 +326,7 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
     """The name of the environment of all these demonstrations, such as ``"FindDupe-Demo"``.
 
     Raises:
-        DemonstrationError: if they are of several environments, if there are none, and for other objects.
+        DemonstrationError: if they are of several environments, if `demos` is empty, or if it contains other objects.
     """
     names = sorted({demo.name for demo in checked(demos)})
     if len(names) != 1:
@@ -338,7 +339,7 @@ def group_name(demos: Sequence[Demonstration]) -> str:
     """The name of the environment of all these demonstrations, or for several intents such as ``"Intents-Demo"``.
 
     Raises:
-        DemonstrationError: as `only_environment`, unless all of them are of intents.
+        DemonstrationError: see `only_environment`. Demonstrations of several intents are allowed.
     """
     if len({demo.task for demo in checked(demos)}) > 1 and all(in_language(demo.task) for demo in demos):
         return "-".join(("Intents", *sorted({demo.variant for demo in demos})))

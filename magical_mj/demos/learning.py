@@ -93,7 +93,10 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         for number, pictures in enumerate(
             render_demo(demo, [view for view, _ in kind.frames], kind.image_size, renderer)
         ):
-            (stacks.push if number else stacks.start)(copying(pictures))
+            if number == 0:
+                stacks.start(copying(pictures))
+            else:
+                stacks.push(copying(pictures))
             for name, latest in stacks.latest.items():
                 rows[name][number] = latest
         if kind.layout != "dict":

@@ -2,8 +2,8 @@
 
 Such a file contains a dict: `env_name`, such as "FindDupe-Demo-v0"; `trajectory`, a record of `acts` (the numbers of
 actions, shape (steps,)), pictures and other arrays; and, in some files, `score`. A pickle can run any code when it is
-loaded. So the unpickler accepts only plain containers, records and arrays of numbers, and imports nothing: it keeps the
-arguments and the state of records and arrays, from which this module reads the numbers.
+loaded. So the unpickler accepts only plain containers, records and arrays of numbers, and imports nothing. It keeps the
+arguments and the state of records and arrays, and this module reads the numbers in them.
 
 Only the actions are used. They are replayed from our demo scene, and the demonstration contains the states and the
 score of this replay.
@@ -49,7 +49,7 @@ KEPT: Final = frozenset(
         ("_codecs", "encode"),
     }
 )
-"""The modules and names of what a file may make of numbers."""
+"""The functions and classes (module, name) that a file may refer to, to describe arrays of numbers."""
 DTYPES: Final = frozenset({"b1", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"})
 PUTS: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT"})
 BANNED: Final = frozenset(
@@ -88,7 +88,9 @@ def from_original(path: Path | str) -> Original:
             "can be replayed, since others started in unknown scenes"
         )
     score = content.get("score")
-    score = score if (number := _numbers(score)) is None else number.tolist()
+    array = _numbers(score)
+    if array is not None:
+        score = array.tolist()
     score = float(score) if isinstance(score, float | int) and math.isfinite(score) else None
     actions, steps = _actions(path, content["trajectory"]), SPECS[task].horizon()
     if len(actions) > steps:
@@ -97,7 +99,7 @@ def from_original(path: Path | str) -> Original:
 
 
 def _actions(path: Path, trajectory: Any) -> list[int]:
-    """The actions of a trajectory: what is called `acts`, or the only row of numbers of actions."""
+    """The actions of a trajectory: its field `acts`. Without this name, the only field with a row of action numbers."""
     fields = dict(_fields(trajectory))
     rows = fields.get("acts")
     if rows is None:
@@ -110,7 +112,7 @@ def _actions(path: Path, trajectory: Any) -> list[int]:
 
 
 def _fields(trajectory: Any) -> Iterator[tuple[Any, Any]]:
-    """The names and values of a trajectory, or their numbers if they have no names."""
+    """The fields of a trajectory: names and values, or indices and values if the fields have no names."""
     parts = [trajectory]
     if isinstance(trajectory, _Kept):
         state = trajectory.state
@@ -123,13 +125,20 @@ def _fields(trajectory: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _row(part: Any) -> list[int] | None:
-    """The integers of a row; None of anything else."""
-    if (array := _numbers(part)) is not None:
+    """The integers of an array, a list or a tuple. None for anything else."""
+    array = _numbers(part)
+    if array is not None:
         return array.tolist() if array.ndim == 1 and array.dtype.kind in "iu" else None
     if not isinstance(part, list | tuple):
         return None
-    numbers = [as_integer(entry if (array := _numbers(entry)) is None else array[()]) for entry in part]
-    return None if None in numbers else [number for number in numbers if number is not None]
+    integers: list[int] = []
+    for entry in part:
+        scalar = _numbers(entry)
+        integer = as_integer(entry if scalar is None else scalar[()])
+        if integer is None:
+            return None
+        integers.append(integer)
+    return integers
 
 
 def loaded(path: Path) -> Any:
@@ -153,7 +162,9 @@ def loaded(path: Path) -> Any:
     except pickle.UnpicklingError as error:
         raise DemonstrationError(f"{path} is refused: {error}") from None
     except Exception as error:  # noqa: BLE001 - damaged pickles raise any type
-        raise DemonstrationError(f"{path} is no pickle of a demonstration: {type(error).__name__}: {error}") from None
+        raise DemonstrationError(
+            f"{path} is not a pickle of a demonstration: {type(error).__name__}: {error}"
+        ) from None
 
 
 def _check_opcodes(content: bytes) -> None:
@@ -171,7 +182,7 @@ def _check_opcodes(content: bytes) -> None:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Imports nothing: what a name in the file makes is only kept."""
+    """Imports nothing: for each allowed name in the file, the arguments and the state are kept."""
 
     def find_class(self, module: str, name: str, /) -> Any:
         if (module, name) == ("collections", "OrderedDict"):

@@ -57,7 +57,7 @@ MAX_BYTES: Final = 100_000
 """The maximum size of a recording. The longest episode needs much less."""
 TOLERANCE: Final = 1e-3
 """The accepted difference (world units or radians) between the end of a replay and the recording's `final`."""
-GLANCE: Final = 10  # steps between the pictures that are compared
+GLANCE: Final = 10  # steps: every tenth picture is compared
 SIZE: Final = 96  # pixels
 ROUNDING: Final = 1e-9
 TOUCHED: Final = 0.05  # world units; a block that moved less does not count as moved
@@ -307,7 +307,7 @@ class Verdict(NamedTuple):
 
     @property
     def problem(self) -> str | None:
-        """The first problem, as a predicate for the demonstration's name. None if there is no problem."""
+        """The first problem, as a predicate whose subject is the demonstration. None if there is none."""
         if not self.scene:
             return "does not start in the scene of its variant and seed in this version of the package"
         return None if self.score and self.replay else "does not replay to its score in this version of the package"

@@ -56,7 +56,7 @@ def load(
     folder: Path | str | None = None,
     body: str = GRIPPER,
     *,
-    set: DemonstrationSet = 1,  # noqa: A002 - what users say
+    set: DemonstrationSet = 1,  # noqa: A002 - the natural name for users
 ) -> list[Demonstration]:
     """The demonstrations of a task by one body: the shipped ones, or those in a folder.
 
@@ -97,8 +97,9 @@ def load(
         return demos
     quoted = shlex.quote(task)
     command = f"play {quoted} --record" if spec.plan is None else f"demos generate --tasks {quoted} --out"
-    where = f"in {folder}: make some with magical-mj {command} {folder}"
-    if folder is None:
+    if folder is not None:
+        where = f"in {folder}: make some with magical-mj {command} {folder}"
+    else:
         where = (
             f"in the package: make some with magical-mj {command} FOLDER, and name this folder, or set "
             "demonstrations=FOLDER in its TaskSpec"
@@ -109,11 +110,13 @@ def load(
 
 def set_suffix(which: DemonstrationSet) -> str:
     """The suffix of the names of data sets with this set: "", "-set2" or "-graded"."""
-    return "" if which == 1 else f"-{which}" if isinstance(which, str) else f"-set{which}"
+    if which == 1:
+        return ""
+    return f"-{which}" if isinstance(which, str) else f"-set{which}"
 
 
 class StoredRow(msgspec.Struct, frozen=True):
-    """A demonstration in a file of actions. That of an expert has the expert's seed, which is the scene's."""
+    """A demonstration in a file of actions. `seed` is the scene's, and the expert's if an expert demonstrates."""
 
     task: str
     variant: str
@@ -145,8 +148,12 @@ def _played(which: DemonstrationSet, task: str, body: str) -> list[Demonstration
     rows = [row for row in stored_rows(FILES[which]) if (row.task, row.body) == (task, body)]
     demos, speeds = [], task_spec(task).speeds
     for row in rows:
-        actions: Any = actions_of(row.actions) if not speeds else np.frombuffer(b64decode(row.actions), np.float32)
-        actions = actions if not speeds else actions.reshape(-1, 3 if body_named(body).fingers else 2)
+        actions: Any
+        if speeds:
+            size = 3 if body_named(body).fingers else 2
+            actions = np.frombuffer(b64decode(row.actions), np.float32).reshape(-1, size)
+        else:
+            actions = actions_of(row.actions)
         expert = row.seed if row.demonstrator == "expert" else None
         demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, expert, body))
     if changed := sum(abs(demo.score - row.score) > SAME_SCORE for demo, row in zip(demos, rows, strict=True)):

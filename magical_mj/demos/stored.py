@@ -34,9 +34,9 @@ Watch = Callable[[int, int], object]
 """Called with the number of finished demonstrations, and their total number."""
 
 ATTEMPTS: Final = 3
-"""The number of scenes in which a demonstration is tried."""
+"""The number of scenes that the expert tries for a demonstration."""
 NEXT: Final = 840_000_000_000
-"""The increment of the scene's seed between attempts. It keeps the demo scene, since it is a multiple of 1 to 8."""
+"""The increment of the scene's seed between attempts. As a multiple of 1 to 8, it does not change the demo scene."""
 FEW: Final = 4
 """The largest number of demonstrations that are made in this process, since starting other processes takes longer."""
 SHOWN: Final = 3

@@ -49,7 +49,7 @@ class Engine:
         rules: the rules of score and horizon.
         seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
-        limit: the number of actions after which an episode ends: the horizon, or fewer.
+        limit: the largest number of actions in an episode of this engine: the horizon, or fewer.
         shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
@@ -78,7 +78,7 @@ class Engine:
         strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body, speeds)
         if unable := [name for name in strengths if setup.speeds and overrides(shift_class(name), "action")]:
-            raise SettingsError(f"the shift {unable[0]!r} changes which of the 18 actions is taken, and not speeds")
+            raise SettingsError(f"the shift {unable[0]!r} changes the 18 actions, but the actions here are speeds")
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
@@ -221,11 +221,13 @@ class Engine:
         return self.simulation.score()
 
     def remaining(self) -> float:
-        """What remains to be done, in world units: 0 exactly if the score is 1. See the task's module.
+        """The remaining distance to the goal, in world units. It is 0 if and only if the score is 1.
+
+        The module of each task defines it.
 
         Raises:
             InvalidSceneError: without a task.
-            TaskError: if the task has no formula for it.
+            TaskError: if the task does not define it.
         """
         return self.simulation.remaining()
 

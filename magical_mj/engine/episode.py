@@ -167,9 +167,9 @@ class Setup:
 
     @np.errstate(all="ignore")
     def remaining(self, scenes: Sequence[Scene]) -> float:
-        """What remains to be done in an episode with these scenes; see `Engine.remaining`."""
+        """The remaining distance in an episode with these scenes; see `Engine.remaining`."""
         if self.task is None:
-            raise InvalidSceneError("a plain scene has no goal, so no remaining distance; name a task")
+            raise InvalidSceneError("a plain scene has no goal, and so no remaining distance: give a task")
         return task_spec(self.task).remaining(scenes, self.rules)
 
     def check_start(

@@ -228,7 +228,7 @@ def _sensors(scene: Scene) -> Element:
 
 
 DECIMALS: Final = 6
-"""Of visual coordinates, in world units."""
+"""The number of decimals of visual coordinates, in world units."""
 ROUNDED: Final = """Coordinates of visual geoms are rounded to 6 decimals. Outlines of blocks are not rounded: a block
     sleeps below a speed that depends on its size. Numbers of the physics have all digits"""
 DRAWN: Final = ("visual", "solid")
@@ -255,8 +255,9 @@ def _name_colours(root: Element) -> None:
             geom.set("material", names[colour])
             used.add(names[colour])
     assets = cast("Element", root.find("asset"))
-    for name in filter(used.__contains__, MATERIALS):
-        SubElement(assets, "material", {"name": name, "rgba": rgba(MATERIALS[name])})
+    for name, rgb in MATERIALS.items():
+        if name in used:
+            SubElement(assets, "material", {"name": name, "rgba": rgba(rgb)})
 
 
 def _drop_unused_meshes(root: Element) -> None:

@@ -108,7 +108,8 @@ class Simulation:
     def _begin(self) -> None:
         """Writes the scene into the model and computes the initial state.
 
-        `mj_forward` is called twice: its solver starts from the previous solution, and protocol 1 is defined so.
+        `mj_forward` is called twice. Its solver starts from the previous solution, so the second call changes the
+        state. Protocol 1 includes it.
         """
         model, data = self.model, self.data
         self.scene_model.rewrite(model, data, change=self.shifts.model)
@@ -237,7 +238,7 @@ class Simulation:
         return self.setup.score(self.scored_scenes)
 
     def remaining(self) -> float:
-        """What remains to be done; see `magical_mj.Engine.remaining`."""
+        """The remaining distance; see `magical_mj.Engine.remaining`."""
         state = self.steps, self.data.qpos.tobytes()
         if self._measured[0] != state:  # dense rewards ask before and after each step
             self._measured = state, self.setup.remaining(self.scored_scenes)

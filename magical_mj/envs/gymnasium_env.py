@@ -38,7 +38,7 @@ ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 CUTS: Final = 3
-"""The number of episodes that are reset at the same late step before a warning says that they reported no score."""
+"""After this number of episodes that are reset at the same late step, a warning says that they report no score."""
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STARTS: Final = ("scene", "state", "variation")
 """The options of `reset` that determine how an episode starts."""
@@ -182,7 +182,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self.engine.score()
 
     def score_on_end_of_traj(self) -> float:
-        """The original's and x-magical's name of `score`, deprecated."""
+        """Deprecated name of `score`, from the original and from x-magical."""
         warnings.warn("score_on_end_of_traj() is deprecated: call score()", FutureWarning, stacklevel=2)
         return self.score()
 
@@ -261,7 +261,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self.__dict__
 
     def clone(self) -> MagicalEnv:
-        """A copy in the same state, with the same future, including later episodes."""
+        """A copy in the same state. It continues in the same way, also in later episodes."""
         return copy.deepcopy(self)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -306,7 +306,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return reward, False, last, info
 
     def render(self) -> Images | None:
-        """The picture of `render_view`, shape (size, size, 3), "both": twice as wide; None without a `render_mode`."""
+        """The picture of `render_view`, shape (size, size, 3); twice as wide for "both". None without `render_mode`."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
             return None
@@ -328,7 +328,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         if self._instruction or self.engine.simulation.shifts.changes_instruction:
             info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
-        return info | {"score": np.float64(score)} if self._score_every_step else info
+        if self._score_every_step:
+            info["score"] = np.float64(score)
+        return info
 
     def _notice_cut(self, steps: int) -> None:
         """Warns if consecutive episodes are reset at this step, probably by a wrapper such as `TimeLimit`."""

@@ -1,4 +1,4 @@
-"""The arguments of the original and of x-magical, which our environments accept with a warning that names ours."""
+"""The argument names of the original and of x-magical. Our environments accept them, with a warning that names ours."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def with_old_names(make: _Made) -> _Made:
                 if value is not None:
                     settings[ours] = value
                     warnings.warn(f"{name} is deprecated: give {ours}={value!r}", FutureWarning, stacklevel=3)
-            elif "settings" not in known:  # which go to another `__init__`
+            elif "settings" not in known:  # `settings` are passed on to another `__init__`, which checks them
                 meant = closest(name, (*known, *OLD_NAMES))
                 meant = OLD_NAMES[meant][0] if meant in OLD_NAMES else meant
                 raise unknown_name("argument of the environment", name, known, meant)

@@ -64,7 +64,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             (("ego", 1), ("allo", 1)), "dict", 96, "a dict of both current frames and the angles of the fingers", True
         ),
         "LoResCHW4E": Preset((("ego", 4),), "chw", 96, "LoRes4E with the channels first, as PyTorch wants them"),
-        "LoResSeg4E": Preset((("ego-segmentation", 4),), "hwc", 96, "LoRes4E as segmentations: ids of what is where"),
+        "LoResSeg4E": Preset((("ego-segmentation", 4),), "hwc", 96, "LoRes4E as segmentations: an id for each pixel"),
         "LoResSeg4A": Preset((("allo-segmentation", 4),), "hwc", 96, "LoRes4A as segmentations"),
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
         "StateStart": Preset((), "state", 96, "the state vector, then the initial poses (START_NAMES)", start=True),
@@ -76,7 +76,7 @@ DEFAULT_PRESET: Final = "LoRes4E"
 
 
 def preset_named(name: str) -> Preset:
-    """The preset with this name. Raises `UnknownNameError` if there is no such preset."""
+    """The preset with this name. Raises `UnknownNameError` if it does not exist."""
     if not isinstance(name, str) or name:
         check_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]
@@ -99,8 +99,8 @@ def observation_space(
 
 def observed(preset: str) -> str:
     """A phrase with the preset's name and the shapes of its observations."""
-    how = PRESETS[preset]
-    space = observation_space(how, Stacks(how, how.image_size).shapes)
+    definition = PRESETS[preset]
+    space = observation_space(definition, Stacks(definition, definition.image_size).shapes)
     if not isinstance(space, spaces.Dict):
         return f"{preset} {space.shape}"
     parts = ", ".join(f"{name} {part.shape}" for name, part in space.items())

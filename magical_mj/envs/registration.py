@@ -47,7 +47,9 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
     environment_axes(task, variant)
     preset_named(preset)
     task, spec = task_name(task), task_spec(task)
-    name = spec.name if not spec.further_demos else f"{spec.name}D{zlib.crc32(task.encode()):08x}"  # other demo scenes
+    name = (
+        spec.name if not spec.further_demos else f"{spec.name}D{zlib.crc32(task.encode()):08x}"
+    )  # the digest tells tasks with several demo scenes apart
     return _register(task, name, variant_name(variant), preset, spec.horizon())
 
 

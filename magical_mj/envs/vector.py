@@ -89,7 +89,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     `reset(seed=7)` resets the environments with the seeds 7, 8, 9..., and a list gives each its own seed. Observations,
     rewards, infos and the three modes of `gymnasium.vector.AutoresetMode` are those of
-    `gymnasium.vector.SyncVectorEnv`. Observations are fresh arrays. With DISABLED,
+    `gymnasium.vector.SyncVectorEnv`. Observations are new arrays at each step. With DISABLED,
     `reset(options={"reset_mask": mask})` resets the masked environments. If an episode has ended, and
     `call("set_state", state)` then restores a state, the episode continues from this state. Copies and pickles have
     their own environments, in the same states.
@@ -242,7 +242,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._with_instructions(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """For each environment, the attribute of this name; for methods, their results with these arguments."""
+        """The attribute of this name of each environment. Methods are called with these arguments."""
         values = (env.get_wrapper_attr(name) for env in self.envs)
         return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 

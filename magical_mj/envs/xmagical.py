@@ -93,9 +93,9 @@ class XMagicalEnv(SpeedsEnv):
     """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/SweepToTop-...")`.
 
     ## Actions
-    `Box(-1, 1, (2,))`, with a gripper `(3,)`. The entries are speed (units/s, full from 0.8), turn (rad ahead of the
-    heading, full from 0.0625) and grip (rad by which the fingers close: open up to 0, closed from 0.3927). One action
-    lasts 1/8 s.
+    `Box(-1, 1, (2,))`, with a gripper `(3,)`. The entries are: the speed in units/s, with full speed from 0.8; the turn
+    in rad relative to the heading, with full speed from 0.0625; and the closing angle of the fingers in rad, open up to
+    0 and closed from 0.3927. One action lasts 1/8 s.
 
     ## Observations
     "State": see `magical_mj.tasks.sweep_to_top.state_vector`, shape (16,), with a gripper (17,). "Pixels": a picture.
@@ -152,7 +152,7 @@ class XMagicalEnv(SpeedsEnv):
             render_size=render_size,
             limit=limit,
         )
-        self.reward = "none"  # `outcome` has x-magical's
+        self.reward = "none"  # `outcome` computes x-magical's rewards instead
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND

@@ -1,8 +1,9 @@
-"""Attribution: what stored episodes were after, from their initial and final scenes, and where failed ones were lost.
+"""Attribution: which goals stored episodes pursued, and from which step on failed episodes could not be solved.
 
-Episodes are replayed in worker processes. The ending of each is classified. For each that failed, the rivals of the
-task's intent that it reached are found: other intents that the demonstrations also reach. Its last solvable step is
-found on request: the last one from which the expert still solves the task.
+Episodes are replayed in worker processes, and each ending is classified from the initial and the final scene. Rivals of
+a task's intent are other intents that its demonstrations also reach. For each failed episode, the rivals that it
+reached are found. On request, its last solvable step is found: the expert still solves the task from there, but not
+later.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from magical_mj.engine import Engine, State
 
 BITS: Final = 24.0
-"""The longest description of a rival."""
+"""The longest description of a rival, in bits."""
 RECENT: Final = 64
 """The number of tasks whose rivals are kept in memory."""
 
@@ -48,10 +49,10 @@ class Attribution:
 
     Attributes:
         ending: shares of `magical_mj.intents.readings.ENDINGS`, which sum to 1.
-        moved: the blocks that ended elsewhere than they began.
-        rivals: of a failed episode, the numbers of the task's rivals that its end satisfies and its start did not, in
-            the list of `task_rivals`, with their shares by bits, which sum to 1; the simplest first.
-        remaining: the length (world units) of the moves that the task's plan still wants at the end.
+        moved: the blocks whose final position differs from the initial one.
+        rivals: the rivals that a failed episode reached: they hold at its end, but not at its start. Index in
+            `task_rivals` -> share by bits; shares sum to 1. The simplest rival is first.
+        remaining: the length (world units) of the moves that the task's plan still has at the end.
     """
 
     episode: EpisodeResult
@@ -73,7 +74,7 @@ class Unexplained:
 
 @lru_cache(maxsize=RECENT)
 def task_ends(task: str) -> tuple[Ends, ...]:
-    """The first and last scenes of the shipped demonstrations; of an intent, its demo scenes and its plans' ends."""
+    """The first and last scenes of the shipped demonstrations. For an intent: its demo scenes, and its plans' ends."""
     if in_language(task):
         intent = task_intent(task)
         return tuple(planned(intent, demo) for demo in task_spec(task).demos)
@@ -95,7 +96,7 @@ def task_rivals(task: str) -> tuple[Intent, ...]:
 
 
 def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
-    """What episodes did, as they come. They must not be `unfit`. Solved ones are needed for shares of all episodes."""
+    """Attributes episodes, in order of completion. None may be `unfit`. Include solved ones: they count in shares."""
     chunks = [[episode for _, episode in chunk] for chunk in in_chunks(("", episode) for episode in episodes)]
     work = [(chunk, demonstrated_blocks(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
     results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
@@ -106,13 +107,13 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
 def unfit(
     episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
 ) -> str | None:
-    """Why an episode cannot be attributed, as far as is known before its replay. None if it can. See `obstacle`."""
+    """Why an episode cannot be attributed, as far as is known before its replay; else None. See `obstacle`."""
     if not has_intent(episode.task):
         return f"{episode.task} has no intent in the language"
     if episode.shift:
         return f"it was played with the shift {episode.shift}"
     if episode.other:
-        return f"it was played as a control: the policy received what describes {episode.other}"
+        return f"it was played as a control: the policy received a description of {episode.other}"
     if "scene" in episode.given:
         return f"the policy received {episode.given}, and rivals are those that the task's own demonstrations leave"
     if episode.failure is not None:
@@ -152,7 +153,7 @@ def _shares(judge: Judge, initial: Scene, final: Scene) -> dict[int, float]:
 
 
 def remaining(episode: EpisodeResult, scenes: tuple[Scene, Scene]) -> float:
-    """The length (world units) of the moves that the task's plan still wants in the second of two scenes."""
+    """The length (world units) of the moves that the task's plan still has in the second of two scenes."""
     noise = Noise(np.random.default_rng(0), 0.0)
     subgoals = task_spec(episode.task).subgoals(scenes, noise, check_rules(episode.rules))
     return sum(subgoal.left(scenes[1]) for subgoal in subgoals)
@@ -168,11 +169,11 @@ FAILURES: Final = (ANOTHER_GOAL, MISSED, NOTHING, OUT_OF_TIME, UNSOLVABLE)
 
 @dataclass(frozen=True)
 class LastSolvable:
-    """Where a failed episode was lost.
+    """The last step of a failed episode from where it could still be solved, and why it failed.
 
     Attributes:
-        last: the number of actions after which the expert still solved it in the remaining steps; None if it does not
-            solve the scene at all.
+        last: the largest number of the episode's actions after which the expert still solves the task in the remaining
+            steps. None: it does not even solve the initial scene.
         failure: one of `FAILURES`.
     """
 
@@ -187,25 +188,26 @@ class LastSolvable:
 
 
 def last_solvable_steps(attributions: Iterable[Attribution], *, jobs: int | None = None) -> Iterator[LastSolvable]:
-    """Where failed episodes were lost, as they come. Each takes seconds, or half a minute."""
-    pieces = list(attributions)
-    if jobs == 1 or len(pieces) < 2:
-        return map(last_solvable_step, pieces)
-    return map_unordered(last_solvable_step, pieces, jobs)
+    """The results of `last_solvable_step`, in order of completion. Each takes seconds, or half a minute."""
+    failed = list(attributions)
+    if jobs == 1 or len(failed) < 2:
+        return map(last_solvable_step, failed)
+    return map_unordered(last_solvable_step, failed, jobs)
 
 
 def last_solvable_step(attribution: Attribution) -> LastSolvable:
-    """Where a failed episode was lost.
+    """Finds the last solvable step of a failed episode, and why it failed.
 
-    The last step is found by bisection, which assumes that a lost episode stays lost: if the expert solves it again
-    from a later step, this may be missed. One expert is asked, the one with seed 0, so that the last step is a lower
-    bound. The failure is the first of these that holds:
+    The step is found by bisection. This assumes that an episode cannot become solvable again; if it does, a later step
+    may be missed. Only the expert with seed 0 is tried, so the result is a lower bound. The failure is the first of
+    these that holds:
 
-    - pursued another goal: wrong blocks were moved and none of those that had to be, or the robot went to where the
-      demonstrations' region was (see `magical_mj.intents.readings.ending`);
-    - missed the grip: no block was moved, though the gripper was closed; did nothing: nor was that;
-    - ran out of time: from the last state, the expert solves it with the steps of a whole episode;
-    - made it unsolvable: it does not.
+    - pursued another goal: wrong blocks were moved and none of those that had to be, or the robot drove to the position
+      of the demonstrations' region (see `magical_mj.intents.readings.ending`);
+    - missed the grip: no block was moved, although the gripper was closed;
+    - did nothing: no block was moved, and the gripper was not closed;
+    - ran out of time: from the last state, the expert solves the task with the steps of a whole episode;
+    - made it unsolvable: the expert does not solve it even then.
     """
     episode = attribution.episode
     with closing(engine_for(episode)) as engine:

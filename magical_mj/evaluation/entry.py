@@ -33,7 +33,7 @@ SUFFIX: Final = ".json.xz"
 CARD: Final = "card.toml"
 """The card in a folder that is an entry. Each other file holds some runs, so a new run adds a file and changes none."""
 SHARED: Final = ("observations", "rules", "protocol")
-"""The fields in which all files of an entry must agree."""
+"""The fields that must be the same in all files of an entry."""
 MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 GIVEN: Final = "demonstrations at test"
@@ -76,8 +76,8 @@ Privilege = Literal[
 
 In this order: the demonstrations' states; in training, the simulator, pictures of any state, and the task's score; a
 program for a part of the tasks, such as gripping a block; choices by scores in dev scenes of the test variants; scenes
-other than the demo scene; the author's knowledge of the tasks; a copy of the simulation during tests; and the
-demonstrations of the task at the start of each episode, of which training saw none."""
+other than the demo scene; the author's knowledge of the tasks; a copy of the simulation during tests; and
+demonstrations at the start of each episode, of a task that was not in the training data."""
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
@@ -188,7 +188,7 @@ class Entry(EntryFields, frozen=True):
 
     @property
     def undeclared(self) -> str:
-        """The problem that its card lacks a privilege. Empty if it lacks none, as far as is known."""
+        """The problem that its card lacks a privilege. Empty if none is known to be missing."""
         return undeclared(self.card, self.played_in)
 
     @property
@@ -281,9 +281,10 @@ def read_entry(path: Path | str) -> Entry:
     if not parts:
         raise EvaluationError(f"{path} has a card, but no episodes (*{SUFFIX})")
     holders: dict[str, Path] = {}
-    for part, row in ((part, row) for part, entry in parts.items() for row in entry.episodes):
-        if holders.setdefault(row.title, part) != part:
-            raise EvaluationError(f"{part} and another file of {path} hold the same episode: {row.title}")
+    for part, entry in parts.items():
+        for row in entry.episodes:
+            if holders.setdefault(row.title, part) != part:
+                raise EvaluationError(f"{part} and another file of {path} hold the same episode: {row.title}")
     observations, rules, protocol = (
         common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
     )

@@ -41,7 +41,7 @@ OLD_DEFAULTS: Final = {
 
 
 class PlayedPolicy(Struct):
-    """The fields of a policy in the settings of an evaluation that are read again."""
+    """The fields of a policy in the settings of an evaluation that reports and entries read."""
 
     name: str
     run: StoredInt
@@ -118,7 +118,9 @@ class EvaluationFolder:
 def check_continues(folder: Path, settings: dict[str, Any]) -> None:
     """Raises a `SettingsError` unless an evaluation with these settings continues, or adds to, the one in a folder."""
     before = read_settings(folder)
-    for name in (name for name in EXTENDABLE if name in settings):
+    for name in EXTENDABLE:
+        if name not in settings:
+            continue
         now = [_identity(item) for item in settings[name]]
         if absent := [item for item in before[name] if _identity(item) not in now]:
             listed = ", ".join(map(_named, absent))
@@ -126,9 +128,8 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
                 f"{folder} holds {name} that are left out here, or have changed: {listed}. A resumed evaluation may "
                 f"have more {name}, but must keep all of these"
             )
-    (first, last), (least, most) = (
-        (known["first_seed"], known["first_seed"] + known["episodes"] - 1) for known in (before, settings)
-    )
+    first, least = before["first_seed"], settings["first_seed"]
+    last, most = first + before["episodes"] - 1, least + settings["episodes"] - 1
     if not (least <= first and last <= most):
         raise SettingsError(
             f"{folder} holds the scenes {first} to {last} of its split, but {least} to {most} are requested: a "

@@ -1,4 +1,4 @@
-"""The demonstrations that policies receive at test time, and the controls, in which they belong to another task.
+"""The demonstrations that policies receive at test time, and controls: episodes with those of another task.
 
 Controls show whether a policy uses the demonstrations or the instruction. If it has the same score with the
 demonstrations of another task, it ignores them. With the instruction of another task in the same scenes, it should
@@ -36,10 +36,10 @@ Watch = Callable[[int, int], object]
 def demonstrations_given(
     settings: EvaluationSettings, watch: Watch = lambda _, __: None
 ) -> dict[str, tuple[Demonstration | Stored, ...]]:
-    """The demonstrations that policies receive, by the task that is played.
+    """Played task -> the demonstrations that policies receive.
 
-    Demonstrations of intents are by the expert. Those that neither the package nor the user's cache has are made, with
-    calls of `watch`.
+    Demonstrations of intents are by the expert. If neither the package nor the user's cache contains them, they are
+    made, with calls of `watch`.
 
     Raises:
         DemonstrationError: if a task has too few, or the expert fails.
@@ -79,7 +79,7 @@ def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ..
 
 
 def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
-    """The SHA-256 digest of the scenes and the actions of demonstrations."""
+    """The SHA-256 hash of the scenes and the actions of demonstrations."""
     digest = hashlib.sha256()
     for demo in shown:
         actions = demo.actions.encode() if isinstance(demo.actions, str) else demo.actions.tobytes()

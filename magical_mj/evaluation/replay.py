@@ -103,7 +103,7 @@ def replay(
 
 
 def in_chunks(recorded: Iterable[Recorded]) -> list[list[Recorded]]:
-    """Episodes of an environment by their seeds, so that each scene is compiled once; the longest chunks first."""
+    """Chunks of episodes of one environment, sorted by seed, so that each scene is compiled once. The longest first."""
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
         alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
@@ -134,7 +134,7 @@ def engine_for(episode: EpisodeResult, renderer: str | None = None) -> Engine:
 
 
 def _rescored(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
-    """Replays an episode in an engine at its start. Returns it scored by `rules`, and what is wrong with it or None."""
+    """Replays an episode in an engine at its start. Returns it scored by `rules`, and the problem, or None."""
     if rules is None:
         return episode, replay_problem(episode, engine)
     spec, scores = task_spec(episode.task), list[float]()

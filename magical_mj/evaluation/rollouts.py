@@ -240,7 +240,7 @@ def _sentence(policy: object, episode: Episode, sentence: str) -> str:
 
 
 def _reading(observation: Any, others: str | tuple[str, ...]) -> Any:
-    """The observation, in which other instructions replace the task's: one, or one for each environment, or none."""
+    """The observation with other instructions: one, or one for each environment. If `others` is empty, unchanged."""
     if others and isinstance(observation, Mapping) and "instruction" in observation:
         return {**observation, "instruction": others}
     return observation

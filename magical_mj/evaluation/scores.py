@@ -228,7 +228,7 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
                 yield result
             elif result.failure is None:
                 raise EvaluationError(
-                    f"{path}, line {number}: the episode did not fail, but another line replaces it; delete one"
+                    f"{path}, line {number}: the episode did not fail, so no line can replace it; delete one of the two"
                 )
     if not lines:
         raise EvaluationError(f"{path} holds no finished episode yet")

@@ -183,7 +183,11 @@ class EvaluationSettings(Settings):
     def given(self, policy: Source) -> str:
         """The description of a task that a policy receives, such as "8 demonstrations in 4 scenes". Empty if none."""
         kind = "contrasting scene" if self.contrasting else "scene"
-        where = f" in {counted(self.scenes, kind)}" if self.scenes is not None else f" in {kind}s" * self.contrasting
+        where = ""
+        if self.scenes is not None:
+            where = f" in {counted(self.scenes, kind)}"
+        elif self.contrasting:
+            where = f" in {kind}s"
         parts = {
             "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if policy.shown else "",
             "wrong-instruction": "" if "instruction" in policy.unnoticed else "instruction",
@@ -208,8 +212,8 @@ class EvaluationSettings(Settings):
         does not have.
 
         Raises:
-            SettingsError: if an axis is named that one of the policies does not notice, or the expert plays with a body
-                with which it cannot solve the task.
+            SettingsError: if an axis is named that one of the policies does not notice, or if the expert plays and
+                cannot solve the task with the body.
         """
         unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
         settings = expand_shifts(self.shifts, task, unnoticed)
@@ -243,9 +247,10 @@ class EvaluationSettings(Settings):
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
-        played = [
-            policy.described() | ({"given": given} if (given := self.given(policy)) else {}) for policy in policies
-        ]
+        played = [policy.described() for policy in policies]
+        for policy, facts in zip(policies, played, strict=True):
+            if given := self.given(policy):
+                facts["given"] = given
         return {
             **({"policies": played} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],

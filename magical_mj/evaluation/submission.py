@@ -31,7 +31,7 @@ from magical_mj.utils.errors import EvaluationError, SettingsError, check_name
 PLAIN: Final = {
     "split": ("test", "on the split {}, but entries must be played on test"),
     "body": (GRIPPER, "with the body {}, but entries must be played with the gripper"),
-    "other": ("", "as a control, with what belongs to {}"),
+    "other": ("", "as a control, with the demonstrations or the instruction of {}"),
 }
 """Field -> the value that all episodes of an entry must have, and the error for other values."""
 
@@ -92,10 +92,11 @@ def submit(
 
 
 def _check_declared(card: Card, method: str, sets: set[int], played_in: Sequence[str]) -> None:
-    """Raises a `SettingsError` if the card does not declare what the policies learnt from.
+    """Raises a `SettingsError` if the card does not declare the training data.
 
-    This is the set of demonstrations, and play in scenes of test variants. Evaluations know it of the trainings of this
-    package only, and record set 1 and no play for other policies. So a card may declare another set for these.
+    These are the set of demonstrations, and scenes of test variants that were played in training. Evaluations know both
+    only for trainings of this package. For other policies they record set 1 and no play, so a card may declare another
+    set.
     """
     if len(sets) > 1 or sets - {1, card.demonstrations.loaded_set}:
         raise SettingsError(

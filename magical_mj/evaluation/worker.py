@@ -1,8 +1,8 @@
 """Plays an evaluation's units with a time limit. A unit is some episodes of one environment with one policy.
 
 An episode that takes too long has failed. The time is checked after each action. If a call of the policy does not
-return, its process must be killed, which only worker processes are (see `magical_mj.utils.parallel`). With ``jobs=1``,
-the process that called `evaluate` waits for the call.
+return, its worker process is killed (see `magical_mj.utils.parallel`). With ``jobs=1`` there are no worker processes,
+and `evaluate` waits for the call.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ T = TypeVar("T")
 SIDE_BY_SIDE: Final = {"mujoco": 10, "warp": 100}
 """The most episodes that are played in one batch. They end together, so a killed evaluation loses the current batch."""
 GRACE: Final = 1.0
-"""Seconds from the time limit until a worker process is killed. If the policy's calls return, none needs to be."""
+"""Seconds from the time limit until a worker process is killed. It is only needed if a call does not return."""
 
 
 @dataclass(frozen=True)

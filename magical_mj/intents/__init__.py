@@ -1,7 +1,7 @@
 """Intents: a language of goals over scenes.
 
-An intent is one to three relations, joined by ``&``. A relation is written with the blocks that it is about, judged in
-the initial scene, and what it wants of them in the final scene. docs/intents.md describes the language.
+An intent is one to three relations, joined by ``&``. A relation says what must hold for some blocks in the final scene.
+The blocks are selected in the initial scene. docs/intents.md describes the language.
 
 Every intent is a task: its name is ``"intent:"`` and the text, or ``"intent:combined/17"`` for an intent of `SETS`.
 

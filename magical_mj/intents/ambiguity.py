@@ -34,7 +34,7 @@ from magical_mj.scene import Scene, check_scene_type
 from magical_mj.utils.errors import SettingsError, short_repr
 
 MOST_IN_REGION: Final = 3
-"""The largest number that rivals with "exactly" name."""
+"""The largest number of blocks in rivals with "exactly"."""
 Flags = NDArray[np.bool_]
 
 
@@ -51,25 +51,25 @@ Ends = tuple[Scene, Scene]
 
 
 def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> list[Intent]:
-    """The intents of one or two conjuncts that all demonstrations have reached at their end and none at its start.
+    """The intents of one or two conjuncts that hold at the end of every demonstration, and at no start.
 
-    Every conjunct of a rival is about something in each demonstration, and none follows from the other.
+    Every conjunct of a rival applies to at least one object in each demonstration, and none follows from the other.
 
     Args:
         demonstrations: demonstrations, or pairs of an initial and a final scene.
-        bits: the longest description.
+        bits: the longest description of a rival, in bits.
 
     Returns:
-        The intents, the simplest first; those with the same number of bits in the order of their texts.
+        The intents, the simplest first. Those with the same number of bits are in the order of their texts.
 
     Raises:
-        SettingsError: if there are no demonstrations, or other objects.
+        SettingsError: if `demonstrations` is empty or contains other objects.
     """
     ends = [] if isinstance(demonstrations, str) else [ends_of(demonstration) for demonstration in demonstrations]
     if not ends:
         raise SettingsError(
-            'rivals are of demonstrations, such as magical_mj.demos.load("FindDupe"), or of pairs of scenes: give at '
-            f"least one, not {short_repr(demonstrations)}"
+            'rivals are computed from demonstrations, such as magical_mj.demos.load("FindDupe"), or pairs of scenes: '
+            f"give at least one, not {short_repr(demonstrations)}"
         )
     table = _table(bits)
     at_starts = np.array([_truths(table, start, start) for start, _ in ends])  # (episodes, kinds, selectors)
@@ -82,7 +82,7 @@ def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> li
 
 
 def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
-    """The intents that an episode has reached at its end and not at its start, the simplest first."""
+    """The intents that hold at the end of an episode and not at its start, the simplest first."""
     return rivals([(initial, final)], bits)
 
 
@@ -97,19 +97,20 @@ def ends_of(demonstration: HasScenes | Ends) -> Ends:
 
 
 class Judge:
-    """Says which of some intents episodes have reached. Intents that could be rivals are judged all at once."""
+    """Decides which of some intents an episode has reached. Intents of the form of rivals are judged all at once."""
 
     def __init__(self, intents: Sequence[Intent]) -> None:
         self.intents = tuple(intents)
         together = np.array([_is_like_rivals(intent) for intent in self.intents], np.bool_)
         self._together, self._alone = np.flatnonzero(together), np.flatnonzero(~together)
         likes = [self.intents[number] for number in self._together]
-        conjuncts = sorted({one for intent in likes for one in intent.conjuncts}, key=lambda one: one.selector == REST)
+        distinct = {one for intent in likes for one in intent.conjuncts}
+        conjuncts = sorted(distinct, key=lambda one: one.selector == REST)
         used = {one.selector for one in conjuncts if one.definition.of_blocks and one.selector != REST}
         self._table = _table_of(conjuncts, sorted(used) or [ALL])
         number_of = {conjunct: number for number, conjunct in enumerate(conjuncts)}
         pairs = [sorted((number_of[intent.conjuncts[0]], number_of[intent.conjuncts[-1]])) for intent in likes]
-        one, two = np.array(pairs, np.int64).reshape(-1, 2).T  # `others` come last
+        one, two = np.array(pairs, np.int64).reshape(-1, 2).T  # conjuncts with the selector `others` are second
         self._one, self._two = self._table.positions(one, one), self._table.positions(one, two)
 
     def reached(self, initial: Scene, final: Scene) -> Flags:
@@ -117,7 +118,7 @@ class Judge:
         return self.holds(initial, final) & ~self.holds(initial, initial)
 
     def holds(self, initial: Scene, final: Scene) -> Flags:
-        """Which intents hold in the final scene and are about something in the initial one. Shape (intents,)."""
+        """Which intents hold in the final scene, and apply to an object in the initial one. Shape (intents,)."""
         reached = np.zeros(len(self.intents), np.bool_)
         alone = [self.intents[number] for number in self._alone]
         reached[self._alone] = [intent.grounded(initial) and intent.holds(initial, final) for intent in alone]
@@ -128,10 +129,13 @@ class Judge:
 
 def _is_like_rivals(intent: Intent) -> bool:
     """Whether an intent has at most two conjuncts, of the kinds that rivals have."""
-    return len(intent.conjuncts) <= 2 and all(
-        one.selector == ALL if one.relation == "clustered" else one.selector != REST or one.definition.each is not None
-        for one in intent.conjuncts
-    )
+
+    def fits(conjunct: Conjunct) -> bool:
+        if conjunct.relation == "clustered":
+            return conjunct.selector == ALL
+        return conjunct.selector != REST or conjunct.definition.each is not None
+
+    return len(intent.conjuncts) <= 2 and all(map(fits, intent.conjuncts))
 
 
 class _Table(NamedTuple):
@@ -147,7 +151,7 @@ class _Table(NamedTuple):
     kinds: tuple[Conjunct, ...]
     selectors: tuple[Selector, ...]
     kind: NDArray[np.int64]  # the index of each conjunct's kind
-    selector: NDArray[np.int64]  # the index of its selector; -1 for `others`, and of the robot, where any will do
+    selector: NDArray[np.int64]  # the index of its selector; -1 for `others` and the robot (any index is right)
 
     def positions(self, first: int | NDArray[np.int64], second: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
         """The positions of the second conjuncts of some pairs."""
@@ -178,19 +182,17 @@ def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _
 
 @lru_cache(maxsize=1)
 def _selectors() -> tuple[Selector, ...]:
-    """All selectors but `others`."""
-    tests = {
-        name: [
-            Test(name, value, equal) for value in values for equal in ((True, False) if name in NEGATABLE else (True,))
-        ]
-        for name, values in VALUES.items()
-    }
+    """All selectors except `others`."""
+    tests: dict[str, list[Test]] = {}
+    for name, values in VALUES.items():
+        signs = (True, False) if name in NEGATABLE else (True,)
+        tests[name] = [Test(name, value, equal) for value in values for equal in signs]
     singles = [(test,) for group in tests.values() for test in group]
     return (ALL, *singles, *(pair for one, two in PAIRS for pair in itertools.product(tests[one], tests[two])))
 
 
 def all_conjuncts() -> Iterable[Conjunct]:
-    """All conjuncts in canonical form; with `others` only those that want nothing done."""
+    """All conjuncts in canonical form. With `others`, only those that also hold if no block is selected."""
     for name, relation in RELATIONS.items():
         for argument in relation.arguments:
             if not relation.of_blocks:
@@ -208,7 +210,7 @@ def all_conjuncts() -> Iterable[Conjunct]:
 
 
 def _truths(table: _Table, initial: Scene, final: Scene) -> Flags:
-    """Whether conjuncts hold, by kind and selector, shape (kinds, selectors). False if one is about nothing."""
+    """Whether conjuncts hold, by kind and selector, shape (kinds, selectors). False if one applies to no object."""
     masks = np.zeros((len(table.selectors), len(initial.blocks)), np.bool_)
     valid = np.ones(len(table.selectors), np.bool_)
     for number, selector in enumerate(table.selectors):
@@ -226,7 +228,7 @@ def _of_selectors(kind: Conjunct, masks: Flags, valid: Flags, initial: Scene, fi
     Args:
         kind: the conjunct; with `others`, each selector is the other conjunct's.
         masks: the selected blocks, shape (selectors, blocks).
-        valid: whether each selector means something.
+        valid: whether each selector is defined in the initial scene.
         initial: the initial scene.
         final: the final scene.
     """
@@ -249,15 +251,15 @@ def _of_each(kind: Conjunct, each: Each, masks: Flags, initial: Scene, final: Sc
         flags = each(kind.argument, initial, final)
     except UngroundedError:
         return np.zeros(len(masks), np.bool_)
-    about = np.array([flag is not None for flag in flags], np.bool_)
+    is_judged = np.array([flag is not None for flag in flags], np.bool_)
     true = np.array([bool(flag) for flag in flags], np.bool_)
-    concerned = masks & about
-    holds = (concerned & true).any(axis=1) if kind.any_of else (true | ~concerned).all(axis=1)
-    return np.logical_and(holds, concerned.any(axis=1))
+    judged = masks & is_judged
+    holds = (judged & true).any(axis=1) if kind.any_of else (true | ~judged).all(axis=1)
+    return np.logical_and(holds, judged.any(axis=1))
 
 
 def _all(parts: Callable[..., Iterable[bool]], *about: object) -> bool:
-    """Whether a conjunct holds for all objects. False if it means nothing."""
+    """Whether a conjunct holds for all objects. False if it is undefined in the scene."""
     try:
         return all(parts(*about))
     except UngroundedError:

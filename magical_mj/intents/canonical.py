@@ -9,23 +9,24 @@ from magical_mj.intents.selectors import REGION, REST, Selector, Test
 
 
 def without_repetition(conjuncts: Sequence[Conjunct]) -> list[Conjunct]:
-    """The conjuncts without those that follow from others in every scene: what is left holds in the same scenes."""
+    """The conjuncts without those that follow from others in every scene. The rest holds in the same scenes."""
     kept = list(dict.fromkeys(conjuncts))
     with_others = any(conjunct.selector == REST for conjunct in kept)
+
+    def makes_redundant(other: Conjunct, conjunct: Conjunct) -> bool:
+        if with_others and not narrower(conjunct.selector, other.selector):
+            return False  # without the conjunct, `others` would select more blocks
+        return implies(other, conjunct) and _applies_where(conjunct, other)
+
     for conjunct in sorted(kept, key=str):
         rest = [other for other in kept if other != conjunct]
-        if any(
-            implies(other, conjunct)
-            and _means_something_where(conjunct, other)
-            and (not with_others or narrower(conjunct.selector, other.selector))  # else others would be more blocks
-            for other in rest
-        ):
+        if any(makes_redundant(other, conjunct) for other in rest):
             kept = rest
     return kept
 
 
 def implies(one: Conjunct, other: Conjunct) -> bool:
-    """Whether the form of two different conjuncts shows that the other holds where one does and both say something."""
+    """Whether the form of two conjuncts shows that the other holds if one does, in scenes where both apply."""
     relation = one.definition
     if (one.relation, other.relation) == ("exactly", "in"):
         return other.any_of and other.argument == REGION and narrower(one.selector, other.selector)
@@ -43,14 +44,16 @@ def implies(one: Conjunct, other: Conjunct) -> bool:
 
 
 def narrower(one: Selector, other: Selector) -> bool:
-    """Whether the other selector means all blocks that one means, in every scene; each is as narrow as itself."""
-    return one == other or (
-        REST not in (one, other) and all(any(_passes(test, wider) for test in one) for wider in other)
-    )
+    """Whether all blocks of one selector are also blocks of the other, in every scene. True if both are equal."""
+    if one == other:
+        return True
+    if REST in (one, other):
+        return False
+    return all(any(_passes(test, wider) for test in one) for wider in other)
 
 
 def _passes(test: Test, wider: Test) -> bool:
-    """Whether what passes a test passes a wider one."""
+    """Whether every block that passes a test also passes a wider one."""
     if test == wider:
         return True
     if test.name != wider.name:
@@ -69,8 +72,8 @@ def _passes(test: Test, wider: Test) -> bool:
             return False
 
 
-def _means_something_where(conjunct: Conjunct, other: Conjunct) -> bool:
-    """Whether a conjunct that follows from another says something in every scene in which the other does."""
+def _applies_where(conjunct: Conjunct, other: Conjunct) -> bool:
+    """Whether a conjunct that follows from another one applies to an object in every scene where the other does."""
     if conjunct.selector == other.selector or conjunct.any_of:
         return True
     plain = all(test.name in ("colour", "shape") and test.value != REGION for test in conjunct.selector)

@@ -2,9 +2,9 @@
 
 Demo scenes are drawn like test scenes, or chosen to refute other readings.
 
-In scenes of Diagnose, to pursue a rival of the intent does not satisfy the intent. The rivals are the simplest ones
-that the first demo scene leaves. A plan of the rival proves each scene: its end satisfies the rival, but not the
-intent. So a policy that learnt the rival fails there.
+In scenes of Diagnose, a policy that pursues a rival of the intent does not satisfy the intent. The rivals are the
+simplest ones that are consistent with the first demo scene. Each scene is verified with a plan of the rival: its end
+satisfies the rival, but not the intent.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from magical_mj.intents.scenes import ALL_RULES, colours_rule, redrawn
 from magical_mj.scene import Scene
 
 CHOICE_BITS: Final = 22.0
-"""The longest rivals that demo scenes are chosen to refute."""
+"""The longest rivals that demo scenes are chosen to refute, in bits."""
 SIMPLEST: Final = 500
 """The number of the simplest remaining rivals that count in a choice."""
 CANDIDATES: Final = 12
 """The number of scenes that are compared for each choice."""
 DIAGNOSED_BITS: Final = 24.0
-"""The longest rivals of Diagnose."""
+"""The longest rivals of Diagnose, in bits."""
 RIVALS: Final = 10
 """The number of rivals of Diagnose."""
 CHECKED: Final = 60
-"""The number of the simplest rivals among which they are, if so many can be refuted."""
+"""The rivals of Diagnose are among this number of the simplest ones. There are fewer if scenes refute fewer."""
 SCENES: Final = 10
 """The number of scenes that show whether a rival can be refuted."""
 DRAWS: Final = 100
@@ -44,8 +44,8 @@ def further_scenes(
 ) -> list[Scene]:
     """Demo scenes after the first one, with other colours and poses.
 
-    If `contrasting`, they also have other shapes and counts, and each is the one of `CANDIDATES` that refutes most of
-    the simplest rivals which the scenes before leave.
+    If `contrasting`, they also have other shapes and counts. Each is the best of `CANDIDATES` scenes: it refutes the
+    most of the simplest rivals that the earlier scenes have not refuted.
     """
     if not contrasting:
         return [redrawn(intent, rng, first, colours_rule) for _ in range(number)]
@@ -61,7 +61,7 @@ def further_scenes(
 
 
 def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) -> Scene:
-    """A scene that refutes one of the simplest rivals, in turn by seed. Without rivals, any scene.
+    """A scene that refutes one of the simplest rivals, which the seed selects. Without rivals, any scene.
 
     Args:
         intent: the intent.
@@ -81,7 +81,7 @@ def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) 
 
 @lru_cache(maxsize=512)
 def simplest_rivals(intent: Intent, demo: Scene) -> tuple[Intent, ...]:
-    """The simplest rivals that a demonstration in the demo scene leaves, as far as scenes can refute them."""
+    """The simplest rivals that are consistent with a demonstration in the demo scene, and that scenes can refute."""
     rng = np.random.Generator(np.random.PCG64(0))
     scenes = [redrawn(intent, rng, demo, *ALL_RULES) for _ in range(SCENES)]
     found = rivals([planned(intent, demo)], DIAGNOSED_BITS)[:CHECKED]

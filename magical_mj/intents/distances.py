@@ -1,12 +1,13 @@
 """How far relations are from holding: the slack at positions, for plans, and the remaining distance, for rewards.
 
-The slack says by which distance (world units) a relation holds for a block, or for the robot, at each of some
-positions. Below 0, the relation does not hold. The relations `line` and `clustered` have no slack, since they depend
-on the positions of several blocks.
+The slack (world units) of a relation at a position is how far a block, or the robot, could move before the relation
+stops holding. Below 0, the relation does not hold there. The relations `line` and `clustered` have no slack, since they
+depend on the positions of several blocks.
 
 The remaining distance of an intent is the sum over its relations, by the same formulas as those of the benchmark's
-tasks. Each object for which a relation does not hold adds `WRONG` and the distance to where it would hold. If one block
-of several is enough, the nearest counts. The remaining distance is 0 exactly if the intent holds.
+tasks. If a relation does not hold for an object, this adds `WRONG` and the distance to the nearest position where it
+would hold. If one block of several is enough, the nearest counts. The remaining distance is 0 if and only if the intent
+holds.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def slack_of(conjunct: Conjunct, initial: Scene, block: int | None, chosen: Sequ
         conjunct: one with a slack.
         initial: the initial scene of the episode.
         block: the block's index; None for the robot.
-        chosen: the blocks that the conjunct is about.
+        chosen: the blocks that the conjunct selects.
     """
     name, argument = conjunct.relation, conjunct.argument
     match name:
@@ -91,7 +92,7 @@ def remaining(intent: Intent, initial: Scene, final: Scene) -> float:
     """How far an intent is from holding in the final scene (world units).
 
     Raises:
-        UngroundedError: if a relation means nothing in the initial scene.
+        UngroundedError: if a relation is undefined in the initial scene.
     """
     parts = zip(intent.conjuncts, intent.blocks(initial), intent.parts(initial, final), strict=True)
     return sum(_remaining(*part, initial, final) for part in parts if not all(part[2]))
@@ -120,7 +121,7 @@ def _remaining(
 
 
 def _to_number(number: int, blocks: list[Block], final: Scene) -> float:
-    """The way of the nearest blocks into the region until there are enough, or out of it if there are too many."""
+    """The distances of the nearest blocks into the region if there are too few, or out of it if there are too many."""
     region = the_region(final)
     ways = sorted(way_in(region, block) for block in blocks)
     surplus = ways.count(0.0) - number
@@ -129,7 +130,7 @@ def _to_number(number: int, blocks: list[Block], final: Scene) -> float:
 
 
 def _of_object(conjunct: Conjunct, index: int | None, blocks: tuple[int, ...], initial: Scene, final: Scene) -> float:
-    """The distance that a block, or the robot, adds for which the relation does not hold."""
+    """The distance that a block, or the robot, adds if the relation does not hold for it."""
     item: Block | Robot = final.robot if index is None else final.blocks[index]
     if conjunct.relation == "in" and conjunct.argument == HOME and index is not None:
         return way_in(final.regions[homes(initial)[index] or 0], item)

@@ -56,7 +56,7 @@ def _joined(parts: Sequence[str]) -> str:
 
 
 def _clauses(conjunct: Conjunct) -> list[str]:
-    """What asks for one conjunct, in different words."""
+    """Clauses that ask for one conjunct, in different words."""
     argument = conjunct.argument
     one = conjunct.any_of or names_one(conjunct.selector) or conjunct.number == 1
     blocks = _blocks(conjunct) if conjunct.definition.of_blocks else ""
@@ -70,10 +70,13 @@ def _clauses(conjunct: Conjunct) -> list[str]:
         "corner": _side(argument, "corner"),
         "reference": reference(argument),
     }
-    stays = conjunct.relation == "in" and any(
-        test.name == "starts" and test.value != "out" for test in conjunct.selector
-    )
-    clauses = CLAUSES[HOME if argument == HOME else KEPT if stays else conjunct.relation]
+    starts_inside = any(test.name == "starts" and test.value != "out" for test in conjunct.selector)
+    if argument == HOME:
+        clauses = CLAUSES[HOME]
+    elif conjunct.relation == "in" and starts_inside:
+        clauses = CLAUSES[KEPT]
+    else:
+        clauses = CLAUSES[conjunct.relation]
     if any(word in words["blocks"] for word in LONG):
         clauses = map(_blocks_last, clauses)
     return [clause.format(**words) for clause in clauses]
@@ -86,7 +89,7 @@ def _blocks_last(clause: str) -> str:
 
 
 def _blocks(conjunct: Conjunct) -> str:
-    """The blocks that a conjunct is about, as an object."""
+    """The blocks that a conjunct selects, as the object of a sentence."""
     selector = conjunct.selector
     if conjunct.number:
         return f"exactly {NUMBERS[conjunct.number]} {noun(selector, plural=conjunct.number > 1)}"
@@ -105,12 +108,12 @@ def _side(name: str, kind: str) -> str:
 
 
 def reference(name: str) -> str:
-    """What a reference names, such as "red star", "star" or "red block"."""
+    """A reference as a noun, such as "red star", "star" or "red block"."""
     return name if name.rpartition(" ")[2] in (REGION, ROBOT, *SHAPES) else f"{name} block"
 
 
 def noun(selector: Selector, *, plural: bool = False) -> str:
-    """The blocks that a selector means, as a noun: "red star", "blocks that are not of the region's colour"."""
+    """The blocks of a selector, as a noun: "red star", "blocks that are not of the region's colour"."""
     s = "s" if plural else ""
     if selector in (ALL, REST):
         return f"{'other ' if selector == REST else ''}block{s}"
@@ -141,7 +144,9 @@ def noun(selector: Selector, *, plural: bool = False) -> str:
 
 
 def _like(value: str, *, equal: bool) -> str:
-    what = value if value != "both" else "colour and shape" if equal else "colour or shape"
+    what = value
+    if value == "both":
+        what = "colour and shape" if equal else "colour or shape"
     model = "the block that starts in the region"
     return f"of the same {what} as {model}" if equal else f"of another {what} than {model}"
 

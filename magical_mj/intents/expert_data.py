@@ -50,7 +50,7 @@ class Dataset(Sequence[Example]):
         stored: the actions.
         path: the file of the actions.
         preset: the preset of the observations.
-        renderer: what draws pictures, as in `magical_mj.Engine`.
+        renderer: the renderer of pictures, as in `magical_mj.Engine`.
     """
 
     stored: tuple[Stored, ...]
@@ -129,7 +129,7 @@ def with_scenes(task: str, scenes: int | None = None, *, contrasting: bool = Fal
     """The name of an intent's task with this number of demo scenes; None: that of the task.
 
     Raises:
-        IntentError: if there are too many scenes, or only one is to be contrasting.
+        IntentError: if there are too many scenes, or `contrasting` is given with only one.
     """
     own = task_of(task.removeprefix(PREFIX))
     changed = replace(own, demos=scenes or own.demos, contrasting=contrasting or own.contrasting)

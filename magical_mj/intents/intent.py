@@ -36,7 +36,7 @@ _TEST: Final = re.compile(r"([a-z]+)\s*(!?=)\s*([a-z]+(?: [a-z]+)?)")
 
 @dataclass(frozen=True)
 class Intent:
-    """One to three conjuncts, which shall all hold when the episode ends.
+    """One to three conjuncts, which must all hold when the episode ends.
 
     Make one with `parse`. `str` gives the canonical text: conjuncts in the order of `RELATIONS`, without those that
     follow from others in every scene, such as `in(any, all, region)` from `in(all, region)`.
@@ -48,21 +48,24 @@ class Intent:
         return " & ".join(map(str, self.conjuncts))
 
     def holds(self, initial: Scene, final: Scene) -> bool:
-        """Whether every conjunct holds for every object; False where one means nothing in the initial scene."""
+        """Whether every conjunct holds for every object. False if one is undefined in the initial scene."""
         return self.share(initial, final) == 1.0
 
     def score(self, initial: Scene, final: Scene) -> float:
-        """How much of the intent was reached, in [0, 1]: 1 exactly if it holds, and 0 at most at the start.
+        """How much of the intent was reached, in [0, 1]: 1 if and only if it holds.
 
-        It is the share of the final scene beyond that of the initial scene, scaled by what was missing.
+        It is the increase of `share` from the initial to the final scene, divided by the largest possible increase. A
+        decrease scores 0.
         """
         now, before = self.share(initial, final), self.share(initial, initial)
-        if now == 1.0 or before == 1.0:
-            return now if now == 1.0 else 0.0
+        if now == 1.0:
+            return 1.0
+        if before == 1.0:
+            return 0.0
         return max(0.0, (now - before) / (1.0 - before))
 
     def share(self, initial: Scene, final: Scene) -> float:
-        """The mean over conjuncts of the share of objects for which each holds; 0 where one means nothing."""
+        """The mean of the conjuncts' shares (`share_of`). 0 if a conjunct is undefined in the initial scene."""
         try:
             shares = [share_of(parts) for parts in self.parts(initial, final)]
         except UngroundedError:
@@ -70,38 +73,38 @@ class Intent:
         return sum(shares) / len(shares) if min(shares) < 1.0 else 1.0
 
     def parts(self, initial: Scene, final: Scene) -> list[list[bool]]:
-        """For each conjunct whether it holds for each object.
+        """For each conjunct, whether it holds for each object that it applies to.
 
         Raises:
-            UngroundedError: if a conjunct means nothing in the initial scene.
+            UngroundedError: if a conjunct is undefined in the initial scene.
         """
         named = self._named(initial)
         return [conjunct.parts(initial, final, named) for conjunct in self.conjuncts]
 
     def blocks(self, initial: Scene) -> list[tuple[int, ...]]:
-        """For each conjunct the blocks that it is about.
+        """For each conjunct, the blocks that it selects.
 
         Raises:
-            UngroundedError: if a selector means nothing in the initial scene.
+            UngroundedError: if a selector is undefined in the initial scene.
         """
         named = self._named(initial)
         return [conjunct.blocks(initial, named) for conjunct in self.conjuncts]
 
     def grounded(self, initial: Scene) -> bool:
-        """Whether every conjunct is about something in the initial scene: a block at least, or the robot."""
+        """Whether every conjunct applies to at least one block, or the robot, in the initial scene."""
         try:
             return all(self.parts(initial, initial))
         except UngroundedError:
             return False
 
     def _named(self, initial: Scene) -> tuple[int, ...]:
-        """The blocks that the conjuncts without the selector `others` name."""
+        """The blocks that the conjuncts without the selector `others` select."""
         named = [conjunct.blocks(initial) for conjunct in self.conjuncts if conjunct.selector != REST]
         return tuple(sorted({index for blocks in named for index in blocks}))
 
     @cached_property
     def bits(self) -> float:
-        """The description length in bits: of the number of conjuncts, and of each one's relation and arguments."""
+        """The description length in bits, of the number of conjuncts and of the relation and arguments of each."""
         return intent_bits(self.conjuncts)
 
     def spec(self, seed: int = 0, demos: int = 1, contrasting: bool = False) -> TaskSpec:
@@ -131,7 +134,7 @@ class Intent:
 
 
 def share_of(parts: list[bool]) -> float:
-    """The share of objects for which a conjunct holds; 1 if it is about none."""
+    """The share of true values: of the objects that a conjunct holds for. 1 if the list is empty."""
     return sum(parts) / len(parts) if parts else 1.0
 
 
@@ -162,7 +165,7 @@ def parse(text: str) -> Intent:
     """The intent that a text describes; see the module `magical_mj.intents` for the language.
 
     Raises:
-        IntentError: if the text is no intent; the message shows where.
+        IntentError: if the text is not an intent. The message shows the position of the error.
     """
     if not isinstance(text, str):
         raise IntentError(f"an intent is a text such as 'in(colour=red, region)', not {text!r}")
@@ -186,7 +189,7 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
     """The intent of these conjuncts, in canonical form.
 
     Raises:
-        IntentError: if there are too many, or `others` are named and no other conjunct, or one with all blocks.
+        IntentError: if there are too many, or if `others` is used alone, or together with a selector of all blocks.
     """
     order = list(RELATIONS)
     single = [replace(one, any_of=one.any_of and not names_one(one.selector)) for one in conjuncts]
@@ -195,11 +198,11 @@ def intent_of(conjuncts: list[Conjunct]) -> Intent:
         raise IntentError(f"an intent has at most {MOST_CONJUNCTS} relations, and this has {len(kept)}")
     naming = [one.selector for one in kept if one.definition.of_blocks and one.selector != REST]
     with_others = any(one.selector == REST for one in kept)
-    if with_others and not naming and len(kept) > 1:  # others are all blocks
+    if with_others and not naming and len(kept) > 1:  # no other conjunct selects blocks, so `others` are all blocks
         return intent_of([replace(one, selector=ALL) for one in kept])
     if with_others and (len(kept) == 1 or ALL in naming):
-        why = "another relation names all blocks" if ALL in naming else "add a relation that names some"
-        raise IntentError(f"others are the blocks that no other relation of the intent names: {why}")
+        why = "another relation selects all blocks" if ALL in naming else "add a relation that selects some"
+        raise IntentError(f"others are the blocks that no other relation of the intent selects: {why}")
     return Intent(tuple(kept))
 
 
@@ -221,10 +224,10 @@ def _conjunct(text: str, found: re.Match[str]) -> Conjunct:
     if relation.quantified and parts and parts[0][0] == ANY and len(parts) > 1:
         conjunct, parts = replace(conjunct, any_of=True), parts[1:]
     if relation.arguments != ("",):
-        word, place = parts.pop() if parts else ("", found.end(2))
+        word, position = parts.pop() if parts else ("", found.end(2))
         value = word.removeprefix(relation.prefix).strip()
         if value not in relation.arguments or not word.startswith(relation.prefix):
-            _fail(text, place, f"one of {', '.join(relation.prefix + value for value in relation.arguments)}")
+            _fail(text, position, f"one of {', '.join(relation.prefix + value for value in relation.arguments)}")
         conjunct = replace(conjunct, argument=value)
     if not relation.of_blocks:
         if parts:
@@ -234,7 +237,7 @@ def _conjunct(text: str, found: re.Match[str]) -> Conjunct:
 
 
 def _parts(inner: str, start: int) -> list[tuple[str, int]]:
-    """The arguments in brackets, each with its place in the text."""
+    """The arguments in brackets, each with its position in the text."""
     parts, at = [], start
     for part in inner.split(","):
         if part.strip():

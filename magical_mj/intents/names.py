@@ -1,9 +1,10 @@
-"""Intents with names: the eight of the benchmark's tasks, and the sets; and the names of tasks of intents.
+"""Named intents: those of the benchmark's eight tasks, and the sets of intents. Also the names of intents' tasks.
 
-Such names are ``"intent:TEXT"``, ``"intent:SET/NUMBER"`` and ``"intent:SET"``; see `magical_mj.tasks.languages`.
+The names of tasks are ``"intent:TEXT"``, ``"intent:SET/NUMBER"`` and ``"intent:SET"``; see
+`magical_mj.tasks.languages`.
 
-The sets are for training, for development, and test sets that differ from the training set in one respect. They are
-fixed by the protocol number `INTENTS` and the hash of sets.txt, which `python -m tools.intents draw` wrote.
+There is a set for training, one for development, and test sets that differ from the training set in one respect. They
+are fixed by the protocol number `INTENTS` and the hash of sets.txt, which `python -m tools.intents draw` wrote.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
         }.items()
     }
 )
-"""Task -> the intent that holds exactly where the task's score is 1."""
+"""Task -> the intent that holds if and only if the task's score is 1."""
 DIGEST: Final = "5324e54880e1b2b8e811e2584d7911724ce025c917896eca3df9675ad9b5f3e7"
 """The SHA-256 of sets.txt."""
 NAMES: Final[Mapping[str, str]] = {
@@ -47,7 +48,7 @@ NAMES: Final[Mapping[str, str]] = {
     "relation": "the relations corner, apart and robot near, which no training intent uses",
     "long": "three relations of the training set",
 }
-"""Set -> what is in it."""
+"""Set -> a description of its intents."""
 FILE: Final = Path(__file__).with_name("sets.txt")
 
 
@@ -117,14 +118,15 @@ def _task(text: str) -> Task:
     if found is None:
         return task_of(text)
     if found[1] not in NAMES:
-        like = f"{meant}{text[found.end(1) :]}" if (meant := closest(found[1], NAMES)) else ""
+        meant = closest(found[1], NAMES)
+        like = f"{meant}{text[found.end(1) :]}" if meant else ""
         raise IntentError(
             f"{text!r} is neither an intent, such as 'in(colour=red, region)', nor one of a set, such as 'dev/3'. "
             + (f"Did you mean {like!r}?" if like else f"The sets are {', '.join(NAMES)}")
         )
     tasks = tasks_in(found[1])
     if found[2] is None or int(found[2]) >= len(tasks):
-        raise IntentError(f"{text} names no task: the set {found[1]} has {found[1]}/0 to {found[1]}/{len(tasks) - 1}")
+        raise IntentError(f"{text} does not exist: the set {found[1]} has {found[1]}/0 to {found[1]}/{len(tasks) - 1}")
     return with_settings(tasks[int(found[2])], found[3] or "")
 
 

@@ -1,8 +1,8 @@
 """Plans of intents: positions of blocks and of the robot that satisfy all relations with a margin.
 
-Each block that has to move gets the cheapest free position that satisfies all relations about it. If any of several
-blocks may move, as with "any" and "exactly", the cheapest does. Lines and clusters follow. They leave blocks in place
-that are also part of other relations, if possible. The robot moves last.
+Each block that has to move gets the cheapest free position that satisfies all its relations. If one of several blocks
+is enough, as with "any" and "exactly", the cheapest one moves. Lines and clusters follow. If possible, they do not move
+blocks that have other relations. The robot moves last.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from magical_mj.tasks.planning import (
 )
 
 MARGINS: Final = (0.09, 0.06, 0.03)
-"""The wanted slacks of positions (world units), the best first."""
+"""The slacks that positions should have (world units). The first that is possible is used."""
 TOLERANCE: Final = 0.07
 """A block this near to its position (world units) has reached it; or nearer, if the margin is smaller."""
 ROBOT_MARGIN: Final = 0.04
@@ -86,7 +86,7 @@ def planned(intent: Intent, scene: Scene) -> tuple[Scene, Scene]:
 
 
 def cost(intent: Intent, scene: Scene) -> float:
-    """The estimated number of actions from the start of an episode, as sum of the subgoals' costs."""
+    """The estimated number of actions from the start of an episode: the sum of the subgoals' costs."""
     return sum(subgoal.cost(scene) for subgoal in _from_start(intent, scene))
 
 
@@ -239,7 +239,7 @@ def _point(scene: Scene, index: int) -> Floats:
 
 
 def _crowding(places: Floats, scene: Scene, index: int) -> Floats:
-    """By how much each position is nearer to other blocks than `APART`."""
+    """How much nearer than `APART` each position is to other blocks, summed over the blocks."""
     crowding = np.zeros(len(places))
     for number, block in enumerate(scene.blocks):
         if number != index:

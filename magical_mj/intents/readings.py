@@ -1,7 +1,7 @@
-"""Readings: which blocks a policy may have taken for the intended ones, and what an episode did by them.
+"""Readings: simple rules that a policy may have learnt for which blocks to move, and the endings of episodes.
 
-Demonstrations in one scene do not say what matters about the blocks that they moved: the place, the colour, the shape,
-or what the task means. In a scene where these differ, the blocks that a policy moved say which of them it learnt.
+Demonstrations in one scene do not show why they moved certain blocks: because of their position, their colour, their
+shape, or the task's intent. In a scene where these differ, the blocks that a policy moved show which rule it learnt.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SAME_PLACE: Final = 0.3
 """Between the centres of a block and of the demonstrated one (world units), about the width of a block."""
 READINGS: Final = ("same place", "same colour", "same shape", "nearest")
 ENDINGS: Final = ("intended", *READINGS, "another block", "incompetent", "nothing")
-"""What an episode did; see `ending`."""
+"""The kinds of endings of an episode; see `ending`."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
 
 
 def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
-    """The blocks to move (one or all of them): those for which a conjunct does not hold yet in the scene."""
+    """The blocks to move (one or all of them): a conjunct does not hold for them yet in the scene."""
     wanted: set[int] = set()
     every = intent.parts(initial, initial), intent.blocks(initial)
     for conjunct, parts, blocks in zip(intent.conjuncts, *every, strict=True):
@@ -64,9 +64,9 @@ def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
 
 
 def readings(demonstrated: DemonstratedBlocks, initial: Scene) -> dict[str, frozenset[int]]:
-    """For each reading the blocks in a scene that it takes for the intended ones; none where it does not apply.
+    """For each reading, the blocks that it would move in a scene. Empty if it does not apply.
 
-    - same place: of the blocks that start within `SAME_PLACE` of where a demonstrated one started, the nearest.
+    - same place: the block nearest to the start of a demonstrated one, if it is within `SAME_PLACE`.
     - same colour, same shape: all blocks with the colour, or the shape, of a demonstrated one.
     - nearest: the block nearest to where the robot starts.
     """
@@ -97,11 +97,11 @@ def ending(
     - intended: it was solved.
     - nothing: no block was moved, and in a task of the robot alone, neither was the robot.
     - incompetent: a block was moved that had to be, but the task was not solved.
-    - otherwise, wrong blocks only were moved: in equal parts all readings that name one of them; "another block" if
-      none does.
+    - Otherwise, only wrong blocks were moved. All readings that include one of them get equal shares; "another block"
+      if none does.
 
     In a task of the robot alone, "same place" means that it ended in a region of the demonstrations' scene, and
-    "incompetent" that it went elsewhere.
+    "incompetent" that it drove elsewhere.
     """
     if solved:
         return {"intended": 1.0}
@@ -126,7 +126,7 @@ def _robot_ending(demonstrated: DemonstratedBlocks, initial: Scene, final: Scene
 def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
     """Whether moving these blocks, instead of the intended ones, is wrong in a scene.
 
-    Where one of several blocks is enough, any of them is right. To move none is wrong where one has to be moved.
+    If one of several blocks is enough, any of them is right. If one has to be moved, moving none is wrong.
     """
     wanted = intended_blocks(intent, initial)
     if any(conjunct.any_of for conjunct in intent.conjuncts):
@@ -135,7 +135,7 @@ def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:
 
 
 def same_places(final: Scene, initial: Scene) -> Scene:
-    """A scene with the robot and the blocks, one by one, at the places of another one; further blocks stay."""
+    """`initial` with the robot and the blocks, in their order, at the poses of `final`. Further blocks stay."""
     poses = [block.pose for block in final.blocks][: len(initial.blocks)]
     return initial.moved(final.robot.pose, [*poses, *(block.pose for block in initial.blocks[len(poses) :])])
 

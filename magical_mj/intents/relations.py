@@ -1,7 +1,7 @@
-"""Relations: what an intent wants of the selected blocks, or of the robot, in the final scene.
+"""Relations: conditions on the selected blocks, or on the robot, in the final scene.
 
-`parts` says for each object whether the relation holds. Relations of several blocks, such as a line, also have one part
-for each block, so that a score can count how many are right.
+`parts` contains for each object whether the relation holds. Relations between several blocks, such as a line, also have
+one part for each block, so that a score can count how many are right.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from magical_mj.tasks.make_line import longest_line
 from magical_mj.tasks.move_to_corner import FULL_SCORE_DISTANCE
 
 NEAR: Final = 0.45
-"""Between centres (world units): as close as two blocks that touch, and a little more."""
+"""The largest distance between centres (world units): a little more than between two blocks that touch."""
 APART: Final = 0.7
-"""Between the centres of blocks that are apart."""
+"""The least distance between the centres of blocks that are apart."""
 AT_WALL: Final = 0.3
-"""From a wall to a centre."""
+"""The largest distance from a wall to the centre of a block at the wall."""
 STAYED: Final = 0.15
-"""From where an untouched block began."""
+"""The largest distance of an untouched block from its initial position."""
 LEAST_LINE: Final = 3
 
 WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
@@ -46,13 +46,13 @@ HOME: Final = "home"
 
 @dataclass(frozen=True, order=True)
 class Conjunct:
-    """One relation with what it is about.
+    """One relation with its selector and its arguments.
 
     Attributes:
         relation: a key of `RELATIONS`.
         selector: the blocks; not used by relations of the robot.
-        argument: the region, wall, corner, reference or attribute, as the relation takes it.
-        number: for "exactly", how many.
+        argument: a region, wall, corner, reference or attribute, as the relation requires.
+        number: for "exactly", the number of blocks.
         any_of: whether one of the blocks is enough.
     """
 
@@ -71,25 +71,25 @@ class Conjunct:
 
     @property
     def definition(self) -> Relation:
-        """How the relation is written and judged."""
+        """The definition of its relation."""
         return RELATIONS[self.relation]
 
     def parts(self, initial: Scene, final: Scene, named: tuple[int, ...] = ()) -> list[bool]:
         """Whether it holds, for each object.
 
         Args:
-            initial: the scene in which the episode began.
-            final: the scene in which it ended, with the same blocks.
-            named: the blocks that the other conjuncts name, for the selector ``others``.
+            initial: the initial scene of the episode.
+            final: the final scene, with the same blocks.
+            named: the blocks that the other conjuncts select, for the selector ``others``.
 
         Raises:
-            UngroundedError: if it means nothing in the initial scene, or is about no block, though something is wanted
-                of one.
+            UngroundedError: if it is undefined in the initial scene, or needs a block and selects none.
         """
         relation, blocks = self.definition, self.blocks(initial, named)
         if relation.each is not None:
             flags = relation.each(self.argument, initial, final)
-            parts = [flag for flag in (flags[index] for index in blocks) if flag is not None]
+            selected_flags = [flags[index] for index in blocks]
+            parts = [flag for flag in selected_flags if flag is not None]
             if not parts and relation.least:
                 raise UngroundedError(f"{self} is about no block")
             return [any(parts)] if self.any_of else parts
@@ -98,7 +98,7 @@ class Conjunct:
         return relation.together(self, blocks, initial, final)
 
     def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
-        """The blocks that it is about; none for relations of the robot."""
+        """The blocks that it selects; none for relations of the robot."""
         if not self.definition.of_blocks:
             return ()
         if self.selector == REST:
@@ -106,7 +106,7 @@ class Conjunct:
         return selected(self.selector, initial)
 
     def judged(self, blocks: Sequence[int], initial: Scene) -> list[int]:
-        """Those of its blocks that the relation can judge: not, for example, the reference of `near`."""
+        """The blocks among these that the relation applies to: not, for example, the reference of `near`."""
         if (each := self.definition.each) is None:
             return list(blocks)
         flags = each(self.argument, initial, initial)
@@ -114,7 +114,7 @@ class Conjunct:
 
 
 Each = Callable[[str, Scene, Scene], "list[bool | None]"]
-"""(argument, initial, final) -> for each block of the scene whether it holds; None: it is not about this block."""
+"""(argument, initial, final) -> for each block of the scene whether it holds; None: it does not apply to this block."""
 Together = Callable[[Conjunct, tuple[int, ...], Scene, Scene], list[bool]]
 """(conjunct, blocks, initial, final) -> whether it holds, for each object."""
 
@@ -125,15 +125,15 @@ def _nothing(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final:
 
 @dataclass(frozen=True)
 class Relation:
-    """How a relation is written, and judged by one of two functions.
+    """The definition of a relation: its arguments, and a function that judges it, `each` or `together`.
 
     Attributes:
         arguments: the values that it takes; ("",) if it takes none.
         each: judges each block by itself, such as whether it is in the region.
         together: judges the selected blocks together, such as whether they form a line; or the robot.
-        of_blocks: whether it has a selector. The others are about the robot.
-        prefix: what stands before an argument in texts, such as "to=".
-        least: the fewest blocks about which it says something; 0: it also holds if there are none.
+        of_blocks: whether it has a selector. Otherwise, it is a relation of the robot.
+        prefix: the prefix of an argument in texts, such as "to=".
+        least: the least number of selected blocks for which it is defined. 0: it also holds without any.
     """
 
     arguments: tuple[str, ...] = ("",)
@@ -145,7 +145,7 @@ class Relation:
 
     @property
     def quantified(self) -> bool:
-        """Whether "any" may stand before the selector."""
+        """Whether "any" may precede the selector."""
         return self.each is not None and self.least > 0
 
 
@@ -167,9 +167,9 @@ def _exactly(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final:
     return [sum(region.contains(final.blocks[index]) for index in blocks) == conjunct.number]
 
 
-def _at_wall(thing: Block | Robot, wall: str, half: float) -> bool:
+def _at_wall(body: Block | Robot, wall: str, half: float) -> bool:
     sides = WALLS.values() if wall == ANY else [WALLS[wall]]
-    return any(u * thing.x + v * thing.y >= half - AT_WALL for u, v in sides)
+    return any(u * body.x + v * body.y >= half - AT_WALL for u, v in sides)
 
 
 def _wall(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
@@ -188,13 +188,14 @@ def _corner(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
 def _near(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
     other = block_of(argument, initial)
     return [
-        None if index == other else _way(block, final.blocks[other]) <= NEAR for index, block in enumerate(final.blocks)
+        None if index == other else _distance(block, final.blocks[other]) <= NEAR
+        for index, block in enumerate(final.blocks)
     ]
 
 
 def _apart(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
     return [
-        all(_way(final.blocks[index], final.blocks[other]) >= APART for other in blocks if other != index)
+        all(_distance(final.blocks[index], final.blocks[other]) >= APART for other in blocks if other != index)
         for index in blocks
     ]
 
@@ -214,7 +215,7 @@ def _clustered(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, fina
 
 
 def _untouched(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
-    return [_way(here, there) <= STAYED for here, there in zip(final.blocks, initial.blocks, strict=True)]
+    return [_distance(here, there) <= STAYED for here, there in zip(final.blocks, initial.blocks, strict=True)]
 
 
 def _robot_in(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
@@ -222,15 +223,15 @@ def _robot_in(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final
 
 
 def _robot_near(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
-    return [_way(final.robot, final.blocks[block_of(conjunct.argument, initial)]) <= NEAR]
+    return [_distance(final.robot, final.blocks[block_of(conjunct.argument, initial)]) <= NEAR]
 
 
 def _robot_wall(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
     return [_at_wall(final.robot, conjunct.argument, final.half_width)]
 
 
-def _way(thing: Block | Robot, other: Block | Robot) -> float:
-    return math.hypot(thing.x - other.x, thing.y - other.y)
+def _distance(body: Block | Robot, other: Block | Robot) -> float:
+    return math.hypot(body.x - other.x, body.y - other.y)
 
 
 _BLOCKS: Final = tuple(reference for reference in REFERENCES if reference not in ("region", "robot"))
@@ -249,4 +250,4 @@ RELATIONS: Final = {
     "robot near": Relation(_BLOCKS, together=_robot_near, of_blocks=False, prefix="to="),
     "robot wall": Relation((*WALLS, ANY), together=_robot_wall, of_blocks=False),
 }
-"""All relations by name, in the order in which canonical texts list them."""
+"""All relations by name, in the order of canonical texts."""

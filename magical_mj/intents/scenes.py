@@ -1,7 +1,7 @@
 """Scenes of intents: demo scenes, the rules that variants use, and the conditions on initial scenes.
 
-A demo scene is proposed with the blocks that the intent names, and others, until an episode can start there: each
-relation is about something, the intent is not satisfied or nearly so, and its plan satisfies it. Variants draw
+Demo scenes with the blocks that the intent names, and others, are proposed until an episode can start in one. Then each
+relation applies to an object, at most half of the intent holds already, and a plan satisfies it. Variants draw
 attributes uniformly under the same conditions.
 """
 
@@ -30,13 +30,13 @@ Rule = Callable[[Intent, np.random.Generator, Scene], Scene]
 """Draws an attribute of a scene."""
 
 PROPOSALS: Final = 2_000
-"""The number of demo scenes that are proposed for an intent."""
+"""The largest number of demo scenes that are proposed for an intent."""
 PLANS: Final = 100
-"""The number of proposals after which the search ends, if no plan satisfies the intent in them."""
+"""After this number of proposals without a plan that satisfies the intent, the search ends."""
 NEARLY: Final = 0.5
 """An episode does not start in a scene with this share of the intent or more."""
 REDRAWS: Final = 2_000
-"""The number of draws of colours, shapes or counts until the intent means something."""
+"""The largest number of draws of colours, shapes or counts until the intent is defined in the scene."""
 LAYOUTS: Final = 300
 """The number of draws until poses are accepted."""
 BLOCKS: Final = (3, 6)
@@ -59,20 +59,20 @@ def size_of(number: int) -> tuple[float, float]:
 def missing(intent: Intent, scene: Scene) -> str:
     """Why no episode of the intent starts in a scene; empty if one does.
 
-    Every relation must be about something in the scene. The share that holds must be below `NEARLY`, without relations
-    that hold and only ask to change nothing.
+    Every relation must apply to an object in the scene. The share that holds must be below `NEARLY`. Relations that
+    hold and only ask to change nothing do not count.
     """
     try:
         parts = intent.parts(scene, scene)
     except UngroundedError as error:
-        return f"a relation is about nothing there: {error}"
+        return f"a relation is undefined there: {error}"
     shares = [
         share_of(part)
         for conjunct, part in zip(intent.conjuncts, parts, strict=True)
         if not (all(part) and keeps(conjunct))
     ]
     if not shares or sum(shares) / len(shares) >= NEARLY:
-        return "the intent is satisfied there, or nearly so"
+        return "at least half of the intent is satisfied there"
     return ""
 
 
@@ -91,7 +91,7 @@ def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
     """A demo scene. Raises an `IntentError` if none was found."""
     if (most := max(conjunct.number for conjunct in intent.conjuncts)) > BLOCKS[1]:
         raise IntentError(f"{intent}: demo scenes have at most {BLOCKS[1]} blocks, so {most} cannot be in the region")
-    why, failed = "the blocks and regions that it names are in none of them", 0
+    why, failed = "the blocks and regions of the intent are missing", 0
     for _ in range(PROPOSALS):
         scene = _proposal(intent, rng)
         if not intent.grounded(scene):
@@ -107,11 +107,11 @@ def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
         why, failed = "no plan satisfies it", failed + 1
         if failed == PLANS:
             break
-    raise IntentError(f"found no scene for the intent {intent}: in the last that was proposed, {why}")
+    raise IntentError(f"found no scene for the intent {intent}: in the last proposal, {why}")
 
 
 def _proposal(intent: Intent, rng: np.random.Generator) -> Scene:
-    """A scene that is not placed yet, with blocks and regions that the intent may need."""
+    """A scene with blocks and regions that the intent may need. Their poses are drawn later, by `layout`."""
     named = _named(intent)
     tests = [test for conjunct in intent.conjuncts for test in conjunct.selector]
     homes = any(test.value in ("matched", "mismatched") for test in tests) or any(
@@ -147,7 +147,7 @@ def _box(colour: Colour, number: int) -> GoalRegion:
 
 
 def _needs_region(intent: Intent) -> bool:
-    """Whether the intent means nothing without a region."""
+    """Whether the intent is undefined without a region."""
     return any(
         conjunct.relation in ("in", "out", "exactly", "robot in")
         or any(test.name in ("like", "starts") or test.value == REGION for test in conjunct.selector)
@@ -177,7 +177,7 @@ def _named(intent: Intent) -> list[tuple[Colour | None, Shape | None]]:
     return list(dict.fromkeys(named))
 
 
-# Rules of variants. The first draws are uniform; later ones keep more and more of the scene, so that one is found.
+# Rules of variants. The first draws are uniform. Later ones keep more and more of the scene, so that one succeeds.
 
 
 def colours_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
@@ -238,6 +238,6 @@ def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule
 
 
 def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:
-    """The first draw that gives every relation something to be about. Without one, the scene itself."""
+    """The first draw in which every relation applies to an object. Without one, the scene itself."""
     draws = (draw(number / REDRAWS) for number in range(REDRAWS))
     return next((drawn for drawn in draws if intent.grounded(drawn)), scene)

@@ -1,13 +1,13 @@
-"""Selectors: which blocks an intent means, judged in the initial scene.
+"""Selectors: which blocks a relation applies to. They are evaluated in the initial scene.
 
-A selector is a conjunction of tests. No test selects all blocks. The tests, and how a text writes them:
+A selector is a conjunction of tests. Without tests, it selects all blocks. The tests, as a text writes them:
 
 - ``colour=red``, ``shape!=star``: an attribute. ``colour=region`` is the colour of the region, if there is just one.
-- ``like=colour``, ``like=shape``, ``like=both``: as the block that starts in the region, which itself is neither alike
-  nor unlike.
-- ``starts=in``, ``starts=out``: in or out of all regions. ``starts=matched``, ``starts=mismatched``: in a region of
-  the block's own colour, or of another.
-- ``odd=colour``, ``odd=shape``: the only block with its value of the attribute, where all others share theirs.
+- ``like=colour``, ``like=shape``, ``like=both``: the same attributes as the block that starts in the region. This block
+  itself passes neither the test nor its negation.
+- ``starts=in``, ``starts=out``: in a region, or outside all regions. ``starts=matched``, ``starts=mismatched``: in a
+  region of the block's own colour, or of another.
+- ``odd=colour``, ``odd=shape``: the only block with its value of the attribute, if all others have one other value.
 - ``nearest=red star``, ``farthest=region``: one block by its distance to a reference, which is the only block with this
   colour, shape or both, the only region, or the robot.
 - ``others``, alone: the blocks that no other conjunct of the intent names.
@@ -23,15 +23,15 @@ from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 
 TIE: Final = 0.05
-"""Two distances that differ by less (world units) do not tell which block is nearer."""
+"""If two distances differ by less (world units), it is undefined which block is nearer."""
 ODD_LEAST: Final = 3
-"""The fewest blocks among which one can be odd."""
+"""The least number of blocks for the tests ``odd``."""
 REGION: Final = "region"
 ROBOT: Final = "robot"
 OTHERS: Final = "others"
 
 REFERENCES: Final = (REGION, ROBOT, *COLOURS, *SHAPES, *(f"{colour} {shape}" for colour in COLOURS for shape in SHAPES))
-"""What a distance can be measured to."""
+"""The references of ``nearest``, ``farthest`` and the relations ``near``."""
 VALUES: Final[dict[str, tuple[str, ...]]] = {
     "colour": (*COLOURS, REGION),
     "shape": SHAPES,
@@ -48,7 +48,7 @@ PAIRS: Final = (("colour", "shape"), ("shape", "starts"), ("colour", "starts"))
 
 
 class UngroundedError(Exception):
-    """The selector or relation means nothing in this scene, such as "the nearest to the star" without a star."""
+    """A selector or relation is undefined in this scene, such as "the nearest to the star" without a star."""
 
 
 class Test(NamedTuple):
@@ -69,7 +69,7 @@ REST: Final[Selector] = (Test(OTHERS, ""),)
 
 
 def names_one(selector: Selector) -> bool:
-    """Whether a selector means a single block by its form."""
+    """Whether a selector always selects a single block, by its form."""
     return bool(selector) and selector[0].name in ("odd", "nearest", "farthest")
 
 
@@ -79,10 +79,10 @@ def text_of(selector: Selector) -> str:
 
 
 def selected(selector: Selector, scene: Scene) -> tuple[int, ...]:
-    """The indices of the blocks that the selector means in an initial scene, in ascending order.
+    """The indices of the blocks that the selector selects in an initial scene, in ascending order.
 
     Raises:
-        UngroundedError: if it means nothing there.
+        UngroundedError: if it is undefined there.
     """
     chosen = range(len(scene.blocks))
     for test in selector:

@@ -69,20 +69,20 @@ class Task:
 
 
 def task_of(text: str) -> Task:
-    """The task that a text describes. Raises an `IntentError` if it describes none."""
+    """The task that a text describes. Raises an `IntentError` if the text is invalid."""
     found = _BRACKETS.fullmatch(text)
     return Task(parse(text)) if found is None else with_settings(Task(parse(found[1])), found[2])
 
 
 def with_settings(task: Task, settings: str) -> Task:
     """The task with settings such as "[seed=1, demos=4, contrasting]". Raises an `IntentError` if they are invalid."""
-    allowed = {"seed": str.isdecimal, "demos": [str(number) for number in range(1, MOST_DEMOS + 1)].__contains__}
+    counts = [str(number) for number in range(1, MOST_DEMOS + 1)]
     changes: dict[str, Any] = {}
     for part in filter(None, map(str.strip, settings.strip("[]").split(","))):
         name, _, value = (word.strip() for word in part.partition("="))
         if part == "contrasting":
             changes[part] = True
-        elif name in allowed and allowed[name](value):
+        elif (name == "seed" and value.isdecimal()) or (name == "demos" and value in counts):
             changes[name] = int(value)
         else:
             raise IntentError(
@@ -121,7 +121,7 @@ def spec_of(task: Task) -> TaskSpec:
 
 
 def _horizon(intent: Intent, demo: Scene) -> int:
-    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes as of Layout and All."""
+    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes like Layout's and All's."""
     rng = np.random.Generator(np.random.PCG64(0))
     starts = [demo]
     for _ in range(STARTS):

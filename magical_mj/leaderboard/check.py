@@ -30,7 +30,7 @@ MOST_REPLAYED: Final = 500
 one episode in a hundred is false, such a sample misses all of them once in 150 times. The next check draws others."""
 
 COMPARED: Final = ("score", "actions", "failure", "rules")
-"""The fields in which two records of one episode must agree."""
+"""The fields that must be the same in all records of an episode."""
 
 
 @dataclass
@@ -209,13 +209,11 @@ def _contradictions(part: _Stored) -> list[str]:
     problems: dict[str, list[str]] = defaultdict(list)
     for episode in part.episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
-        texts = {
-            name: f"it was played with {value!r}, but {SETTINGS} contains {short_repr(settings.get(name))}"
-            # not the OpenGL backend, which each worker of a cluster chooses
-            for name in ("preset", "version", "mujoco")
-            # a policy without observations has no preset
-            if (value := getattr(episode, name)) not in (settings.get(name), None)
-        }
+        texts = {}
+        for name in ("preset", "version", "mujoco"):  # not the OpenGL backend, which each worker of a cluster chooses
+            value, expected = getattr(episode, name), settings.get(name)
+            if value not in (expected, None):  # None: a policy without observations has no preset
+                texts[name] = f"it was played with {value!r}, but {SETTINGS} contains {short_repr(expected)}"
         if episode.run not in runs.get(episode.policy, ()):
             texts["run"] = f"{SETTINGS} does not include it"
         if pair in ENVIRONMENTS and pair not in environments:

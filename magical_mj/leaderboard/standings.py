@@ -61,7 +61,7 @@ COLUMNS: Final[Mapping[str, tuple[Pair, ...]]] = {
     },
     **{variant: tuple(pair for pair in ENVIRONMENTS if pair[1] == variant) for variant in VARIANTS},
 }
-"""A score's name -> the environments over which it is the mean."""
+"""A score's name -> the environments that it averages."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def improvement(first: Standing, second: Standing) -> Estimate:
 
 
 def _better(first: Floats, second: Floats) -> Any:
-    """The share of pairs in which the first is larger than the second. Shapes (..., n) and (..., m) -> (...)."""
+    """The share of pairs whose first score is larger; ties count half. Shapes (..., n) and (..., m) -> (...)."""
     difference = first[..., :, None] - second[..., None, :]
     return ((difference > SCORE_TOLERANCE) + 0.5 * (np.abs(difference) <= SCORE_TOLERANCE)).mean(axis=(-1, -2))
 

@@ -72,7 +72,7 @@ class Apprenticeship(RewardLearner):
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
         novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
-        # the part of a rollout that is left out is random
+        # in random order, so that random samples are dropped
         order = torch.randperm(novice.shape[1], generator=self._draw)
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
         difference = self._demonstrated - self._latest.mean(1)

@@ -30,9 +30,9 @@ STATE_TRANSLATION: Final = 0.02  # for states: bound of the uniform draws along 
 STATE_ROTATION: Final = 2.0  # for states: bound of the uniform draws, in degrees
 STATE_NOISE: Final = 0.01  # standard deviation, in units and radians, of poses and finger angles of the present state
 PAST_NOISE: Final = 0.2  # the same for the earlier states
-"""Large, so that a policy cannot simply repeat the action that it infers from the latest movements (de Haan et al.,
-2019: "Causal Confusion in Imitation Learning"). In demonstrations this would succeed: four of five actions are
-repeated."""
+"""This noise is large, so that a policy cannot infer the last action from the latest movements and repeat it (de Haan
+et al., 2019: "Causal Confusion in Imitation Learning"). On demonstrations this would be right for four of five
+actions."""
 
 CHUNK: Final = 4
 """Stacks that are recoloured at once on a CPU, so that they fit into its cache. This is twice as fast."""
@@ -121,7 +121,7 @@ class StateAugmentation(Augmentation):
 
 def augmentation(settings: TrainingSettings) -> Augmentation:
     """The augmentation of a run's observations."""
-    return (StateAugmentation if settings.states else Augmentation)(settings.augment)
+    return StateAugmentation(settings.augment) if settings.states else Augmentation(settings.augment)
 
 
 def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:

@@ -216,12 +216,12 @@ def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings:
 
 
 def usable(data: Dataset, task: int) -> Tensor:
-    """The numbers of a task's rows that have a successor and an action other than the no-op."""
+    """The indices of a task's rows that have a successor, and whose action is not the no-op."""
     return (~data.last[task] & (data.actions[task] != NOOP)).nonzero()[:, 0]
 
 
 def successive(data: Dataset, numbers: Sequence[Tensor], size: int, generator: torch.Generator) -> tuple[Batch, Tensor]:
-    """Draws among the rows with these numbers, given for each task; returns also the observations that follow."""
+    """Draws a batch from the rows with these indices, given for each task. Also returns the following observations."""
     counts = shares(size, len(numbers), generator)
     rows = [
         able[torch.randint(len(able), (count,), generator=generator)]
@@ -246,13 +246,13 @@ def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: Inve
 
 
 class Point(BehaviouralCloning):
-    """POINT: also penalises features that reveal where, in the picture, the objects are that the policy attends to.
+    """POINT: also penalises features that contain the picture positions of the objects that the policy attends to.
 
     "Spatial generalization of visual imitation learning with position-invariant regularization" (Yin, Gao and Chen,
     workshop of RSS 2023) penalises features that contain absolute positions of objects, so that relations between
-    objects remain. We know only its abstract, and this form is ours. The position is where Grad-CAM (Selvaraju et al.
-    2017, arXiv:1610.02391) locates the reason for the demonstrator's action. No gradient flows through it. The penalty
-    is the squared distance correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
+    objects remain. We know only its abstract, and this form is ours. The position is the centre of the Grad-CAM map
+    (Selvaraju et al. 2017, arXiv:1610.02391) of the demonstrator's action. No gradient flows through it. The penalty is
+    the squared distance correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
     """
 
     observes = "pictures"
@@ -261,7 +261,7 @@ class Point(BehaviouralCloning):
     def check_settings(cls, settings: TrainingSettings) -> None:
         """Also checks that batches are large enough, and convolutions are trained."""
         if settings.bc.encoder:
-            raise SettingsError("point trains its convolutions, so bc.encoder is for bc")
+            raise SettingsError("point trains its own convolutions: leave out bc.encoder, or use the method bc")
         super().check_settings(settings)
         if settings.bc.batch_size < LEAST_SAMPLES:
             raise SettingsError(
@@ -294,7 +294,7 @@ def looked_at(maps: Tensor, chosen: Tensor) -> Tensor:
     """
     (slopes,) = torch.autograd.grad(chosen, maps, retain_graph=True)
     with torch.no_grad():
-        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # if all are 0: the middle
+        cam = (slopes.mean((2, 3), keepdim=True) * maps).sum(1).relu() + 1e-9  # a map of zeros has its centre at (0, 0)
         cam = cam / cam.sum((1, 2), keepdim=True)
         down, right = (torch.linspace(-1, 1, size, device=maps.device) for size in cam.shape[1:])
         return torch.stack([(cam.sum(1) * right).sum(1), (cam.sum(2) * down).sum(1)], 1)

@@ -34,7 +34,7 @@ def read(path: Path) -> dict[str, Any]:
     """Reads a file, with tensors on the CPU. Raises a `TrainingError` if the file is missing or damaged."""
     try:
         with safe_open(path, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a dict)
             state = _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
         if not isinstance(state, dict):
             raise TypeError(f"it contains a {type(state).__name__} instead of values by name")

@@ -34,7 +34,7 @@ _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "bc.encoder": ("bc",),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
-"""Setting -> the methods that use it, if not all methods with that part do."""
+"""Setting -> the methods that use it. For other settings, these are all methods that use the part."""
 _OF_PICTURES: Final = (
     "renderer",
     "bc.encoder",
@@ -207,7 +207,7 @@ def check_changes(
     preset = preset or changes.get("preset", TrainingSettings.preset)
     for name in changes:
         if name in elsewhere:
-            raise SettingsError(f"set {name} by its own option or entry, not among the changed settings")
+            raise SettingsError(f"{name} has its own option or entry: give it there, not among the changed settings")
         if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
             kind = "pictures" if preset == STATE else "states"
             raise SettingsError(f"{name} is for {kind} and has no effect with the preset {preset}")
@@ -253,7 +253,10 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
     """Name -> value. Names in sub-tables contain dots."""
     flat = {}
     for name, value in table.items():
-        flat |= {f"{name}.{inner}": item for inner, item in value.items()} if isinstance(value, dict) else {name: value}
+        if isinstance(value, dict):
+            flat |= {f"{name}.{inner}": item for inner, item in value.items()}
+        else:
+            flat[name] = value
     return flat
 
 

@@ -59,12 +59,12 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
 
 
 def shipped(task: str, which: int = 1) -> list[Demonstration]:
-    """A set of a task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if there are none."""
+    """A set of a task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if it is empty."""
     return _of_the_demo_scene(demos.load(task, set=cast("DemonstrationSet", which)), f"that come with {task}")
 
 
 def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
-    """Those of the demo scene without shifts. Raises a `DemonstrationError` if there are none."""
+    """The demonstrations of the demo scene without shifts. Raises a `DemonstrationError` if none is."""
     fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
     if not fitting:
         raise DemonstrationError(
@@ -78,7 +78,7 @@ def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]
     """The demonstrations of a task's demo scene, from the folder in the settings, or those shipped with the task.
 
     Raises:
-        DemonstrationError: if there are none.
+        DemonstrationError: if none is found.
     """
     if not settings.recordings:
         return shipped(task, settings.demos.set)
@@ -89,7 +89,7 @@ def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
     """A run's demonstrations of a task.
 
     Raises:
-        DemonstrationError: if there are none, or fewer than the number in the settings.
+        DemonstrationError: if none is found, or fewer than the number in the settings.
     """
     every = to_choose_from(settings, task)
     count = settings.demonstrations or (len(every) if settings.recordings else min(FEW, len(every)))
@@ -97,7 +97,7 @@ def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:
 
 
 def digest(settings: TrainingSettings) -> str:
-    """The SHA-256 of the user's demonstrations in a run; empty if there are none."""
+    """The SHA-256 hash of the user's demonstrations in a run. Empty if it uses the package's."""
     if not settings.recordings:
         return ""
     parts = (demo.digest for task in settings.tasks for demo in chosen(settings, task))
@@ -196,7 +196,7 @@ class Dataset:
                 yield self.rows([rows if other == task else rows[:0] for other in range(len(self.sizes))])
 
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
-        """The rows with these numbers, given for each task. The tasks follow one another."""
+        """The rows with these indices, given for each task. The tasks follow one another."""
         return Batch(
             torch.cat([values.index_select(0, rows) for values, rows in zip(self._observations, numbers, strict=True)]),
             torch.cat([actions[rows] for actions, rows in zip(self.actions, numbers, strict=True)]),

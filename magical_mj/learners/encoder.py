@@ -24,14 +24,14 @@ PREFIX: Final = "torso.convolutions."
 
 
 class Encoder(NamedTuple):
-    """An encoder, and what it learnt from."""
+    """An encoder, and facts about its training."""
 
     weights: Mapping[str, Tensor]
     """The state of a `Torso`'s convolutions with batch norm."""
     played_in: str = "Demo"
     """The variants of the scenes in its training, separated by commas."""
     demonstration_set: int = 1
-    """The set of the package's demonstrations from which it learnt."""
+    """The set of the package's demonstrations that it was trained on."""
 
 
 class Frozen(nn.Sequential):
@@ -51,7 +51,7 @@ def save_encoder(path: Path | str, encoder: Encoder) -> None:
     """Writes an encoder into a file for the setting `bc.encoder`, which is replaced if it exists.
 
     Raises:
-        SettingsError: if `played_in` are no variants.
+        SettingsError: if `played_in` contains anything except variants.
         TrainingError: if the file cannot be written.
     """
     check_variants(encoder.played_in, "played_in")
@@ -62,7 +62,7 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
     """The encoder in the settings, if there is one.
 
     Raises:
-        SettingsError: if it does not fit the settings, or its file does not say what it learnt from.
+        SettingsError: if it does not fit the settings, or its file lacks the facts about its training.
         TrainingError: if its file is missing or damaged.
     """
     if not settings.bc.encoder:
@@ -81,8 +81,8 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
         wanted = Torso(settings.network, batch_norm=True).convolutions.state_dict()
     if problem := _misfit(encoder.weights, wanted):
         raise SettingsError(
-            f"the encoder in {path} {problem}: give one by bc, or a file by save_encoder, with the same sizes "
-            "(network.*, quick)"
+            f"the encoder in {path} {problem}: give the folder of a training of bc, or a file written by save_encoder, "
+            "with the same sizes (network.*, quick)"
         )
     return encoder
 
@@ -106,7 +106,7 @@ def _in_file(path: Path) -> Encoder:
     try:
         known = checkpoint.read(path).get("encoder")
     except TrainingError as error:
-        raise TrainingError(f"{error}; give the folder of a training, or a file by save_encoder") from error
+        raise TrainingError(f"{error}; give the folder of a training, or a file written by save_encoder") from error
     if not isinstance(known, dict) or known.keys() != set(Encoder._fields) or not isinstance(known["weights"], dict):
         raise SettingsError(
             f"{path} was not written by save_encoder, so the variants of its training are unknown: give such a file, "

@@ -30,7 +30,7 @@ from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
 
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
-"""Settings that are not listed in a method's name: it shows them in another form, or they do not affect the result."""
+"""Settings that are not appended to a method's name: the name contains them already, or they do not affect results."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "split", "rules")}
 """The settings that the table `evaluation` of an experiment's file may contain."""
@@ -145,7 +145,8 @@ class Run:
         if latest is None or known[latest] < since:
             return ""
         if latest.name == METRICS:
-            return f"{self.name}: {([{'update': '0'}, *read_metrics(self.trained)])[-1]['update']} updates"
+            rows = read_metrics(self.trained)
+            return f"{self.name}: {rows[-1]['update'] if rows else 0} updates"
         done = latest.read_bytes().count(b"\n")
         of = len(environments(self.settings.tasks, self.evaluation["variants"])) * self.evaluation["episodes"]
         return f"{self.name}: {done} of {of} episodes evaluated" if done < of else ""

@@ -1,4 +1,4 @@
-"""GAIL, WGAIL-GP and AIRL: the policy is rewarded for fooling the discriminator (section 4.1).
+"""GAIL, WGAIL-GP and AIRL: the discriminator's output determines the policy's reward (section 4.1).
 
 The discriminator D is near 1 for the policy's samples and near 0 for the demonstrator's, as in the paper.
 """

@@ -103,7 +103,7 @@ class Method(ABC):
             tasks: the numbers of the tasks, shape (n,).
         """
         del observations, following, actions, tasks
-        raise SettingsError(f"{self.settings.method} learns no reward")
+        raise SettingsError(f"{self.settings.method} does not learn a reward")
 
     def fault(self) -> str | None:
         """The reason why the policy is unusable, such as a weight that is not finite. None if it is usable."""

@@ -300,7 +300,10 @@ class _Robot:
         return torch.cat([self.rotated(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
 
     def view(self, position: Tensor, angle: Tensor) -> list[Tensor]:
-        """The first three features of objects with positions (n, rows, 2) and angles (n, rows, 1)."""
+        """Position and heading in the robot's frame, and the position in the world, for each object.
+
+        Positions have the shape (n, rows, 2), and angles (n, rows, 1).
+        """
         heading = angle - self.angle[:, None, None]
         seen = self.rotated(position - self.position[:, None])
         return [seen, torch.cat([heading.sin(), heading.cos()], -1), position]

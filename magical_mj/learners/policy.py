@@ -40,7 +40,7 @@ class TrainedPolicy(Model):
         actor: the network. It returns logits (n, 18) for observations and tasks, like `networks.Actor`.
         tasks: the tasks of the training, in the order of the network's heads.
         preset: the preset of the training's observations.
-        demonstration_set: the set of the package's demonstrations from which it learnt.
+        demonstration_set: the set of the package's demonstrations that it was trained on.
         played_in: the variants of the scenes in its training, separated by commas.
     """
 
@@ -89,9 +89,14 @@ class TrainedPolicy(Model):
 
 def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
     """Writes the policy into a run's folder, with all data that loading it needs."""
-    how = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
-    of = {"tasks": list(settings.tasks), "preset": settings.preset}
-    checkpoint.write(folder / POLICY, {"weights": actor.state_dict(), **how, **of})
+    contents = {
+        "weights": actor.state_dict(),
+        "batch_norm": actor.batch_norm,
+        "network": asdict(settings.network),
+        "tasks": list(settings.tasks),
+        "preset": settings.preset,
+    }
+    checkpoint.write(folder / POLICY, contents)
 
 
 @torch_settings()
@@ -99,7 +104,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     """The policy in a run's folder, on the CPU.
 
     Raises:
-        TrainingError: if there is none, or the file is damaged.
+        TrainingError: if the file is missing or damaged.
         SettingsError: if the training's settings are damaged.
     """
     path = files.to_path(folder) / POLICY

@@ -1,4 +1,4 @@
-"""Learnt rewards: do they rank episodes as the task's score does, also in the test variants? And PPO on them.
+"""Evaluation of learnt rewards: do they rank episodes like the task's score? And PPO on a learnt reward.
 
 Each reward is summed over whole episodes of several kinds in the same scenes of the dev split:
 
@@ -7,8 +7,8 @@ half-way   the expert up to half of its actions, and then random actions
 random     random actions
 policy     the policies of the trainings themselves
 
-In each environment, two figures compare the sums with the scores. Both are 1 for the score itself, and a reward that is
-always the same has 0 and 0.5.
+In each environment, two figures compare the sums with the scores. Both are 1 for the score itself. A constant reward
+has a correlation of 0 and an AUC of 0.5.
 
 correlation  the rank correlation (Spearman) of sums and scores, with mean ranks for ties
 AUC          the probability that a solved episode (score 1) has a larger sum than another one; ties count half
@@ -123,7 +123,7 @@ def evaluate_rewards(
 
     Args:
         runs: the folder of a finished training, or several with the same preset. The policies of all of them play.
-            Trainings of methods that learn no reward, such as BC, only contribute their policies.
+            Trainings of methods without a learnt reward, such as BC, only contribute their policies.
         variants: the variants, separated by commas.
         scenes: the number of scenes in each environment, from the dev split.
         jobs: the number of processes for the experts and the policies; None: one per core.
@@ -241,11 +241,10 @@ def sum_of_rewards(learner: Method, demonstration: Demonstration) -> float:
 
 
 class OnLearntReward(RewardLearner):
-    """PPO on a learnt reward in the scenes of a variant: does it teach a task where its own policy fails?
+    """PPO on a learnt reward in the scenes of a variant. It shows whether the reward generalises to this variant.
 
-    It trains a new policy, and does not change the reward. Both learn from states. The policy plays in scenes like
-    those of the test, which no method of the paper does. Its results are test-time training, and an entry must declare
-    the privilege "other scenes".
+    It trains a new policy, and does not change the reward. Both learn from states. Unlike all methods of the paper, the
+    policy plays in scenes like those of the test. A leaderboard entry must declare the privilege "other scenes".
     """
 
     observes = "states"
@@ -264,7 +263,9 @@ class OnLearntReward(RewardLearner):
         environments(settings.tasks, settings.reward.variant)
         learnt = _reward_settings(settings)
         if not learns_reward(learnt.method):
-            raise SettingsError(f"{settings.reward.run} is a training of {learnt.method}, which learns no reward")
+            raise SettingsError(
+                f"{settings.reward.run} is a training of {learnt.method}, which does not learn a reward"
+            )
         if learnt.preset != settings.preset or not set(settings.tasks) <= set(learnt.tasks):
             raise SettingsError(
                 f"the reward in {settings.reward.run} is for {', '.join(learnt.tasks)} with the preset "

@@ -267,7 +267,7 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 
 
 def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
-    """Name -> the source of what a training uses from elsewhere, for errors, and its SHA-256; empty if it uses none."""
+    """The training's external inputs: name -> the beginning of an error message, and the SHA-256 ("" if not used)."""
     reward = Path(settings.reward.run) / CHECKPOINT
     learnt = hashlib.sha256(reward.read_bytes()).hexdigest() if settings.reward.run and reward.exists() else ""
     return {
@@ -278,7 +278,7 @@ def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
 
 
 def _provenance(settings: TrainingSettings) -> str:
-    """The time, command, versions and threads of a run's start, and what it uses from elsewhere, as TOML."""
+    """The time, command, versions, threads and external inputs of a run's start, as TOML."""
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),

@@ -236,7 +236,7 @@ class TrainingSettings(Settings):
             self.check_reinforcement()
         elif self.method in PARTS and self.ppo.simulator != "mujoco":
             playing = ", ".join(method for method, parts in PARTS.items() if "ppo" in parts)
-            raise SettingsError(f"{self.method} has no choice of simulators: only {playing} have")
+            raise SettingsError(f"{self.method} cannot choose its simulator: only {playing} can")
 
     @property
     def states(self) -> bool:

@@ -55,7 +55,7 @@ class Episode:
         task: the name that `policy_task` gives to the episode's task.
         variant: the variant's name.
         seed: the scene's seed. The episode starts in `sample_scene(task, variant, seed)`.
-        run: the number of the policy among several runs of a method.
+        run: the policy's number among several trainings of one method.
         instruction: the sentence that describes the task, including its shift. Before the episode starts, it is empty,
             or a sentence that replaces the task's. It remains empty if the task's name is `NEUTRAL` and the policy does
             not use instructions.
@@ -79,16 +79,24 @@ class Episode:
 
 
 def policy_task(task: str, policy: object, like: str = "") -> str:
-    """The name of a task for a policy.
+    """The name of a task that a policy receives.
 
-    `like` if it is given. `NEUTRAL` if the policy uses demonstrations, or if the task is an intent that is not among
-    the policy's `tasks`. Otherwise, the task that the definition names in `like`, or the task's own name.
+    It is the first of these that applies:
+
+    - `like`, if it is given.
+    - `NEUTRAL`, if the policy uses demonstrations, or if the task is an intent that is not among the policy's `tasks`.
+    - The task that the task's definition names in `like`.
+    - The task's own name.
     """
     if like:
         return like
     tasks = getattr(policy, "tasks", None) or ()
-    is_new = in_language(task) and task not in ((tasks,) if isinstance(tasks, str) else tasks)
-    return NEUTRAL if uses_demonstrations(policy) or is_new else task_spec(task).like or task
+    if isinstance(tasks, str):
+        tasks = (tasks,)
+    is_new_intent = in_language(task) and task not in tasks
+    if uses_demonstrations(policy) or is_new_intent:
+        return NEUTRAL
+    return task_spec(task).like or task
 
 
 class Policy(Protocol):
@@ -193,7 +201,7 @@ class PolicyError(Exception):
 
 @contextmanager
 def policy_errors() -> Iterator[None]:
-    """A context for calls of a policy, in which its errors become a `PolicyError`.
+    """A context for calls of a policy. Its errors become a `PolicyError`.
 
     Errors of the renderer, of shifts and of tasks pass through. An import error becomes a `SettingsError`.
     """

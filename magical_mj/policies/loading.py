@@ -47,7 +47,7 @@ LEARNT: Final = {
     "demonstration_set": (1, [("demos", "set")]),
     "played_in": ("Demo", [("reward", "variant"), ("made", "played_in")]),
 }
-"""What a policy learnt from: a fact of `Source` -> its default, and the parts and names of settings that contain it."""
+"""A field of `Source` about the policy's training -> its default, and where settings contain it: (table, name)."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (
@@ -79,8 +79,8 @@ class Source:
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
         simulated: whether it uses the simulation instead of observations.
         shown: whether it receives demonstrations.
-        demonstration_set: the set of the package's demonstrations from which it learnt, if it is known.
-        played_in: the variants of the scenes in its training, if they are known, separated by commas.
+        demonstration_set: the set of the package's demonstrations that it was trained on, if known.
+        played_in: the variants of the scenes that it was trained in, if known, separated by commas.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -143,9 +143,12 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        learnt: dict[str, Any] = {} if self.demonstration_set == 1 else {"demonstration_set": self.demonstration_set}
-        learnt |= {} if self.played_in == "Demo" else {"played_in": self.played_in}
-        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt}
+        facts: dict[str, Any] = {"name": self.name, "run": self.run, "origin": origin, **self.digest}
+        if self.demonstration_set != 1:
+            facts["demonstration_set"] = self.demonstration_set
+        if self.played_in != "Demo":
+            facts["played_in"] = self.played_in
+        return facts
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -200,8 +203,9 @@ def playable(
     Args:
         policies: see `sources`.
         pairs: the tasks and variants of the evaluation.
-        preset: the preset of the observations. None: the one of the policies' training if they agree, according to
-            their `preset` or to their `observation_shapes` if only one preset matches; otherwise `DEFAULT_PRESET`.
+        preset: the preset of the observations. None: the preset that all policies were trained with, according to
+            their `preset`, or to their `observation_shapes` if only one preset matches. If they differ:
+            `DEFAULT_PRESET`.
         first_run: the number of the first run.
         trust: whether files that contain code may be loaded.
         batched: whether MuJoCo Warp simulates the environments.
@@ -243,11 +247,11 @@ def playable(
 
 
 def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
-    """What a policy learnt from, if it is known: the facts `demonstration_set` and `played_in` of `Source`.
+    """The fields `demonstration_set` and `played_in` of `Source`.
 
     Args:
-        origin: if it is the folder of a training, its settings contain them.
-        policy: otherwise its attributes with these names do.
+        origin: the policy's origin. If it is the folder of a training, they are read from its settings.
+        policy: the policy. Otherwise, they are its attributes with these names, if it has them.
     """
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     settings = read_toml(path) if path.is_file() else {}
@@ -304,14 +308,14 @@ def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _parse_text(text: str, *, is_path: bool) -> Iterator[tuple[str, str]]:
-    """The policies in a text: one path, or a comma-separated list in which each item may be ``NAME=...``."""
+    """The policies in a text: one path, or a comma-separated list. Each item may be ``NAME=...``."""
     if is_path or os.path.exists(text):  # noqa: PTH110  (`Path.exists` raises errors for some texts)
         yield _default_name(text), text
         return
     for part in filter(None, map(str.strip, text.split(","))):
         name, equals, origin = part.partition("=")
         if equals and not origin:  # `Path("")` would be the working directory
-            raise SettingsError(f"{part} names no policy: {ACCEPTED_POLICIES}")
+            raise SettingsError(f"{part} lacks a policy after the =: give {ACCEPTED_POLICIES}")
         yield (name, origin) if equals else (_default_name(part), part)
 
 
@@ -396,22 +400,29 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
     needed = getattr(policy, "preset", preset)
     if needed != preset:
         raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
-    tasks = getattr(policy, "tasks", None)
-    tasks = (tasks,) if isinstance(tasks, str) else tasks
-    names = {task: policy_task(task, policy, like) for task, _ in pairs}
-    others = sorted(
-        {name for task, name in names.items() if name not in tasks and (name != NEUTRAL or task not in tasks)}
-        if tasks is not None
-        else ()
-    )
-    if others:
-        raise SettingsError(
-            f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as with one of "
-            "them if your task is a modification of it"
-        )
+    _check_tasks(policy, pairs, like)
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     if shapes is not None and not uses_simulation(policy):
         _check_shape(list(shapes), preset)
+
+
+def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
+    """Raises a `SettingsError` unless the policy's `tasks`, if it has them, contain all tasks of an evaluation."""
+    tasks = getattr(policy, "tasks", None)
+    if tasks is None:
+        return
+    if isinstance(tasks, str):
+        tasks = (tasks,)
+    others = set[str]()
+    for task, _ in pairs:
+        name = policy_task(task, policy, like)
+        if name not in tasks and not (name == NEUTRAL and task in tasks):
+            others.add(name)
+    if others:
+        raise SettingsError(
+            f"the policy cannot act in {', '.join(sorted(others))}: give --tasks {','.join(tasks)}, or --as with one "
+            "of them if your task is a modification of it"
+        )
 
 
 def _check_shape(accepted: Sequence[Shape], preset: str) -> None:

@@ -38,7 +38,7 @@ OTHER_ACTIONS: Final = (
     "function that converts them with magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
 )
 MOST_OF_POLICY: Final = 1_000_000_000
-"""The maximum size of a model's file, in bytes."""
+"""The maximum size of a model's file, in bytes; also of its weights after unpacking."""
 MOST_SETTINGS: Final = 100_000_000
 """The maximum size of the settings in a stable-baselines3 archive, in bytes. They include the last observations."""
 MOST_PARAMETERS: Final = 100_000_000
@@ -63,7 +63,7 @@ class Model:
     Args:
         act: the mapping.
         shapes: the accepted shapes of single observations. None if unknown.
-        remembers: whether observations are states, and `act` maps their `History.states`.
+        remembers: whether observations are state vectors, and `act` takes the last few of them (`History.states`).
 
     Attributes:
         tasks, preset, demonstration_set, played_in: facts about its training. Missing if the file lacks them.
@@ -264,7 +264,10 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    return json.loads(value.replace("(", "[").replace(",)", "]").replace(")", "]")) if isinstance(value, str) else value
+    """A shape from an archive's JSON, as a list. It may be the text of a tuple, such as "(3, 96, 96)" or "(8,)"."""
+    if not isinstance(value, str):
+        return value
+    return json.loads(value.replace("(", "[").replace(",)", "]").replace(")", "]"))
 
 
 def _trusted(path: Path) -> Any:
@@ -335,7 +338,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
 
 
 def check_set(value: object, where: str) -> int:
-    """The number of a set of the package's demonstrations. Raises a `SettingsError` if the value is none."""
+    """The number of a set of the package's demonstrations. Raises a `SettingsError` if the value is not a number."""
     number = as_integer(value, 1)
     if number is None:
         raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")

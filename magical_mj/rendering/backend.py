@@ -79,9 +79,9 @@ def has_display() -> bool:
 
 @cache
 def opengl() -> Backend:
-    """The backend of our pictures: MUJOCO_GL's, or else, on Linux, EGL or, if that does not start, GLFW.
+    """The backend of our pictures: the one that MUJOCO_GL names, by default mujoco's choice for the system.
 
-    EGL does not start if other code has loaded PyOpenGL for windows.
+    The default on Linux is EGL, or GLFW if EGL does not start because other code has loaded PyOpenGL for windows.
     """
     wanted = wanted_backend()
     if wanted or sys.platform != "linux":
@@ -123,7 +123,7 @@ def _start(name: str) -> None:
 
 
 def new_context(name: str) -> Any:
-    """A new OpenGL context of mujoco's. It is current in no thread, and this thread's current context stays so."""
+    """A new OpenGL context of mujoco's. It does not become current, in this thread or another."""
     module: Any = importlib.import_module(f"mujoco.{name}" if name in HEADLESS else "mujoco")
 
     class Context(module.GLContext):

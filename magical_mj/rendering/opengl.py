@@ -4,14 +4,14 @@ On software OpenGL every drawn pixel costs time. Flat pictures are cheap because
 
 - They are drawn at twice the size and averaged 2 x 2: cheaper than multisampling, and closer to the original.
 - The floor, which is white, is not drawn: pixels without a geom (alpha 0) become white afterwards.
-- There are no lights, shadows, reflections, haze and sky, and no shadow map, which takes 100 MB.
-- There is no depth buffer, which takes a fifth of the time: geoms are drawn in the order in which the model lists them,
-  static ones first. Their heights have the same order, so viewers with a depth buffer show the same picture.
+- Lights, shadows, reflections, haze and sky are off. So no shadow map is allocated, which saves 100 MB.
+- The depth buffer is off, which saves a fifth of the time. Geoms are drawn in the model's order, static ones first.
+  Their heights have the same order, so viewers with a depth buffer show the same picture.
 
 OpenGL's contexts are current only while they draw a picture. Other code may rely on its own context staying current,
 and may free its objects in any context that is current. So after each picture the previous context becomes current
-again, which takes 10 us. There are two exceptions, in which a separate thread draws: a window's context can keep a
-context of EGL from becoming current in its thread, and backends other than EGL cannot tell which context is current.
+again, which takes 10 us. In two cases, a separate thread draws instead: if a window's context keeps a context of EGL
+from becoming current in its thread, and with backends other than EGL, which cannot tell which context is current.
 Drawing every picture in a separate thread needs less code, but on a busy machine it takes two to three times as long:
 the processor changes to another process in between, and its caches are cold afterwards.
 """

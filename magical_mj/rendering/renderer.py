@@ -51,7 +51,12 @@ class Views:
         Raises:
             RenderingError: if OpenGL is needed and does not work here.
         """
-        kind = view if view == SOLID_VIEW else "segments" if view in SEGMENTATIONS else "flat"
+        if view == SOLID_VIEW:
+            kind = view
+        elif view in SEGMENTATIONS:
+            kind = "segments"
+        else:
+            kind = "flat"
         renderer = self._drawn.get(kind) or self._drawn.setdefault(kind, self._choose(kind))
         return renderer.draw(data, self._cameras.get(view, view), size, out, uncovered)
 

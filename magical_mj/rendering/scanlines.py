@@ -185,7 +185,8 @@ def fill(x: Any, y: Any, count: int, colour: int, rows: Any, side: int, scratch:
         y: the same, upwards.
         count: the number of corners.
         colour: what to write.
-        rows: the rows to fill, first and last + 1, all of which the polygon covers; the row where `scratch` begins.
+        rows: the first row to fill, the last one + 1, and the row where `scratch` begins. The polygon must cross all
+            rows to fill.
         side: samples per side of the picture.
         scratch: samples row by row from below; for each row, the first sample of the polygon and the one after its
             last, which are overwritten.
@@ -220,7 +221,7 @@ def paint(scene: Any, colours: Any, frames: Any, view: Any, side: int, scratch: 
 
 @inlined
 def mean(lower: Any, upper: Any) -> Any:
-    """Red, green and blue of a pixel: the mean of its four samples, rounded, on white. As `opengl.on_white`.
+    """Red, green and blue of a pixel: the mean of its four samples, rounded, on white. Equal to `opengl.on_white`'s.
 
     Two colours of 8 bits are 16 bits apart in a word, so that four samples can be added at once without carries.
 

@@ -1,7 +1,7 @@
 """The software renderer: flat pictures without OpenGL, about five times as fast as with Mesa's, the same everywhere.
 
 It draws the same polygons as OpenGL, in the same order and with samples at the same positions: the flat meshes and
-skins of a compiled model that the cameras ego and allo see. It also draws segmentations. There is no depth, since the
+skins of a compiled model that the cameras ego and allo see. It also draws segmentations. It needs no depth, since the
 scene is flat.
 """
 
@@ -113,7 +113,8 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
     for (geom, part), end in zip(parts, ends, strict=True):
         body = bodies[geom]
         segment = _segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body))
-        (moving if roots[body] else still).append((end - len(part), end, body, geom, 0, segment))
+        group = moving if roots[body] else still
+        group.append((end - len(part), end, body, geom, 0, segment))
     spans = zip(model.skin_vertadr.tolist(), model.skin_vertnum.tolist(), strict=True)
     skins = [
         (start, start + 4, 0, skin, 1, min(REGION + skin // 2, BLOCK - 1))  # fill and border

@@ -145,8 +145,15 @@ def to_discrete(vector: ArrayLike) -> int:
             f"{short_repr(vector)} is not a continuous action: it must be three finite numbers in [-1, 1] "
             f"(drive, turn, grip){tensor_hint(vector)}"
         )
-    drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
-    return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number
+    drive, turn, grip = entries
+    return Action(Gripper(int(grip > 0)), Turn(_direction(turn)), Drive(_direction(drive))).number
+
+
+def _direction(entry: float) -> int:
+    """The value of `Turn` or `Drive` that an entry of a vector commands."""
+    if entry > THRESHOLD:
+        return 1
+    return 2 if entry < -THRESHOLD else 0
 
 
 def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:

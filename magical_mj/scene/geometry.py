@@ -30,7 +30,7 @@ OVERLAP_TOLERANCE: Final = 0.04
 """The largest depth (world units) of overlaps in a user's scene: contacts are slightly soft."""
 
 OVERHANG: Final = 0.11
-"""The largest distance (world units) of solid-bordered goal regions beyond the walls, as of x-magical's zone."""
+"""How far (world units) a goal region with a solid border may reach beyond the walls, as x-magical's zone does."""
 
 MAX_ANGLE: Final = 500.0
 """The largest angle (rad) in a scene. Further turns during an episode keep it within the bounds of states."""

@@ -263,7 +263,7 @@ UNWRITTEN: Final = ("body", "mass", "border", "half_width", "veer", "pebbles")
 
 
 def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
-    """A part of a scene as lists and dicts. Fields with their default are omitted if in `left_out`; None: all."""
+    """A part of a scene as lists and dicts. Fields in `left_out` (None: all) are omitted if they have their default."""
     if isinstance(value, tuple):
         return [_plain(item, left_out) for item in value]
     if not dataclasses.is_dataclass(value):

@@ -15,7 +15,7 @@ from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts.shift import GROUND_REACH, Factor, Frame, Picture, Shift
 
 CONSTANT: Final = (1.0, 1.0, 1.0, 1.0, 1.0)
-"""The sizes of a factor that is the same at all strengths."""
+"""The sizes of a factor that does not depend on the strength."""
 
 
 class Camera(Shift):
@@ -40,7 +40,7 @@ class Camera(Shift):
                 model.cam_fovy[camera] = c.VISIBLE_SIZE * (1 + self.values["zoom"])
 
     def ground(self, ground: Picture) -> Picture:
-        """Returns it unchanged. Overriding this method makes the ground unlimited.
+        """Returns the ground unchanged. It is overridden because then the picture's ground extends beyond the model's.
 
         The model's own ground ends where the unshifted cameras' view ends.
         """
@@ -173,7 +173,7 @@ def turned(colours: NDArray[Any], degrees: float, change: float) -> NDArray[Any]
 
     Args:
         colours: RGB in [0, 1], shape (n, 3).
-        degrees: the angle by which hues turn.
+        degrees: the angle that is added to hues.
         change: the relative change of saturation.
     """
     most, least = colours.max(axis=1, keepdims=True), colours.min(axis=1, keepdims=True)
@@ -193,7 +193,7 @@ AMOUNTS: Final = (
     (0.06, 0.1, 0.15, 0.21, 0.28),  # radius of the dirt, sides of the picture
     (0.03, 0.06, 0.12, 0.25, 0.5),  # probability that a frame is lost
 )
-"""For each fault and grade."""
+"""The size of each fault (row) at each grade (column)."""
 NOISE_SAMPLES: Final = 2**17
 
 
@@ -224,7 +224,7 @@ class Sensor(Shift):
 
     @cached_property
     def noise(self) -> NDArray[np.int8]:
-        """The noise of the episode, from which each picture takes a part."""
+        """The noise of the episode. Each picture uses a part of it."""
         levels = np.float32(self.amount) * self.rng(0).standard_normal(NOISE_SAMPLES, np.float32)
         return np.clip(levels, -127, 127).astype(np.int8)
 

@@ -21,7 +21,7 @@ from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_
 from magical_mj.utils.imports import errors_of_task, with_location
 
 SURROUNDINGS: Final = (231, 231, 234)
-"""The colour around the arena, which is that of `assets.style`."""
+"""The colour around the arena, the same as in `assets.style`."""
 
 Draws = Mapping[str, Values]
 """Shift -> its drawn values."""
@@ -108,7 +108,7 @@ class EpisodeShifts:
         return delay
 
     def revise(self, ago: int, action: int) -> None:
-        """Replaces the command of `ago` steps before the next one, for planners that choose it when it takes effect."""
+        """Replaces the command that was given `ago` steps before the next one. For planners: they choose it later."""
         next(iter(self.commands.values()))[-ago] = action
 
     def action(self, action: int) -> int:
@@ -172,7 +172,7 @@ class EpisodeShifts:
         return twin
 
     def resume(self, steps: int, commands: Mapping[str, tuple[int, ...]]) -> None:
-        """Restores the number of steps and the commands before it."""
+        """Restores the number of steps and the commands so far."""
         self.steps = steps
         self.commands = {name: list(commands.get(name, ())) for name in self._with_action}
 

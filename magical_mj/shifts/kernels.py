@@ -37,7 +37,7 @@ def turned(camera: Any) -> Any:
 
 @inlined
 def ground_row(row: int, size: int, cells: int, reach: float, camera: Any) -> Any:
-    """Where a row of a picture begins on the ground, and the way from a pixel to the next.
+    """The position of a row's first pixel on the ground, and the step from a pixel to the next.
 
     Args:
         row: its number, from the top.
@@ -244,7 +244,7 @@ def quantise_tile(pixels: Any, step: int, tile: Any) -> None:
     """Rounds the coefficients of a tile of pixels in place, shape (4, 4, 3). `tile` is overwritten, shape (4, 4)."""
     plain = _is_plain(pixels)
     for k in range(3):
-        if plain:  # all coefficients but the mean are 0
+        if plain:  # all coefficients except the mean are 0
             level = _level(math.floor(16.0 * pixels[0, 0, k] / step + 0.5) * step)
             for i in range(TILE):
                 for j in range(TILE):
@@ -278,8 +278,8 @@ def dirty_row(row: int, line: Any, x: float, y: float, radius: float) -> None:
     Args:
         row: its number, from the top.
         line: its pixels, shape (size, 3).
-        x: the centre, to the right of the picture's, in half sides of the picture.
-        y: the same upwards.
+        x: the distance of the spot to the right of the picture's centre, in half sides of the picture.
+        y: the same, upwards.
         radius: in sides of the picture.
     """
     size = len(line)

@@ -38,7 +38,8 @@ class Pose(Shift):
     @classmethod
     def supports(cls, task: str) -> str | None:
         """Supports tasks with the variant Layout, unless they define a rule for it: interpolation could violate it."""
-        if callable((spec := task_spec(task)).layout) or spec.accepts is not None:
+        spec = task_spec(task)
+        if callable(spec.layout) or spec.accepts is not None:
             return "it defines its own rule for layouts"
         return None if "layout" in supported_axes(spec) else "it has no variant Layout"
 
@@ -63,7 +64,7 @@ class Clutter(Shift):
     )
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
-        """Adds pebbles, also in regions. A lower strength has the first pebbles of a higher one."""
+        """Adds pebbles, also in regions. A higher strength adds pebbles to those of the lower ones."""
         del rules
         rng, pebbles = self.rng(0), list(scene.pebbles)
         taken = [*solids(scene).values(), *map(pebble_solid, pebbles)]
@@ -97,7 +98,7 @@ class Clutter(Shift):
     def stains(self) -> Iterator[tuple[float, float, float, float]]:
         """Yields x, y, radius (world units) and darkness (in [0, 1]) of each stain.
 
-        A lower strength has the first stains of a higher one.
+        A higher strength adds stains to those of the lower ones.
         """
         rng = self.rng(1)
         for _ in range(int(self.values["stains"])):
@@ -127,7 +128,7 @@ class Friction(Shift):
 class Slip(Shift):
     """A worn robot: one wheel is larger, motors are weaker, and some actions are replaced.
 
-    One half of these are replaced by the previous action, the other half by a random one of the 18.
+    Half of the replaced actions become the previous action, the others a random one of the 18.
     """
 
     name = "slip"
@@ -170,7 +171,9 @@ class Latency(Shift):
     def delay(self, step: int) -> int:
         """The delay of the action that is executed at a step, in steps."""
         delay, spread = int(self.values["steps"]), int(self.values["spread"])
-        return delay + int(self.uniform(step) * (2 * spread + 1)) - spread if spread else delay
+        if spread:
+            delay += int(self.uniform(step) * (2 * spread + 1)) - spread
+        return delay
 
     def action(self, commands: Sequence[int], step: int) -> int:
         """The delayed action."""

@@ -51,7 +51,7 @@ METHODS: Final = ("scene", "model", "action", "picture", "ground", "instruction"
 """The methods of a shift that change an episode."""
 
 _CLASS: Final = re.compile(r"^class (\w+)\((?:\w+\.)*Shift\):", re.MULTILINE)
-"""The definition of a shift in a module."""
+"""Matches the definition of a shift in the source of a module. Group 1 is the name of the class."""
 SHIFT_GROUP: Final = "magical_mj.shifts"
 """The entry-point group of shifts in installed packages, such as ``fog = "fog:Fog"``."""
 
@@ -94,7 +94,7 @@ def shift_class(name: str) -> type[Shift]:
     if not isinstance(factors, tuple) or not factors or not all(isinstance(factor, Factor) for factor in factors):
         raise ShiftError(
             f"{name}.factors must be a tuple of one or more magical_mj.shifts.Factor, not {short_repr(factors)}; "
-            "without factors, the strength is the only one"
+            "by default, the strength is the only factor"
         )
     if not overrides(kind, *METHODS):
         raise ShiftError(f"{name} changes nothing: override at least one of the methods {', '.join(METHODS)}")
@@ -102,7 +102,7 @@ def shift_class(name: str) -> type[Shift]:
 
 
 def _canonical(name: object) -> str:
-    """The name of a shift in results. If an installed package names the shift of a reference, it is that name."""
+    """The name of a shift in results. For a reference that an installed package announces, it is the announced name."""
     shift_class(name)  # type: ignore[arg-type] - it raises for other types
     return next((known for known, point in shift_plugins().items() if reference_of(point) == name), str(name))
 
@@ -135,7 +135,8 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
         )
     strengths: dict[str, int | str] = {}
     for name, value in pairs:
-        name = BODY if name == BODY else _canonical(name)
+        if name != BODY:
+            name = _canonical(name)
         if name in strengths:
             raise SettingsError(f"the shift {name} is given twice: give each shift once")
         strengths[name] = check_body_name(value) if name == BODY else _strength(name, value)
@@ -156,7 +157,7 @@ def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], st
 
 
 def arms(shifts: Shifts, *, control: bool) -> dict[str, Shifts]:
-    """The shifts of each arm of an evaluation. The endings of their names are "", and "-unshifted" for the control."""
+    """Suffix of an arm's name -> its shifts. The arms are the evaluation (""), and the control ("-unshifted")."""
     if control and not shifts:
         raise SettingsError("a control is played without the shifts: give shifts, or leave out control")
     return {"": shifts, "-unshifted": None} if control else {"": shifts}

@@ -109,7 +109,7 @@ class Shift:
 
     @classmethod
     def supports(cls, task: str) -> str | None:
-        """None if the shift can be applied to this task, otherwise the reason why not, for an error message."""
+        """None if the shift can be applied to this task, otherwise the reason, for an error message."""
         if task_spec(task).speeds and overrides(cls, "action"):
             return "it replaces discrete actions, and the task's actions are speeds"
         return None

@@ -19,7 +19,7 @@ def _sentences() -> dict[str, list[list[str]]]:
 
 
 SENTENCES: Final[Mapping[str, list[list[str]]]] = MappingProxyType(_sentences())
-"""Task -> five sentences for each strength. Strength 1 changes the verb, strength 5 uses none of the task's words."""
+"""Task -> five sentences for each strength. Strength 1 changes the verb, strength 5 all of the words."""
 
 
 class Words(Shift):

@@ -1,4 +1,4 @@
-"""The tasks, with a module for each (one for both clusters) that can be read without knowing the simulator.
+"""The tasks. Each has a module that can be read without knowing the simulator; both cluster tasks share `cluster`.
 
 A new task is a module with a docstring that explains it, a demo scene, its rules, a score, a plan and a `TaskSpec`. It
 also needs a line here. Its variants, environments and ids follow from it. See docs/adding-a-task.md.

@@ -2,20 +2,22 @@
 
 Score
     Every value of the attribute (colour or shape) that occurs has a centroid, the mean position of its
-    blocks. A block is right if its squared distance to its own centroid is less than a third of that to
-    the nearest other one. The score is 0 up to half the blocks right. Then it rises linearly to 1 with all right.
+    blocks. A block is right if its squared distance to its own centroid is less than a third of its squared
+    distance to the nearest other centroid. The score is 0 if at most half of the blocks are right. Above
+    that, it rises linearly, to 1 if all are right.
 
     With this rule, a policy can score without acting: in the ClusterShape demo, 5 of 8 blocks are right at the
     start, a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
 
 Remaining distance
-    The sum over the blocks that are not right of sqrt(3) d - D, plus 0.3, with d and D the distances to the own and to
-    the nearest other centroid. By the released code's rules, of d + 2 d^2 - D. At most 5.2 (19.1) for each block.
+    Let d be a block's distance to its own centroid, and D its distance to the nearest other one. Each block that is
+    not right adds sqrt(3) d - D + 0.3; by the released code's rules, d + 2 d^2 - D + 0.3. At most 5.2 for each block
+    (released: 19.1).
 
 Differences from the original
     The released code has its own rule, ramp and horizon (rules="released"). A block is right if d < D - 2 d^2,
-    with d and D the distances (not squared) to the own and to the nearest other centroid. The score is 0 up to three
-    quarters of the blocks right. Episodes have 240 steps instead of 320.
+    with d and D as above. The score is 0 if at most three quarters of the blocks are right. Episodes have 240 steps
+    instead of 320.
 """
 
 from __future__ import annotations
@@ -111,23 +113,25 @@ def right_blocks(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
 
 def _is_right(own: float, other: float, rules: Rules) -> bool:
     """Whether a block with these squared distances is right."""
-    return math.sqrt(own) < math.sqrt(other) - 2 * own if rules == "released" else own < other / NEARER
+    if rules == "released":
+        return math.sqrt(own) < math.sqrt(other) - 2 * own
+    return own < other / NEARER
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     """The share of right blocks above the share with score 0, scaled to [0, 1]."""
     share = sum(right_blocks(final, attribute, rules)) / len(final.blocks)
-    nothing = ZERO_SCORE_SHARE[rules]
-    return max(0.0, (share - nothing) / (1 - nothing))
+    zero_share = ZERO_SCORE_SHARE[rules]
+    return max(0.0, (share - zero_share) / (1 - zero_share))
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
-    """By how much blocks that are not right are nearer to another centroid than allowed."""
+    """The remaining distance; see the module's docstring."""
     return sum(ways(final, attribute, rules))
 
 
 def ways(final: Scene, attribute: Attribute, rules: Rules = "paper") -> list[float]:
-    """The part of each block in the distance: 0 if it is right."""
+    """How much each block adds to the remaining distance: 0 if it is right."""
     found = []
     for own, other in _squares(final, attribute):
         way = math.sqrt(own) + 2 * own if rules == "released" else math.sqrt(NEARER * own)

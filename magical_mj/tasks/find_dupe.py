@@ -15,9 +15,10 @@ Score
     x (1 - distractors in region / blocks in region), where the query counts as a block in the region.
 
 Remaining distance
-    The sum of the ways, from centres to the nearest side (out: one with room between it and the wall), with 0.3 for
-    each term above 0: the query's into the region, the nearest duplicate's into it, and the distractors' out of it.
-    By the released code's rules, those of the two nearest blocks like the query instead. At most 3.1 for each block.
+    The sum of these distances, each with 0.3 added if it is above 0: from the query's centre to the region, from the
+    nearest duplicate's centre to the region, and from the centre of each distractor in the region to the nearest side
+    with room for a block between it and the wall. By the released code's rules, the two nearest blocks like the query
+    count instead of query and duplicate. At most 3.1 for each block.
 
 Differences from the original
     The released code accepts any two blocks with the query's attributes, including or without the query
@@ -112,12 +113,16 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The ways of the query and the nearest duplicate into the region, and of distractors out of it."""
+    """The distances of the query and the nearest duplicate into the region, and of distractors out of it."""
     (region,) = final.regions
     (query,) = inside(initial.regions[0], initial.blocks)
     alike = _alike(final, query)
-    ways = sorted(way_in(region, final.blocks[number]) for number in alike - ({query} if rules == "paper" else set()))
-    pair = way_in(region, final.blocks[query]) + ways[0] if rules == "paper" else ways[0] + ways[1]
+    ways = {number: way_in(region, final.blocks[number]) for number in alike}
+    if rules == "paper":
+        pair = ways.pop(query) + min(ways.values())
+    else:
+        nearest, second, *_ = sorted(ways.values())
+        pair = nearest + second
     others = (block for number, block in enumerate(final.blocks) if number not in alike)
     return pair + sum(way_out(region, block, final.half_width) for block in others)
 

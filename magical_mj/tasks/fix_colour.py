@@ -13,9 +13,10 @@ Score
     1 if the mismatched block is in no region and every other region contains exactly its own block, else 0.
 
 Remaining distance
-    The sum over the blocks, with 0.3 for each term above 0: for the mismatched block, its way out of the region that it
-    is in; for the others, their way into their own region, and out of another one. A way leads from the block's centre
-    to the nearest side; a way out, to one with room between it and the wall. At most 3.1 for each block.
+    The sum of these distances, each with 0.3 added if it is above 0. For the mismatched block: out of the region that
+    contains it. For each other block: into its own region, and out of other regions (except the mismatched block's).
+    Distances are from a block's centre to the nearest side. On the way out, only sides with room for a block between
+    them and the wall count. At most 3.1 for each block.
 
 Differences from the original
     The mismatched block's colour is uniform over the three others. The released code never makes it yellow
@@ -111,7 +112,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The way of the mismatched block out of all regions, and of the others into their own one."""
+    """The distance of the mismatched block out of all regions, and of the others into their own one."""
     left = 0.0
     for region, (home,) in zip(final.regions, _homes(initial), strict=True):
         odd = initial.blocks[home].colour != region.colour

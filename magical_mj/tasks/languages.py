@@ -34,12 +34,12 @@ class TaskLanguage(Protocol):
         """The task of a canonical text. The same text always gives an equal task, on every machine.
 
         Raises:
-            MagicalError: if there is no such task.
+            MagicalError: if the task does not exist.
         """
         ...
 
     def members(self, text: str) -> tuple[str, ...]:
-        """The texts of the tasks in the set with this name; empty if it is the name of no set."""
+        """The texts of the tasks in the set with this name; empty if no set has this name."""
         ...
 
 

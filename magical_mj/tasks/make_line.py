@@ -12,9 +12,9 @@ Score
     the largest run over all pairs and n the number of blocks: 1 if m = n, 0.5 if m = n - 1, else 0.
 
 Remaining distance
-    For the line through a pair of blocks, the sum of how much the others are more than 0.18 off it and the gaps between
-    neighbours are wider than 0.42, with 0.3 for each term above 0. Of all pairs, the least such sum; at most 3.4 for
-    each block.
+    Take the line through a pair of blocks. Each block farther than 0.18 from it adds the excess and 0.3. Each gap
+    wider than 0.42 between neighbours along the line also adds the excess and 0.3. The remaining distance is the least
+    such sum over all pairs; at most 3.4 for each block.
 
 Differences from the original
     With three blocks, the paper's m = n - 1 = 2 gives 0.5 for any two blocks near each other. The released

@@ -13,8 +13,9 @@ Score
     (targets in region / targets) x (1 - distractors in region / blocks in region); 0 if the region is empty.
 
 Remaining distance
-    The sum of the targets' ways into the region and the distractors' ways out of it, from their centres to the nearest
-    side (out: one with room between it and the wall), with 0.3 for each term above 0. At most 3.1 for each block.
+    The sum of these distances, each with 0.3 added if it is above 0: from each target's centre to the region, and from
+    the centre of each distractor in the region to the nearest side with room for a block between it and the wall. At
+    most 3.1 for each block.
 
 Differences from the original
     None.
@@ -105,7 +106,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The ways of targets into the region, and of distractors out of it."""
+    """The distances of targets into the region, and of distractors out of it."""
     (region,) = final.regions
     return sum(
         way_in(region, block) if block.colour == region.colour else way_out(region, block, final.half_width)

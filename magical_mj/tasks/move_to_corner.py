@@ -4,9 +4,9 @@ Goal
     The block is within sqrt(2)/2 of the corner (-1, 1) when the episode ends.
 
 What varies
-    Colour and shape of the block. Poses are only jittered, never drawn from the whole workspace, since the
-    block must start near the opposite corner. Elsewhere, the goal would be ambiguous. For the same reason
-    there is always one block. So there are no Layout and CountPlus variants, and All jitters.
+    Colour and shape of the block. Poses are only jittered, never drawn from the whole workspace. The block
+    starts near the opposite corner and there is only one, because otherwise the goal would be ambiguous. So
+    there are no Layout and CountPlus variants, and All jitters.
 
 Score
     With d the distance of the block's centre from the corner: 1 for d <= sqrt(2)/2, 0 for d >= sqrt(2),
@@ -54,7 +54,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """How much too far the block is from the corner."""
+    """The remaining distance; see the module's docstring."""
     (block,) = final.blocks
     excess = math.hypot(block.x - CORNER[0], block.y - CORNER[1]) - FULL_SCORE_DISTANCE
     return WRONG + excess if excess > 0.0 else 0.0

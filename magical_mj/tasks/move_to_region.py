@@ -11,7 +11,7 @@ Score
     1 if the robot's centre is in the region, borders included, else 0.
 
 Remaining distance
-    That of the robot's centre from the region, plus 0.3; 0 in the region. At most 3.1.
+    The distance from the robot's centre to the region, plus 0.3; 0 in the region. At most 3.1.
 
 Differences from the original
     None.
@@ -53,7 +53,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The robot's way into the region."""
+    """The robot's distance to the region."""
     return way_in(final.regions[0], final.robot)
 
 

@@ -32,7 +32,7 @@ WANDER: Final = 10.0  # the largest change of a position's cost by noise, if onl
 CHOICE: Final = 3.0  # the largest change of a block's cost by noise, where one of several blocks is chosen
 TOLERANCE: Final = 0.12  # a block this close to its target has reached it
 APART: Final = 0.27  # distance between the centres of blocks that do not touch
-CROWDED_COST: Final = 1000.0  # cost for each unit by which two blocks are closer than `APART`, or `CLUSTER_APART`
+CROWDED_COST: Final = 1000.0  # cost for each unit that two blocks are closer than `APART`, or `CLUSTER_APART`
 INSIDE, OUTSIDE = 0.14, 0.16  # distances from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are placed within this square (half side)
 GRID: Final = 0.06
@@ -79,7 +79,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Subgoal:
-    """Move a block to a position, or, if `block` is None, the robot."""
+    """Move a block to a position. If `block` is None, move the robot."""
 
     block: int | None
     target: Point
@@ -87,14 +87,14 @@ class Subgoal:
 
     def left(self, scene: Scene) -> float:
         """The remaining distance (world units); 0 if the subgoal is reached."""
-        thing = scene.robot if self.block is None else scene.blocks[self.block]
-        way = math.dist((thing.x, thing.y), self.target)
-        return 0.0 if way <= self.tolerance else way
+        body = scene.robot if self.block is None else scene.blocks[self.block]
+        distance = math.dist((body.x, body.y), self.target)
+        return 0.0 if distance <= self.tolerance else distance
 
     def cost(self, scene: Scene) -> float:
         """The approximate number of remaining actions."""
-        way = self.left(scene)
-        return FETCHING + CARRYING * way if way else 0.0
+        distance = self.left(scene)
+        return FETCHING + CARRYING * distance if distance else 0.0
 
 
 Subgoals = tuple[Subgoal, ...]
@@ -150,7 +150,7 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
     """The subgoal of bringing a block to the nearest free position.
 
     Raises:
-        PlacementError: if there are no positions.
+        PlacementError: if `places` is empty.
     """
     here = scene.blocks[block]
 
@@ -169,7 +169,7 @@ def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float)
     """The subgoal of driving the robot to the nearest of the positions.
 
     Raises:
-        PlacementError: if there are no positions.
+        PlacementError: if `places` is empty.
     """
     here = scene.robot
 
@@ -183,7 +183,7 @@ def _cheapest(places: Iterable[Point], cost: Callable[[Point], float], what: str
     """The position with the least cost for a block or the robot (`what`)."""
     place = min(places, key=cost, default=None)
     if place is None:
-        raise PlacementError(f"a plan has no position for {what}: the scene has no free space, as between regions")
+        raise PlacementError(f"a plan has no position for {what}: the scene has no free space left")
     return place
 
 

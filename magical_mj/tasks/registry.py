@@ -72,7 +72,7 @@ Names = str | Iterable[str]
 ENTRY_POINTS: Final = "magical_mj.tasks"
 """The entry-point group for tasks of installed packages, such as ``PushOut = "push_out:SPEC"``."""
 _SPEC: Final = re.compile(r"^(\w+)\b[^=\n]*= *(?:\w+\.)*(?:TaskSpec|replace)\(", re.MULTILINE)
-"""How a module defines a task."""
+"""Matches the definition of a task in the source of a module. Group 1 is the name of the object."""
 _COMMA: Final = re.compile(r",(?![^(\[]*[)\]])")
 """A comma that is not in brackets."""
 DRAWS: Final = 3
@@ -91,7 +91,7 @@ def task_spec(task: str) -> TaskSpec:
     Raises:
         UnknownNameError: if the task does not exist.
         TaskError: if the task of another package is invalid.
-        IntentError: if it is a text that is no intent.
+        IntentError: if the text after "intent:" is not an intent.
     """
     if isinstance(task, str) and task in KNOWN:
         return KNOWN[task]
@@ -110,7 +110,7 @@ def task_spec(task: str) -> TaskSpec:
 
 
 def _parts_of_id(text: object) -> Pair | None:
-    """Task and variant in an environment's id, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None of others."""
+    """Task and variant in an environment's id, such as "magical_mj/FindDupe-TestAll-LoRes4E-v0"; None for others."""
     if not isinstance(text, str):
         return None
     task, *parts = text.removeprefix("magical_mj/").split("-")
@@ -121,12 +121,14 @@ def _parts_of_id(text: object) -> Pair | None:
 
 
 def task_name(task: str) -> str:
-    """The name of a task in stored results: of an announced task its name, of a text in a language the canonical one.
+    """The name that results store for a task.
+
+    A text of a language is stored in its canonical form, and a reference to an announced task as the task's name.
 
     Raises:
         UnknownNameError: if the task does not exist.
         TaskError: if the task of another package is invalid.
-        IntentError: if it is a text that is no intent.
+        IntentError: if the text after "intent:" is not an intent.
     """
     if in_language(task):
         return canonical_name(task)
@@ -187,13 +189,13 @@ def listed_tasks(names: Names) -> list[str]:
 
     Raises:
         SettingsError: if no name is given.
-        UnknownNameError, TaskError, IntentError: as `task_name`.
+        UnknownNameError, TaskError, IntentError: see `task_name`.
     """
     return [task_name(member) for name in listed(names, TASKS) for member in members(name)]
 
 
 def tasks_in_file(names: Names, file: object, trusted: Collection[str] = ()) -> list[str]:
-    """The stored names of tasks that a file lists, as `listed_tasks`.
+    """The stored names of tasks that a file lists; see `listed_tasks`.
 
     Raises:
         UntrustedNameError: if one is a reference that is not trusted.
@@ -207,7 +209,7 @@ def tasks_in_file(names: Names, file: object, trusted: Collection[str] = ()) -> 
 def listed(names: Names, every: Iterable[str]) -> list[str]:
     """The names as a list. They may be given as a list or separated by commas. "all" means all names in `every`.
 
-    Commas in brackets, as in "intent:in(colour=red, region)", separate no names.
+    Commas in brackets, as in "intent:in(colour=red, region)", do not separate names.
 
     Raises:
         SettingsError: if no name is given.

@@ -19,8 +19,8 @@ _T = TypeVar("_T")
 def uniform_integer(rng: np.random.Generator, low: int, high: int) -> int:
     """A uniform integer from `low` to `high`, both included.
 
-    It uses `Generator.random` only. The scenes of a seed must not change in the long term, but numpy may change
-    the algorithms of its other draws.
+    It uses only `Generator.random`, because numpy may change the algorithms of its other draws. The scenes of a seed
+    must never change.
     """
     return low + int((high - low + 1) * rng.random())
 

@@ -22,8 +22,9 @@ Rules = Literal["paper", "released"]
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
 Reward = Literal["none", "score", "dense"]
-"""0 at all steps, since the benchmark has no reward; the score at the last step; or at every step also the decrease of
-the remaining distance (`TaskSpec.distance`)."""
+"""The reward of each step. "none": 0, since the benchmark has no reward. "score": 0, and the score at the last step.
+"dense": the score at the last step, and at every step also the decrease of the remaining distance
+(`TaskSpec.distance`)."""
 REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 _ROUNDING: Final = 1e-9
@@ -52,11 +53,11 @@ class TaskSpec(VariationRules):
     trajectory: bool = False
     """Whether `score`, `distance` and `plan` receive the scenes of all steps, instead of the first and the current."""
     distance: Measure | None = None
-    """What remains to be done, in world units, for `reward="dense"`: the sum over everything that is wrong of its
-    distance from where it would be right. 0 exactly if the score is 1. Without it, the task has no dense rewards."""
+    """The remaining distance in world units, for `reward="dense"`: the sum of the distances of all wrong objects to
+    positions where they would be right. It is 0 if and only if the score is 1. None: the task has no dense rewards."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
-    """The bodies of `magical_mj.scene.bodies.BODIES` with which the scripted expert solves the task. Environments take
+    """The bodies in `magical_mj.scene.bodies.BODIES` that the scripted expert can use in this task. Environments accept
     every body."""
     steps_of: tuple[tuple[str, int], ...] = ()
     """Pairs of a body and its horizon, for bodies with other horizons."""
@@ -100,8 +101,8 @@ class TaskSpec(VariationRules):
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"the expert cannot solve {self.name} with the body {body!r}, so there are no demonstrations; it can "
-                f"with {', '.join(self.bodies)} (docs/bodies.md). Environments take every body, for policies that learn"
+                f"the expert cannot solve {self.name} with the body {body!r}, so there are no demonstrations: use "
+                f"{', '.join(self.bodies)} (docs/bodies.md). Environments accept every body, for policies that learn"
             )
 
     def checked_score(self, scenes: Sequence[Scene], rules: Rules) -> float:
@@ -122,7 +123,7 @@ class TaskSpec(VariationRules):
         return min(max(float(score), 0.0), 1.0)
 
     def check_reward(self, reward: str) -> None:
-        """Raises a `TaskError` if the reward is "dense", for which the task has no formula."""
+        """Raises a `TaskError` if the reward is "dense" and the task does not define `distance`."""
         if reward == "dense" and self.distance is None:
             raise TaskError(
                 f'{self.name} ({self.summary}) has no dense rewards: use reward="score". In a task of your own, add a '
@@ -133,8 +134,8 @@ class TaskSpec(VariationRules):
         """The result of `distance`, which must be a finite number of at least 0. The scenes are those of `score`.
 
         Raises:
-            TaskError: if the result is not such a number, or `distance` raises an error that is not one of this
-                package's; if there is no such function.
+            TaskError: if the task does not define `distance`, if the result is not such a number, or if `distance`
+                raises an error that is not one of this package's.
         """
         self.check_reward("dense")
         with errors_of_task(f"{self.name}.distance failed"):

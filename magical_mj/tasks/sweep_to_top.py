@@ -5,8 +5,8 @@ Goal
 
 What varies
     Layout: one y for all debris, U(-0.1, 0.5), and three of the four columns x = -0.8, -0.32, 0.16, 0.64, in random
-    order. Shape and colour: each piece's, and the zone's colour, which need not match. Dynamics: the five force caps.
-    All: all four. The robot's pose and the zone's box are fixed. There is neither Jitter nor CountPlus.
+    order. Shape: each piece's shape. Colour: each piece's colour and the zone's, which may differ. Dynamics: the five
+    force caps. All: all four. The robot's pose and the zone's box are fixed. There is neither Jitter nor CountPlus.
 
 Score
     The share of the debris whose bounding box is in the zone. As a reward, each step has this value ("sparse"), or
@@ -17,7 +17,8 @@ Remaining distance
     y = 0.88. At most 2.3 for each piece.
 
 Differences from the original
-    None of these. With ``seeds="original"``, environments draw the original's scenes. Ours draw each axis separately.
+    By default, the axes of a scene are drawn separately. With ``seeds="original"``, environments draw the scenes that
+    the original draws. Everything else in this description is the same.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ HALF_WIDTH: Final = 1.1  # half width of the arena, world units
 COLUMNS: Final = (-0.8, -0.32, 0.16, 0.64)
 ROWS: Final = (-0.1, 0.5)
 DRIVE_FORCES: Final = (3.2, 5.5)
-TARGET, ARRIVED = 1.0, 0.88  # y to which the dense reward measures, and y above which it is 0
+TARGET, ARRIVED = 1.0, 0.88  # the dense reward measures distances to y = TARGET; they count as 0 above y = ARRIVED
 DIAGONAL: Final = 2 * math.sqrt(2)
 """The unit of distances in the state vector: the diagonal of an arena of half width 1."""
 OPEN: Final = math.pi / 4
@@ -112,7 +113,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The ways of the debris into the zone."""
+    """The distances of the debris into the zone."""
     return sum(
         0.0 if there else WRONG + max(ARRIVED - block.y, 0.0)
         for block, there in zip(final.blocks, arrived(final), strict=True)

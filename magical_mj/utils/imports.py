@@ -129,7 +129,7 @@ def reference_of(point: EntryPoint) -> str:
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
-    It is the name in the first match of `definition` in the file, which is not imported; empty if there is none.
+    It is the name in the first match of `definition` in the file, which is not imported; empty without a match.
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")
@@ -172,7 +172,7 @@ def with_location(error: BaseException) -> str:
 
 
 def location(error: BaseException, *, full: bool = True) -> str:
-    """The last location of the error in the user's code, or otherwise in another package than this one, if any.
+    """The last location of the error in the user's code, otherwise in another package; empty if it has neither.
 
     With `full`, it includes the file's folder.
     """

@@ -153,10 +153,10 @@ def along(scene: Scene, other: Scene, fraction: float, rng: np.random.Generator)
 def with_room(scene: Scene) -> Scene:
     """The scene with the robot moved aside if it touches a wall, a block or a region, as a longer body may.
 
-    It is moved by about the smallest distance, which a random search finds that is the same for all seeds.
+    A random search finds about the smallest move. It is the same for all seeds.
 
     Raises:
-        PlacementError: if there is no room for it.
+        PlacementError: if no free pose was found.
     """
     if contact(scene) is None:
         return scene
@@ -171,7 +171,7 @@ def with_room(scene: Scene) -> Scene:
 
 
 def contact(scene: Scene, regions: bool = True) -> str | None:
-    """The first contact because of which placement would reject the scene, such as "block 1 touches a wall", or None.
+    """The first contact that placement would reject, such as "block 1 touches a wall". None if there is none.
 
     Without `regions`, only the robot, blocks and walls count.
     """
@@ -236,8 +236,9 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
     homes = _homes(scene)
     poses = [item.pose for item in items]
     placed: list[Solid] = []
-    # the robot first, then the outer blocks, then those that belong in a region
-    for index in sorted(range(len(items)), key=lambda index: index > 0 and homes[index] is not None):
+    outer = [index for index in range(1, len(items)) if homes[index] is None]
+    inner = [index for index in range(1, len(items)) if homes[index] is not None]
+    for index in (0, *outer, *inner):  # the robot has index 0
         item, home = items[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + [area for number, area in enumerate(areas) if number != home]
@@ -276,7 +277,7 @@ def _solid(item: Object, pose: Pose) -> Solid:
 def _find(
     item: Object, box: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
-    """The first drawn pose at which an object touches no wall and no obstacle, and the area that it covers there.
+    """The first drawn pose where an object touches neither walls nor obstacles, and the area that it covers there.
 
     The walls are at the distance `half` from the origin. Raises `_NoRoomError` if `MAX_TRIES` draws are not enough.
     """

@@ -55,15 +55,15 @@ rule adds may have any pose, since they are placed afterwards. But a block that 
 """
 
 DiagnoseRule = Callable[[np.random.Generator, Scene, int], Scene]
-"""Draws the scene of a seed, in which a reading of the demonstrations is wrong that the seed selects."""
+"""Draws a scene where a wrong reading of the demonstrations fails. The seed, the last argument, selects the reading."""
 
 _ROUNDING: Final = 1e-9
 WIDER: Final = 0.2
-"""The most (world units) that a region may be wider than the arena, as x-magical's goal zone is."""
+"""How much wider than the arena a region may be (world units). x-magical's goal zone is wider."""
 
 MAX_SHAPE_DRAWS: Final = 1_000
 MAX_REDRAWS: Final = 300
-"""The number of scenes that are drawn until a task accepts one."""
+"""The largest number of scenes that are drawn until a task accepts one."""
 
 DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {
@@ -89,14 +89,14 @@ class VariationRules:
     name: str
     """The name in ids and file names, such as ``"FindDupe"``: letters and digits."""
     demo: Scene
-    """The scene in which all demonstrations start, with blocks and regions in the original's order."""
+    """The initial scene of all demonstrations, with blocks and regions in the original's order."""
     further_demos: tuple[Scene, ...] = ()
-    """Further scenes in which demonstrations start. Test variants vary `demo` only, so that their scenes do not depend
-    on the number of demo scenes."""
+    """Further initial scenes of demonstrations. Test variants vary `demo` only, so that their scenes do not depend on
+    the number of demo scenes."""
     check: Callable[[Scene], None]
     """Raises `InvalidSceneError` if this task cannot start in the scene."""
     accepts: Callable[[Scene], bool] | None = None
-    """Whether a drawn scene is a good start. Other scenes are drawn again. None: every scene is."""
+    """Whether an episode should start in a drawn scene; otherwise, the scene is drawn again. None: always."""
 
     colour: AxisRule | None = None
     shape: AxisRule | None = None
@@ -137,7 +137,7 @@ class VariationRules:
 
     @property
     def demos(self) -> tuple[Scene, ...]:
-        """All demo scenes. The Demo variant has them in turn by seed."""
+        """All demo scenes. The scene of seed n in the Demo variant is number n modulo their count."""
         return self.demo, *self.further_demos
 
     def _require(self, part: str, condition: bool, need: str) -> None:
@@ -179,7 +179,7 @@ def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
 
 
 def variants_of(rules: VariationRules) -> tuple[str, ...]:
-    """The variants of a task: All, those with only axes that the task supports, and then `OTHER_VARIANTS`."""
+    """The variants of a task: All, and those whose axes the task supports. Those of `OTHER_VARIANTS` are last."""
     supported = set(supported_axes(rules))
     every = (VARIANTS | OTHER_VARIANTS).items()
     return tuple(name for name, axes in every if name == "All" or supported.issuperset(axes))
@@ -215,7 +215,7 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
     not accept the scene, all axes are drawn again.
 
     Raises:
-        UnknownNameError: if the task has no such variant.
+        UnknownNameError: if the task does not have this variant.
         InvalidSeedError: if the seed is not an integer, or negative.
         PlacementError: if no legal placement was found.
         TaskError: if a rule of the task does not return a scene.
@@ -250,7 +250,7 @@ def _varied(rules: VariationRules, scene: Scene, rngs: Mapping[Axis, np.random.G
         draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
         scene = draw_shapes(rules, "shape", rngs["shape"], scene)
     if dynamics is not None and scene.dynamics == rules.demo.dynamics:
-        scene = replace(scene, dynamics=dynamics)  # lost if a rule made a new scene instead of changing its argument
+        scene = replace(scene, dynamics=dynamics)  # a rule that makes a new scene loses them
     if "diagnose" in rngs:
         return _draw(rules, "diagnose", rngs["diagnose"], scene, seed)
     if "jitter" in rngs:

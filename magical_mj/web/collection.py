@@ -164,8 +164,8 @@ class Collection:
         """The participant's next scene, as data for the page.
 
         `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool, "number": 1, "of": 4}}`: the first of
-        four episodes. `of` is None if there is no limit. If there is no scene now, `next` is None, and `why` gives the
-        reason. `{"consent": text}` if the participant must first agree to this text.
+        four episodes. Without a limit, `of` is None. If no scene can be offered now, `next` is None, and `why` gives
+        the reason. `{"next": None, "consent": text}` if the participant must first agree to this text.
         """
         with self._lock:
             now = self._clock()
@@ -271,7 +271,7 @@ class Collection:
         return buffer.getvalue()
 
     def _closed(self, participant: str, now: float) -> dict[str, Any] | None:
-        """The reason why this participant gets no offer, apart from the quotas. None if offers are possible."""
+        """Data for the page with the reason why this participant gets no offer; None if offers are possible."""
         if self.study.episodes is not None and self._counts[participant] >= self.study.episodes:
             return {"why": "That was everything. Thank you!", "code": self.study.completion_code}
         if all(wanted is not None and len(self._accepted[pair]) >= wanted for pair, wanted in self._quotas.items()):
@@ -295,7 +295,7 @@ class Collection:
         ]
 
     def _holds(self, participant: str, offer: Offer, now: float) -> bool:
-        """Whether an offer is still this participant's: it is in time, or late but not needed by others.
+        """Whether an offer is still reserved for this participant. An expired one is, until others need its scene.
 
         The quota is checked in both cases: if a clock is set back, expired offers become valid again.
         """
@@ -372,7 +372,7 @@ class Collection:
 
 
 def _key(demo: Demonstration) -> str:
-    """A key that is equal for episodes that differ at most in their seed, since Demo's scenes do not depend on it."""
+    """A key of an episode without its seed, since Demo's scenes do not depend on it."""
     return hashlib.sha256(demo.scene.to_json().encode() + demo.variant.encode() + demo.actions.tobytes()).hexdigest()
 
 

@@ -98,7 +98,7 @@ def puzzle_of(task: str) -> Puzzle:
 def goal_data(intent: Intent, initial: Scene) -> list[dict[str, Any]] | None:
     """An intent in an initial scene as JSON data: its relations, with the blocks that they are about.
 
-    None if one means nothing in the scene.
+    None if one is undefined in the scene.
     """
     try:
         intent.parts(initial, initial)

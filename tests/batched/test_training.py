@@ -124,7 +124,7 @@ def test_the_command_line_trains_in_batched_worlds(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SettingsError, match="bc has no choice of simulators"):
+    with pytest.raises(SettingsError, match="bc cannot choose its simulator"):
         in_batch("bc")
     with pytest.raises(UnknownNameError, match=r"ppo\.simulator 'many'"):
         playing(**{"ppo.simulator": "many"})

@@ -121,7 +121,7 @@ class Sets:
         (Runs(np.load, "owned", None, True), r"refers to numpy\.\S*load"),
         (np.array([Runs(os.system, "touch owned")], object), "refers to posix.system"),
         ({Path("owned")}, "refers to pathlib"),
-        (Sets(), "no demonstration|no pickle"),
+        (Sets(), "no demonstration|not a pickle"),
         (collections.Counter("ab"), "refers to collections.Counter"),
     ],
     ids=range(8),
@@ -146,8 +146,8 @@ def stacked(*names: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"no pickle", "no pickle"),
-        (pickle.dumps({"a": 1})[:-3], "no pickle"),
+        (b"not a pickle", "not a pickle"),
+        (pickle.dumps({"a": 1})[:-3], "not a pickle"),
         (b"\x80\x04N\x72\xff\xff\xff\x0f.", "memo is damaged"),  # would take gigabytes
         (b"\x80\x04K\x01Q.", "BINPERSID"),
         (b"(cos\nsystem\nS'touch owned'\no.", "OBJ|S'|refers to os.system"),
@@ -195,7 +195,7 @@ def test_files_cannot_change_how_later_ones_are_read(tmp_path: Path) -> None:
     path = tmp_path / "demo-x.pkl.gz"
     for content in (spoil, spoil.replace(b"\x07magical\x8c\x01T", b"\x05numpy\x8c\x07ndarray")):
         path.write_bytes(gzip.compress(content))
-        with pytest.raises(DemonstrationError, match="no pickle of a demonstration: TypeError"):
+        with pytest.raises(DemonstrationError, match="not a pickle of a demonstration: TypeError"):
             from_original(path)
     good = packed(path, episode("MoveToRegion", magical_mj.demos.load("MoveToRegion")[0].actions))
     assert from_original(good).demonstration.score == 1.0

@@ -190,7 +190,7 @@ def test_tasks_without_a_formula_or_with_a_wrong_one_say_so(monkeypatch: pytest.
 
 def test_batched_worlds_have_none() -> None:
     pytest.importorskip("warp")
-    with pytest.raises(SettingsError, match="batched worlds have no dense rewards"):
+    with pytest.raises(SettingsError, match="batched environments have no dense rewards"):
         magical_mj.batched.make("MoveToRegion", num_envs=1, device="cpu", reward="dense")
 
 

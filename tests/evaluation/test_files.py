@@ -286,7 +286,7 @@ def test_only_failed_episodes_can_be_replaced(tmp_path: Path) -> None:
     write(tmp_path, [done, failed, replace(failed, retry=1), replace(failed, retry=2, failure=None)])
     assert read(tmp_path) == [done, replace(failed, retry=2, failure=None)]
     for wrong, problem in (
-        (replace(done, retry=1), "line 1: the episode did not fail, but another line replaces it"),
+        (replace(done, retry=1), "line 1: the episode did not fail, so no line can replace it"),
         (failed, "line 4: the same episode as line 2"),
         (replace(failed, retry=2), "line 4: the same episode as line 3"),
     ):

@@ -231,7 +231,7 @@ def test_entries_with_demonstrations_at_test_say_so_and_have_a_block_of_their_ow
     assert findings.episodes == len(entry.episodes) > 0
     assert findings.good
     evaluate(agents.Nearest(), out=tmp_path / "other", control="wrong-demonstrations", **DEMO)
-    with pytest.raises(EvaluationError, match="as a control, with what belongs to"):
+    with pytest.raises(EvaluationError, match="as a control, with the demonstrations or the instruction of"):
         submit([tmp_path / "other"], tmp_path / "other.json.xz", card=card)
 
 

@@ -244,7 +244,7 @@ def test_an_interruption_ends_the_episode_and_keeps_those_before(tmp_path: Path)
     [
         ("rndom", {}, "Did you mean 'random'"),
         ("", {}, "give a policy"),
-        ("BC=", {}, "BC= names no policy"),
+        ("BC=", {}, "BC= lacks a policy after the ="),
         (3, {}, "3 is not a policy"),
         (Path("missing.zip"), {}, "the file missing.zip does not exist"),
         ("no_such_module:thing", {}, "the policy 'no_such_module:thing' cannot be imported"),

@@ -146,7 +146,7 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     larger: dict[str, Any] = {"network.first_channels": 8}
     refused("encoder.* has 0.weight of shape .*, not", **larger)
     save_encoder(file, Encoder({name: values for name, values in weights.items() if name != "1.running_mean"}))
-    refused("lacks 1.running_mean: give one by bc, or")
+    refused("lacks 1.running_mean: give the folder of a training of bc, or")
     save_encoder(file, Encoder({**weights, "15.weight": torch.zeros(1)}))
     refused("has 15.weight, which this network does not have")
     save_encoder(file, Encoder({**weights, "0.weight": weights["0.weight"] * torch.nan}))
@@ -163,13 +163,13 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     checkpoint.write(file, {"weights": dict(weights)})
     refused("was not written by save_encoder, so the variants of its training are unknown")
     save_file({name: values.contiguous() for name, values in weights.items()}, file)
-    refused("cannot read .*; give the folder of a training, or a file by save_encoder", TrainingError)
+    refused("cannot read .*; give the folder of a training, or a file written by save_encoder", TrainingError)
     train(playing("gail"), run)
     refused("lacks 1.bias", path=run)  # without batch norm
     train(tiny(preset="State"), tmp_path / "states")
     refused("has no convolutions: it is not for pictures", path=tmp_path / "states")
     (run / "config.toml").unlink()
     refused("is not the folder of a training", path=run)
-    with pytest.raises(SettingsError, match=r"point trains its convolutions, so bc\.encoder is for bc"):
+    with pytest.raises(SettingsError, match=r"point trains its own convolutions: leave out bc\.encoder"):
         train(using(file, method="point"), tmp_path / "new")
     assert using(Path("near")).bc.encoder == str(Path("near").absolute())

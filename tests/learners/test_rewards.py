@@ -202,7 +202,7 @@ def test_ppo_says_what_reward_it_needs(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"ppo needs a learnt reward: --set reward\.run=RUN"):
         train(playing("ppo", preset="State"), tmp_path / "run")
     train(from_states(), tmp_path / "bc")
-    with pytest.raises(SettingsError, match="is a training of bc, which learns no reward"):
+    with pytest.raises(SettingsError, match="is a training of bc, which does not learn a reward"):
         train(playing("ppo", **{"preset": "State", "reward.run": str(tmp_path / "bc")}), tmp_path / "run")
     train(from_states(method="iq-learn"), tmp_path / "iq")
     with pytest.raises(SettingsError, match="is for MoveToRegion with the preset State, not for FixColour"):

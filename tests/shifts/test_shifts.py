@@ -154,7 +154,7 @@ def test_evaluations_name_several_settings() -> None:
         ("tests.shifts.test_shifts:DRAWN:3", ShiftError, "derived"),
         ("tests.shifts.test_shifts:Nameless:3", ShiftError, "name"),
         ("tests.shifts.test_shifts:Nothing:3", ShiftError, "changes nothing: override at least one of .* scene, model"),
-        ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* without factors"),
+        ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* by default, the strength"),
     ],
 )
 def test_what_is_no_shift_is_refused(shifts: Any, error: type[MagicalError], message: str) -> None:

@@ -55,8 +55,8 @@ def to_npz(
         overwrite: replace an existing file.
 
     Raises:
-        DemonstrationError: if there are no demonstrations, a scene's seed is 2**63 or larger, or their observations or
-            actions have different shapes, such as those of different bodies.
+        DemonstrationError: if `demos` is empty, a scene's seed is 2**63 or larger, or their observations or actions
+            have different shapes, such as those of different bodies.
         FileExistsError: if the file exists.
     """
     demos, path = list(checked(demos)), files.to_path(path)
@@ -85,8 +85,11 @@ def to_npz(
             }
             episodes.append(columns)
         with unfinished.open("wb") as file:
-            if any(len({np.shape(episode[name])[1:] for episode in episodes}) > 1 for name in episodes[0]):
-                raise DemonstrationError("these demonstrations are of several bodies: write an archive for each body")
+            for name in episodes[0]:
+                if len({np.shape(episode[name])[1:] for episode in episodes}) > 1:
+                    raise DemonstrationError(
+                        "these demonstrations are of several bodies: write an archive for each body"
+                    )
             joined = {name: np.concatenate([episode[name] for episode in episodes]) for name in episodes[0]}
             np.savez_compressed(file, allow_pickle=False, **joined)
 

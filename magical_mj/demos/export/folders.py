@@ -35,7 +35,7 @@ FEATURES: Final[Mapping[str, str]] = {
 }
 
 EACH: Final = "`gymnasium.make(magical_mj.env_id(task, variant, preset))` with the task and variant of each episode"
-"""How to make the environments of several intents."""
+"""The code that makes the environments of several intents."""
 MAKERS: Final[Mapping[str, str]] = {
     "expert": "by the scripted expert of magical_mj, which knows the state",
     "human": "by people who drove the robot in magical_mj",
@@ -50,7 +50,7 @@ MAKERS: Final[Mapping[str, str]] = {
 XIRL_SIZE: Final = 384
 """Pixels per side, the same as in x-magical."""
 XIRL_VALID: Final = 10
-"""One of this number of videos of a body is used for validation."""
+"""One in this number of videos of a body is used for validation."""
 
 
 def to_webdataset(

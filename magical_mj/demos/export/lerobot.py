@@ -133,7 +133,7 @@ NO_STATE: Final = ("zero0", "zero1", "zero2")
 FINGERS: Final = ("left_finger", "right_finger")
 """The entries of LeRobot's state with fingers. `NO_STATE` has another length, so that the two cannot be confused.
 
-LeRobot would drop the axis of a state with one entry.
+It does not have length 1, because LeRobot would then drop the axis.
 """
 
 

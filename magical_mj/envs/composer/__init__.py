@@ -25,8 +25,9 @@ _GLFW_CHOSEN: Final = (
 def _prepare() -> None:
     """Sets MUJOCO_GL for dm_control, which reads it once, when it is imported.
 
-    Without a display and without MUJOCO_GL, dm_control would choose GLFW, which fails. So it gets a backend that works,
-    or a warning if dm_control has been imported already. Values that would make the import fail raise an error.
+    Without a display and without MUJOCO_GL, dm_control would choose GLFW, which fails. So MUJOCO_GL is set to a backend
+    that works. If dm_control has been imported already, a warning is given instead. Values that would make the import
+    fail raise an error.
     """
     if sys.platform != "linux":
         return
@@ -44,7 +45,7 @@ def _prepare() -> None:
     os.environ["MUJOCO_GL"] = wanted  # dm_control accepts lower case only
     problem = "" if wanted in _OTHERS else opengl().problem
     if wanted in HEADLESS and platform not in ("", wanted):
-        problem = f"PYOPENGL_PLATFORM is {platform}, which does not go with MUJOCO_GL={wanted}"
+        problem = f"PYOPENGL_PLATFORM is {platform}, which contradicts MUJOCO_GL={wanted}"
     if problem:
         raise RenderingError(f"dm_control cannot be imported: {problem}. {REMEDY}")
 

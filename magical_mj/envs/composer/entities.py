@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import takewhile
 from typing import Any, Final
 from xml.etree.ElementTree import Element, tostring
 
@@ -67,7 +66,7 @@ class Tree:
     kept: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]], list[dict[str, Any]]] | None = None
     """While the entity is detached, the attributes and children of its frame, and its contact pairs."""
     pairs: dict[str, Any] = field(default_factory=dict[str, Any])
-    """The contact pairs of its feet, by name."""
+    """Its contact pairs with the floor, by name."""
 
 
 class SceneEntity(PlanarEntity):
@@ -134,7 +133,7 @@ class SceneEntity(PlanarEntity):
     def join(self, arena: Arena, scene: Scene, pairs: Pairs, index: int | None = None) -> None:
         """Attaches the entity to the arena, with its joints and contact pairs. Its meshes are in the arena's tree.
 
-        Its index is that among the children of the arena's `worldbody`; None: the last.
+        `index` is its position among the children of the arena's `worldbody`; None: at the end.
         """
         if arena.mjcf_model.namescope.has_identifier("namescope", self.name):
             raise SettingsError(
@@ -389,8 +388,11 @@ class Arena(composer.Arena):
         episodes.
         """
         attached = [*self.blocks, *self.pebbles]
-        staying = takewhile(lambda pair: (pair[0], pair[0].form) == pair[1], zip(attached, wanted, strict=False))
-        same = len(list(staying))
+        same = 0
+        for entity, target in zip(attached, wanted, strict=False):
+            if (entity, entity.form) != target:
+                break
+            same += 1
         for entity in attached[same:]:
             entity.leave()
         frame, blocks = self.robot.frame, len(scene.blocks)
@@ -414,7 +416,7 @@ def _pebble(index: int, scene: Scene) -> str:
 
 
 def _pairs(scene: Scene) -> Pairs:
-    """The contact pairs of all feet and wheels with the floor."""
+    """The contact pairs of the blocks, the pebbles and the robot's wheels with the floor."""
     text = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
     text += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
     text += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))

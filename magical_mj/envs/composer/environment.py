@@ -150,7 +150,7 @@ class Environment(composer.Environment):
             return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
         if seed is not None and self._fixed:
             raise SettingsError(
-                "every episode of load_scene starts in its scene, and no seed changes that: give a scene"
+                "every episode of load_scene starts in the same scene, whatever the seed: give a scene instead"
             )
         if scene is None and self._fixed:
             scene = self.initial_scene
@@ -175,7 +175,7 @@ class Environment(composer.Environment):
             task.root_entity.refuse_variations()
             if not self._never_reset:  # composer's own reset compiles the first time
                 task.compile_next()
-                task.root_entity.show(scene)  # the scene that composer compiles
+                task.root_entity.show(scene)  # composer compiles this scene
                 self._compile(task, self.random_state)
         timestep = super().reset()
         self._never_reset = False
@@ -241,7 +241,7 @@ class Environment(composer.Environment):
         return different_numbers(self.physics.model.ptr, own.model)
 
     def clone(self) -> Environment:
-        """A copy in the same state, with the same future, including later episodes. Takes as long as loading.
+        """A copy in the same state. It continues in the same way, also in later episodes. Takes as long as loading.
 
         The copy has the same enabled observables, with their corruptors, aggregators and sizes. Other changes that
         users have made cannot be copied.
@@ -325,8 +325,12 @@ class Environment(composer.Environment):
 
 def _options(entry: observable.Observable) -> dict[str, Any]:
     """All options of an observable, such as the size of a camera's pictures, except those of its timing."""
-    settable = (name for name in dir(type(entry)) if getattr(getattr(type(entry), name), "fset", None) is not None)
-    return {name: getattr(entry, name) for name in settable if name not in TIMING_OPTIONS}
+    options = {}
+    for name in dir(type(entry)):
+        is_settable = getattr(getattr(type(entry), name), "fset", None) is not None
+        if is_settable and name not in TIMING_OPTIONS:
+            options[name] = getattr(entry, name)
+    return options
 
 
 def _copied(

@@ -1,4 +1,4 @@
-"""Entities that move in the plane. Their attachment frame has joints x, y and angle; composer supports free joints."""
+"""Entities that move in the plane: their attachment frame has joints x, y and angle instead of a free joint."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PlanarEntity(composer.Entity):
     def set_pose(
         self, physics: Any, position: Sequence[float] | None = None, quaternion: Sequence[float] | None = None
     ) -> None:
-        """Sets position and orientation. The next step or `physics.forward()` updates all that depends on them.
+        """Sets position and orientation. The next step or `physics.forward()` updates all dependent values.
 
         Args:
             physics: the physics.

@@ -143,7 +143,7 @@ class SceneTask(composer.Task):
 
     @property
     def task_observables(self) -> Mapping[str, observable.Observable]:
-        """The observables of the names in `load(observations=)`, all enabled."""
+        """The observables that `load(observations=...)` names, all enabled."""
         return self._observables
 
     @property
@@ -258,10 +258,12 @@ class SceneTask(composer.Task):
         return horizon is not None and self.simulation(physics).steps >= horizon
 
     def get_reward(self, physics: Any) -> float:
-        """0, the score at the last step, or also the decrease of the remaining distance: see `magical_mj.load`."""
+        """The reward of the last step; see `magical_mj.load`."""
         kind, simulation = self.settings.reward, self.simulation(physics)
         reward = simulation.score() if kind != "none" and self.should_terminate_episode(physics) else 0.0
-        return reward + self._remaining - simulation.remaining() if kind == "dense" else reward
+        if kind == "dense":
+            reward = reward + self._remaining - simulation.remaining()
+        return reward
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The spec of the 18 actions."""

@@ -1,4 +1,4 @@
-"""Explanations: what the episodes of evaluations were after, in tables, files and pictures."""
+"""Explanations: which goals the episodes of evaluations pursued, in tables, files and pictures."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ Result = TypeVar("Result", Attribution, LastSolvable)
 
 @dataclass
 class Explanation:
-    """The attributions of evaluations' episodes, the last solvable steps of failed ones, and why others are missing."""
+    """The attributions of episodes, the last solvable steps of failed ones, and the reasons why others are missing."""
 
     attributions: list[Attribution] = field(default_factory=list[Attribution])
     last_solvable: list[LastSolvable] = field(default_factory=list[LastSolvable])
@@ -72,10 +72,10 @@ def explain(
     jobs: int | None = None,
     watch: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> Explanation:
-    """Replays the episodes of `episodes_of`, and explains them. `watch` is called with the numbers of done and of all.
+    """Replays the episodes of `episodes_of`, and explains them.
 
-    For `lost` unsolved episodes of each method, task and variant, it finds the last step from which the expert still
-    solves them. Each takes seconds.
+    `watch` is called with the number of explained episodes, and their total number. For `lost` unsolved episodes of
+    each method, task and variant, the last solvable step is found, which takes seconds each.
 
     Raises:
         SettingsError: if no episode can be explained.
@@ -200,15 +200,16 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
     left = [result.remaining for result in group if not result.rivals]
     if left:
         notes.append(
-            f"Where no rival was reached, the task's plan still wants moves of {np.mean(left):.2f} (mean, world units)."
+            "In episodes without a reached rival, the moves that the task's plan still has are "
+            f"{np.mean(left):.2f} world units long (mean)."
         )
     return [markdown(Table("rivals", caption, header, (("", tuple(rows)),), tuple(notes))), *pictures]
 
 
 def _listed(group: Sequence[Attribution]) -> list[tuple[int, ...]]:
-    """The rivals of a table, the largest share first; those together which the same episodes reached.
+    """The rivals of a table, the largest share first. Rivals that the same episodes reached form one row.
 
-    The empty one at the end is about the episodes that reached none.
+    The empty row at the end is for the episodes that reached none.
     """
     reached = defaultdict[int, list[int]](list)
     for number, result in enumerate(group):
@@ -240,7 +241,7 @@ def _ending_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
 
 
 def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
-    """A row for each method, environment and reached rival, and one for what reached none."""
+    """A row for each method, environment and reached rival, and one for the episodes that reached none."""
     rows: list[dict[str, object]] = []
     for (policy, task, variant), group in _grouped(_failed(results), *ENVIRONMENT).items():
         total, reached = Counter[int | None](), Counter[int | None]()
@@ -297,14 +298,16 @@ def _failed(results: Iterable[Attribution]) -> list[Attribution]:
 
 
 def _order(episode: EpisodeResult) -> tuple[object, ...]:
-    place = TASKS.index(episode.task) if episode.task in TASKS else len(TASKS)
+    task = TASKS.index(episode.task) if episode.task in TASKS else len(TASKS)
     variant = EVERY_VARIANT.index(episode.variant)
-    return episode.policy, place, episode.task, variant, episode.seed, episode.run
+    return episode.policy, task, episode.task, variant, episode.seed, episode.run
 
 
 def _share(result: Attribution, rivals: Sequence[int]) -> float:
-    """The share of these rivals in an episode; without any, 1 if the episode reached none."""
-    return sum(result.rivals.get(rival, 0.0) for rival in rivals) if rivals else float(not result.rivals)
+    """The share of these rivals in an episode. If `rivals` is empty: 1 if the episode reached none, else 0."""
+    if not rivals:
+        return float(not result.rivals)
+    return sum(result.rivals.get(rival, 0.0) for rival in rivals)
 
 
 def _mean_share(results: Sequence[Attribution], rivals: Sequence[int]) -> float:
@@ -312,7 +315,7 @@ def _mean_share(results: Sequence[Attribution], rivals: Sequence[int]) -> float:
 
 
 def _sentence(task: str, rivals: Sequence[int]) -> str:
-    """The simplest of these rivals in English, and how many others there are; without any, that none was reached."""
+    """The simplest of these rivals in English, and the number of others. Without `rivals`: that none was reached."""
     if not rivals:
         return "None of the rivals." if task_rivals(task) else "This task has no rivals."
     others = counted(len(rivals) - 1, "other")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS: Final = ["policy", "run", "task", "variant", "shift"]
-"""What identifies the episodes of a run in an environment under a shift."""
+"""The columns that identify the episodes of a run in an environment under a shift."""
 RECORDED: Final = {"protocol": "protocol", "shift_protocol": "shift protocol", "demonstrations": "demonstrations"}
 """Setting in ``run.json`` -> what a report calls it."""
 NAMED: Final = 20
@@ -115,9 +115,9 @@ def _count(seeds: Sequence[range]) -> int:
 
 
 def _gaps(plan: Mapping[Group, Sequence[range]], scores: pd.DataFrame) -> Iterator[str]:
-    there: Any = dict(list(scores.groupby(COLUMNS, observed=True)["seed"]))
+    played: Any = dict(list(scores.groupby(COLUMNS, observed=True)["seed"]))
     for (policy, run, *environment), seeds in plan.items():
-        numbers = there.get((policy, run, *environment), ())
+        numbers = played.get((policy, run, *environment), ())
         count = sum(number in part for number in numbers for part in seeds)
         if count < _count(seeds):
             planned = counted(_count(seeds), "episode")

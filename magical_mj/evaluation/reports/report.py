@@ -73,7 +73,8 @@ NO_ENVIRONMENT: Final = "#e4e4e4"
 def check_free(out: Path, others: Sequence[str] = ()) -> bool:
     """Whether a folder, which may be missing, holds an earlier report.
 
-    If not, a file with a name that would be written, also one of the `others`, is an `EvaluationError`.
+    If it does not, but contains a file that the report (or one of the `others`) would replace, an `EvaluationError` is
+    raised.
     """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):

@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
-"""What identifies an episode."""
+"""The columns that identify an episode."""
 KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
 NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl", "given", "other")
 """The text columns, stored as categories. One more, `folder`, holds the folder of each episode."""
 SAME: Final = [*KEY, *KINDS, "score", "actions"]
-"""The columns in which two records of one episode must agree."""
+"""The columns that must be the same in two records of one episode."""
 
 ALIKE: Final = {
     "rules": "such scores cannot be compared; report --rules scores all episodes again by the same rules",
@@ -116,7 +116,7 @@ def gather(
         given.
 
     Raises:
-        EvaluationError: if there are no folders, one is not an evaluation, two hold the same episode with different
+        EvaluationError: if `folders` is empty, one is not an evaluation, two hold the same episode with different
             results, two runs of a method have the same policy, or rules, worlds, splits, presets or scenes differ.
     """
     if not folders:
@@ -256,13 +256,13 @@ def results(
 
 
 def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
-    """The tasks over which means are taken: the benchmark's, unless only one was played, or none of these."""
+    """The tasks that means include: the benchmark's. If only one task or none of the benchmark's was played: these."""
     played = in_order(tasks)
     return list(TASKS) if len(played) > 1 and set(played) & set(TASKS) else played
 
 
 def expected_environments(environments: pd.DataFrame) -> list[Pair]:
-    """The benchmark's environments of the tasks over which means are taken, or those played if there are none."""
+    """The benchmark's environments of the `counted_tasks`. If none of these is the benchmark's: those played."""
     own = environments[~environments["published"]]
     counted = counted_tasks(own["task"])
     benchmark = [pair for pair in ENVIRONMENTS if pair[0] in counted]
@@ -348,7 +348,8 @@ def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
     folder, policy = next((split for split in splits if split[0] and Path(split[0]).is_dir()), splits[0])
     scores = _read([Path(folder)])
     names = list(scores["policy"].cat.categories)
-    if policy not in names if policy else len(names) > 1:
+    is_clear = policy in names if policy else len(names) <= 1
+    if not is_clear:
         raise SettingsError(f"{folder} holds {', '.join(names)}: name one of them, as in {folder}:{names[0]}")
     policy = policy or names[0]
     return policy, scores[scores["policy"] == policy].assign(folder=policy)
@@ -387,9 +388,12 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     paired = both.dropna()
     if paired.empty:
         raise EvaluationError(f"{first} and {second} have no scene in common")
-    groups = sorted(
-        set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", EVERY_VARIANT.index(pair[0]), pair[1])
-    )
+
+    def rank(pair: tuple[str, str]) -> tuple[bool, int, str]:
+        variant, shift = pair
+        return shift != "", EVERY_VARIANT.index(variant), shift
+
+    groups = sorted(set(paired.index.droplevel([2, 3])), key=rank)
     rows = [_comparison(" ".join(filter(None, pair)), both.loc[pair], paired.loc[pair]) for pair in groups]
     if "" in paired.index.get_level_values("shift"):
         unshifted = (table.xs("", level="shift") for table in (both, paired))

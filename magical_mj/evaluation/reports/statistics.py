@@ -266,6 +266,6 @@ def area(points: dict[int, float]) -> float:
 
 
 def half_lost(points: dict[int, float]) -> int | None:
-    """The first strength at which the score is at most half of that at strength 0. None if it never is."""
+    """The first strength with at most half of the score at strength 0. None if there is none."""
     lost = [strength for strength, score in points.items() if strength and score <= points[0] / 2 + SCORE_TOLERANCE]
     return min(lost) if lost and points[0] > SCORE_TOLERANCE else None

@@ -110,10 +110,9 @@ def control_tables(results: Results) -> Iterator[Table]:
     if rows:
         yield Table(
             "controls",
-            "Controls, in which policies received the demonstrations or the instruction of another task: the mean "
-            "score, the mean score of the other task's intent, and the share of episodes that switched (reached the "
-            "other intent, but not the task's). The last three columns are over the episodes in which the other intent "
-            "could be pursued",
+            "Controls: policies received the demonstrations or the instruction of another task. The mean score, the "
+            "mean score of the other task's intent, and the share of episodes that switched (reached the other intent, "
+            "but not the task's). The last three columns are over the episodes where the other intent could be pursued",
             ("Method", "score", "other's score", "switched", "episodes"),
             (("", tuple(rows)),),
         )
@@ -125,7 +124,9 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
     for row in frame.itertuples():
         cells[str(row.policy)][str(row.variant)] = row
     rows = []
-    for policy in (policy for policy in results.policies if policy in cells):
+    for policy in results.policies:
+        if policy not in cells:
+            continue
         by_variant = cells[policy]
         method = marked(policy, next(iter(by_variant.values())).published)
         gaps = {variant: "missing" if (task, variant) in ENVIRONMENTS else NONE for variant in results.shown_variants}
@@ -202,7 +203,7 @@ def notes(results: Results) -> Iterator[str]:
 
 
 def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
-    """What a policy lacks, given its rows of the table of variants, and the variants that the tasks have."""
+    """What a policy's results lack. `variants` are its rows of the table, `existing` all variants of the tasks."""
     incomplete: dict[str, list[str]] = defaultdict(list)
     for row in variants.itertuples():
         incomplete[str(row.missing)].append(str(row.variant))
@@ -238,7 +239,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
         yield Table(
             "shifts",
             "Mean score by the strength of each shift, the area under the curve (as a mean score), "
-            "and the first strength at which the score is at most half of that at strength 0",
+            "and the first strength with at most half of the score at strength 0",
             ("Method", *strengths, "area", "half lost at"),
             _by_axis(single, _means),
         )

@@ -66,7 +66,7 @@ class SavedState(NamedTuple):
     Attributes:
         simulation: a value of `magical_mj.engine.simulation.Simulation.save`.
         shifts: the shifts of the episode, at the same step.
-        commands: one for each step since the lookahead was created; None: it has had no effect so far.
+        commands: the command of each step since the lookahead was created. None: it is still open.
         scenes: the initial scene. If the score depends on the scenes of all steps, they follow.
     """
 
@@ -102,7 +102,7 @@ class Lookahead:
         self.count = 0
         """The total number of simulated steps."""
         self.pending = [self.state]
-        """The states from the engine's to the lookahead's first one, whose commands are already given."""
+        """The states from the engine's state to the lookahead's first one. Their commands are already given."""
         while self._shifts.delay > len(self._commands):
             self._take(NOOP)
             self.pending.append(self.state)
@@ -194,7 +194,9 @@ def steer(
     """
     right, forward = lookahead.relative(point)
     bearing = math.atan2(-right, forward)
-    turn = Turn.NONE if abs(bearing) <= AIM else Turn.LEFT if 0 < bearing < math.pi - EITHER else Turn.RIGHT
+    turn = Turn.LEFT if 0 < bearing < math.pi - EITHER else Turn.RIGHT
+    if abs(bearing) <= AIM:
+        turn = Turn.NONE
     if abs(bearing) > BEHIND and reverse:
         return gripper, turn, Drive.BACK
     if abs(bearing) > math.pi - FACE and math.hypot(right, forward) < NEAR:

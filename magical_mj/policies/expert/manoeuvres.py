@@ -37,12 +37,12 @@ ASIDE: Final = 0.1  # the largest distance to the side
 BEHIND: Final = (0.2, 0.6)  # world units ahead of the robot where a block may be before it is pushed
 OFF_CENTRE: Final = 0.08  # the largest distance to the side; a wider body may push up to 0.1 from its side's end
 OFF_CENTRE_COST: Final = 40.0  # actions for each unit to the side
-FREE_OF_WALLS: Final = 0.7  # bound of |x| and |y| for blocks that are pushed on: blocks at a wall cannot be
-ASKEW: Final = 0.35  # rad: a push whose direction differs less from the target's goes to it, others pass it
+FREE_OF_WALLS: Final = 0.7  # bound of |x| and |y| for the end of a push to a corner: at a wall, the next push fails
+ASKEW: Final = 0.35  # rad: a push whose direction differs less from the target's direction ends at the target
 SIDES: Final = 16  # the number of directions for gripping or pushing a block
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block that need free space for the fingers
 TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
-WALLED: Final = 12  # the cost of cells where the calculation has a finger in a wall; sometimes it works anyway
+WALLED: Final = 12  # the cost of cells where a finger would touch a wall by the estimate; gripping sometimes succeeds
 DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
 CORNER_COST: Final = 4.0  # actions for each point of a route except the last
 SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
@@ -84,7 +84,7 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
 def manoeuvres(
     tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, body: Body
 ) -> list[Manoeuvre]:
-    """Candidate manoeuvres for a subgoal: one of the fastest for each side of the block; without fingers, pushes.
+    """Candidate manoeuvres for a subgoal: for each side of the block, one of the fastest. Without fingers: pushes.
 
     The tree contains the poses that the robot can reach. `costs` is the additional cost of each cell for the robot
     without a block.
@@ -121,10 +121,10 @@ def manoeuvres(
 
 
 def _pushes(tree: SearchTree, costs: Ints, block: Pose, subgoal: Subgoal, aside: float) -> list[Manoeuvre]:
-    """Candidate pushes: straight to the target, or in other directions to a point with the target at right angles.
+    """Candidate pushes: straight to the target, or in another direction until the target is at right angles.
 
-    So a block that cannot be pushed from behind reaches the target by a corner. `aside` is the largest distance of the
-    block to the side of the robot's centre.
+    If a block cannot be pushed straight to the target, two such pushes bring it there. `aside` is the largest distance
+    of the block to the side of the robot's centre.
     """
     dx, dy = subgoal.target[0] - block[0], subgoal.target[1] - block[1]
     right, ahead = _relative(tree.poses, block)
@@ -227,7 +227,9 @@ def _push(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) ->
         right, ahead = lookahead.relative(subgoal.target)
         aside = lookahead.relative_block(block)[0]
         bearing = math.atan2(-side * (right - CENTRING * aside), side * ahead)
-        turn = Turn.NONE if abs(bearing) <= AIM else Turn.LEFT if bearing > 0 else Turn.RIGHT
+        turn = Turn.LEFT if bearing > 0 else Turn.RIGHT
+        if abs(bearing) <= AIM:
+            turn = Turn.NONE
         lookahead.act(Gripper.OPEN, turn, Drive.NONE if abs(bearing) > FACE else on)
     for _ in range(min(BACKED, limit - len(lookahead.trace))):
         lookahead.act(Gripper.OPEN, Turn.NONE, off)

@@ -41,7 +41,7 @@ LOADED: Final = ((0.0, 0.0, 0.2), (0.1, 0.25, 0.1), (-0.1, 0.25, 0.1), (0.0, GRI
 """The robot with a block between its fingers."""
 WALL_MARGIN: Final = -0.01
 PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
-"""Pairs of a clearance to blocks and the cost (actions) of cells with less, where blocks must be pushed aside."""
+"""Pairs (clearance to blocks, cost in actions). Cells with less clearance cost more: blocks must be pushed aside."""
 PUSH_LIMIT: Final = -0.2
 
 MOTIONS: Final = tuple(
@@ -52,7 +52,7 @@ _SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
 _STEP: Final = np.array([_ADVANCE[drive] / c.CONTROL_RATE for _, drive in MOTIONS])
 _TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
 _SPINS, _SPUN = np.unique(_TURN, return_inverse=True)  # the different turns, and the index of each motion's turn
-_GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _STEP])
+_GEAR: Final = np.select([_STEP > 0, _STEP < 0], [0, 1], -1)  # 0 forwards, 1 backwards, -1 turning on the spot
 
 
 class Goal(NamedTuple):

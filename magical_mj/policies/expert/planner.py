@@ -24,12 +24,12 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError, SettingsError, short_repr
 from magical_mj.variants import check_seed
 
-BUDGET: Final = 300  # simulated steps per step of the episode; after them, no new plan is started
+BUDGET: Final = 300  # simulated steps per step of the episode; then no new plan is started
 CANDIDATES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
 COST_NOISE: Final = 5.0  # the same for its cost after a trial
 NOISE_GROWTH, DELAY_DECAY = 1.5, 0.7  # factors of noise and of delays after each failed plan
-ROUND: Final = 3  # the noise restarts from 1 after this number of plans: too much noise makes every choice a bad one
+ROUND: Final = 3  # the noise restarts from 1 after this number of plans, because too much noise only gives bad plans
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
 FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
 REACH: Final = 90  # actions: the longest path
@@ -56,11 +56,11 @@ class Planner:
 
     Args:
         score: the function that scores a final scene, in [0, 1].
-        subgoals: the function that returns a scene's remaining subgoals. Its last argument is the blocks to leave
-            alone.
+        subgoals: the function that returns a scene's remaining subgoals. Its last argument contains the blocks that
+            should not be moved.
         lookahead: the copy of the simulation for trying manoeuvres.
         tries: the number of manoeuvres that are tried in one situation.
-        patience: a block is left alone in this plan after this number of failures.
+        patience: after this number of failures, a block is not moved again in this plan.
         steady: execute plans without the pauses and delays of a person.
     """
 
@@ -118,7 +118,7 @@ class Planner:
             if not todo or self._score(scene_after(scene, todo)) < 1.0:
                 try:
                     todo = self._subgoals(scene, noise, stuck)
-                except PlacementError:  # blocks were left where nothing has space: this attempt fails
+                except PlacementError:  # the blocks leave no free space: this attempt fails
                     todo = ()
             option = self._best(here, scene, todo, left, noise)
             lookahead.restore(here)

@@ -5,7 +5,7 @@
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{relation: string, blocks: number[], argument: string | number, number: number, some: boolean}} Conjunct
  *   blocks: indices of those that the relation is about; argument: the index of a block if it names one
- * @typedef {Conjunct[] | null} Goal  null: the intent means nothing in the scene
+ * @typedef {Conjunct[] | null} Goal  null: the intent is undefined in the scene
  */
 import { contains, longestLine, rightBlocks } from "./score.js";
 

@@ -28,13 +28,13 @@ from magical_mj.tasks.planning import REACHABLE, Noise, scene_after
 from magical_mj.utils.errors import PlacementError, TrainingError
 
 BITS: Final = 28.0
-"""The longest intents of one or two relations that are considered, before others are added."""
+"""The length of the longest intents of one or two relations that are considered."""
 MOST: Final = 2000
-"""The number of the simplest of them that are compared."""
+"""The number of these intents that are compared, the simplest ones."""
 EXTENDED: Final = 8
-"""The number of the best to which another relation is added, and then a third one."""
+"""The number of the best intents that are extended by another relation, in each round."""
 PLANS: Final = 2
-"""The number of plans in each scene that estimate how likely another relation holds anyway."""
+"""The number of plans in each scene, for estimating how likely another relation holds without being a goal."""
 SAMPLES: Final = 50
 """The number of random ends of each demonstration, for estimating how likely an intent holds by chance."""
 MOVED: Final = 0.05
@@ -55,7 +55,7 @@ def infer(ends: Sequence[Ends]) -> list[Goal]:
         ends: the first and the last scene of each demonstration.
 
     Raises:
-        TrainingError: if there are none.
+        TrainingError: if no intent was reached by all demonstrations.
     """
     found = rivals(ends, BITS)[:MOST]
     if not found:
@@ -81,7 +81,7 @@ def infer(ends: Sequence[Ends]) -> list[Goal]:
 
 
 def _order(goal: Goal) -> tuple[float, float, str]:
-    """The best goal is first; of equally good ones the simplest, then in the order of their texts."""
+    """The key for sorting goals: the most saved bits first, then the simplest intent, then by its text."""
     return -round(goal.saved, 6), round(goal.intent.bits, 6), str(goal.intent)
 
 
@@ -93,9 +93,10 @@ def _may_be_extended(intent: Intent) -> bool:
 def _extended(
     goal: Goal, parts: Sequence[Conjunct], starts: Sequence[Scene], rng: np.random.Generator
 ) -> Iterator[Goal]:
-    """The goal with each part that saves bits in addition: all demonstrations reach it, and plans for the goal do not.
+    """The goal with each part that saves further bits.
 
-    What is a coincidence in a scene repeats in all its demonstrations, so each scene counts once.
+    A part saves bits if all demonstrations reach it, but plans for the goal alone do so rarely. A coincidence in a
+    scene repeats in all demonstrations of the scene, so each scene counts once.
     """
     noise = Noise(rng, 1.0)
     planned = [[_planned(goal.intent, start, noise) for _ in range(PLANS)] for start in starts]
@@ -117,7 +118,7 @@ def _planned(intent: Intent, start: Scene, noise: Noise) -> Scene:
 
 
 def _random_ends(start: Scene, final: Scene, rng: np.random.Generator) -> Iterator[Scene]:
-    """Scenes with as many blocks as were moved, and the robot if it was, at random positions."""
+    """Scenes with random positions of as many blocks as were moved, and of the robot if it was moved."""
     poses = [block.pose for block in start.blocks]
     moved = sum(_apart(block.pose, pose) for block, pose in zip(final.blocks, poses, strict=True))
     drove = _apart(start.robot.pose, final.robot.pose)

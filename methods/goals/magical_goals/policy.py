@@ -27,7 +27,7 @@ BUDGET: Final = 16  # simulated steps per step of the episode; after them, no ne
 GOALS: Final = "goals.json"
 """The policy's file in a run's folder."""
 SHOWN: Final = 20
-"""The number of intents that are kept for each task, for scenes in which the best one means nothing."""
+"""The number of intents that are kept for each task, for scenes in which the best one is undefined."""
 
 
 class GoalPolicy:
@@ -99,9 +99,11 @@ def follower(goals: Sequence[Goal], episode: Episode) -> Callable[[], int]:
 
 
 def chosen(goals: Sequence[Goal], initial: Scene) -> Intent | None:
-    """The first intent that is about something in a scene and does not hold in it yet. None if there is none."""
-    intents = (goal.intent for goal in goals)
-    return next((one for one in intents if one.grounded(initial) and not one.holds(initial, initial)), None)
+    """The first intent that applies to objects in a scene and does not hold yet, if any."""
+    for goal in goals:
+        if goal.intent.grounded(initial) and not goal.intent.holds(initial, initial):
+            return goal.intent
+    return None
 
 
 def _planner(intent: Intent, initial: Scene, env: Engine) -> Planner:

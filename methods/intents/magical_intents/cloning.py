@@ -16,13 +16,13 @@ from magical_mj.learners.settings import STATE
 from magical_mj.policies.interface import Episode
 
 HEAD: Final = "MoveToRegion"
-"""The name that the network's only head has in the settings. The task is unknown to the policy."""
+"""The task's name in the settings, for the network's only head. The policy does not know the task."""
 BATCHES: Final = 1000
-"""A sixth of those of the learner `bc` from states, since one is trained for each task."""
+"""The number of batches: a sixth of the learner `bc`'s from states, since each task trains a network."""
 
 
 class Cloned:
-    """Clones the demonstrations that it is given, from states. Equal demonstrations are cloned once."""
+    """Clones the given demonstrations, from states. Equal demonstrations are cloned once."""
 
     uses_demonstrations = True
     preset = STATE

@@ -1,9 +1,9 @@
-"""Networks of a policy that is told what to do: a planner chooses an object and its place, and a skill acts.
+"""Networks of a policy that is told what to do: a planner chooses an object and its target, and a skill acts.
 
 The planner observes the scene at the start of the episode and now, and attends to a context: the words of a sentence,
-or the objects of demonstrations, each at the start and at the end. It predicts the object that is brought somewhere
-next, a block or the robot, and where. The skill observes the scene from the robot, the object and its place. Both are
-trained on the same demonstrations, with labels in hindsight (`subgoals`).
+or the objects of demonstrations, each at the start and at the end. It predicts which object is brought next, a block or
+the robot, and its target position. The skill observes the scene in the robot's frame, the object and its target. Both
+are trained on the same demonstrations, with labels in hindsight (`subgoals`).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ HIDDEN: Final = 256
 NODE: Final = 2 + 2 + 2 + 4 + 4 + 2 + 1 + 3
 EDGE: Final = 10
 PLACES: Final = 4
-"""The number of places that the planner proposes for an object."""
+"""The number of target positions that the planner proposes for an object."""
 SPREAD: Final = (0.03, 0.5)
-"""The least and the greatest deviation (units) of a place from a proposed one."""
+"""The smallest and the largest standard deviation (units) around a proposed position."""
 
 
 class Graph(NamedTuple):
@@ -48,7 +48,7 @@ class Graph(NamedTuple):
 
 
 def graph(initial: Tensor, now: Tensor) -> Graph:
-    """The graphs of states (n, names) at the start and now. Blocks and regions that no scene has are left out."""
+    """The graphs of states (n, names) at the start and now, with as many blocks and regions as the scenes have."""
     count = int(blocks_of(now)[..., 0].sum(1).max())
     blocks, began = blocks_of(now)[:, :count], blocks_of(initial)[:, :count]
     regions = regions_of(now)
@@ -61,7 +61,7 @@ def graph(initial: Tensor, now: Tensor) -> Graph:
     )
 
     def placed(values: Tensor, first: int) -> Tensor:
-        """Values (n, rows, width) in the rows of nodes from `first` on, and 0 in others."""
+        """Values (n, rows, width) in the nodes' rows from `first` on. All other rows are 0."""
         return nn.functional.pad(values, (0, 0, first, k - first - values.shape[1]))
 
     shapes = placed(blocks[..., SHAPES], 0)
@@ -97,8 +97,8 @@ class Layer(nn.Module):
     def forward(self, rows: Tensor, bias: Tensor, context: Tensor | None = None, known: Tensor | None = None) -> Tensor:
         """New rows (n, k, SIZE). `bias` (n, HEADS, k, k) is added to similarities.
 
-        With a context (g, l, SIZE) and which of its rows are known (g, l), n is a multiple of g, and successive
-        graphs share a row of the context.
+        A context has the shape (g, l, SIZE), and `known` (g, l) marks its rows that are not padding. n is a multiple
+        of g: each context belongs to n / g successive graphs.
         """
         query, key, value = self.qkv(self.norms[0](rows)).chunk(3, 2)
         rows = rows + self.out(_attended(query, key, value, bias))
@@ -146,7 +146,7 @@ class Sentences(nn.Module):
         self.layers = nn.ModuleList(Layer(context=False) for _ in range(2))
 
     def forward(self, words: Tensor) -> tuple[Tensor, Tensor]:
-        """Contexts (n, l, SIZE) of the numbers of words (n, LENGTH), and which of their rows are words."""
+        """Contexts (n, l, SIZE) of sentences, given as numbers of words (n, LENGTH), and which rows are words."""
         words = words[:, : int((words > 0).sum(1).max())]
         known = words > 0
         rows, hidden = self.words(words) + self.places.weight[: words.shape[1]], torch.where(known, 0.0, -1e4)
@@ -163,7 +163,7 @@ class Demonstrations(nn.Module):
         self.objects = Objects(2, context=False)
 
     def forward(self, ends: Tensor) -> tuple[Tensor, Tensor]:
-        """Contexts (n, m k, SIZE) of states (n, m, 2, names), and which rows exist. Demonstrations may be all 0."""
+        """Contexts (n, m k, SIZE) of states (n, m, 2, names), and which rows exist. Missing demonstrations are 0."""
         flat = ends.flatten(0, 1)
         seen = graph(flat[:, 0], flat[:, 1])
         shown = blocks_of(flat[:, 1])[..., 0].any(1)
@@ -172,13 +172,13 @@ class Demonstrations(nn.Module):
 
 
 class Plan(NamedTuple):
-    """What is brought where.
+    """The distribution of the next object, and of its target position, a mixture of normal distributions.
 
     Attributes:
         objects: logits of objects, shape (n, DONE + 1).
-        places: proposed places of each object, shape (n, DONE, PLACES, 2), and
-        weights: their logits, shape (n, DONE, PLACES), and
-        spreads: logarithms of their deviations, shape (n, DONE, PLACES).
+        places: the mixture's means for each object, shape (n, DONE, PLACES, 2).
+        weights: the logits of its components, shape (n, DONE, PLACES).
+        spreads: the logarithms of their standard deviations, shape (n, DONE, PLACES).
     """
 
     objects: Tensor
@@ -187,7 +187,7 @@ class Plan(NamedTuple):
     spreads: Tensor
 
     def likelihood(self, objects: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Log-likelihoods (n,) of objects (n,), and of their places (n, 2); the latter is 0 for `DONE`."""
+        """Log-likelihoods (n,) of objects (n,), and of their targets (n, 2); the latter is 0 for `DONE`."""
         chosen = objects.clamp(max=ROBOT)
         rows = torch.arange(len(objects))
         means, spread = self.places[rows, chosen], self.spreads[rows, chosen]
@@ -196,7 +196,7 @@ class Plan(NamedTuple):
         return -nn.functional.cross_entropy(self.objects, objects, reduction="none"), mixed * (objects < DONE)
 
     def best(self) -> tuple[Tensor, Tensor]:
-        """The most probable objects (n,), and the most probable place of each, shape (n, 2)."""
+        """The most probable objects (n,), and the most probable target of each, shape (n, 2)."""
         objects = self.objects.argmax(1)
         rows, chosen = torch.arange(len(objects)), objects.clamp(max=ROBOT)
         score = self.weights[rows, chosen] - 2 * self.spreads[rows, chosen]
@@ -204,7 +204,7 @@ class Plan(NamedTuple):
 
 
 class Planner(nn.Module):
-    """Chooses what to bring where.
+    """Chooses the next object and its target position.
 
     Attributes:
         reads: whether it receives sentences.
@@ -221,7 +221,7 @@ class Planner(nn.Module):
         self.place = nn.Sequential(nn.Linear(SIZE + NODE, SIZE), nn.ReLU(), nn.Linear(SIZE, PLACES * 4))
 
     def forward(self, initial: Tensor, now: Tensor, context: tuple[Tensor, Tensor]) -> Plan:
-        """The plans for states (n, names) at the start and now. Successive states share a row of the context."""
+        """The plans for states (n, names) at the start and now. Each context belongs to several successive states."""
         seen = graph(initial, now)
         rows = self.norm(self.objects(seen, *context))
         last = seen.blocks + 1  # blocks and the robot
@@ -237,7 +237,7 @@ class Planner(nn.Module):
 
 
 class Skill(nn.Module):
-    """Acts to bring an object to a place."""
+    """Acts to bring an object to a target position."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -253,7 +253,7 @@ class Skill(nn.Module):
         )
 
     def forward(self, now: Tensor, objects: Tensor, places: Tensor) -> Tensor:
-        """Logits (n, 18) for states (n, names), objects (n,), blocks or the robot, and their places (n, 2)."""
+        """Logits (n, 18) for states (n, names), objects (n,), blocks or the robot, and their targets (n, 2)."""
         position, angle = now[:, None, :2], now[:, 2:3]
         sin, cos = angle.sin(), angle.cos()
         frame = torch.stack([cos, sin, -sin, cos], 2).unflatten(2, (2, 2))[:, 0].transpose(1, 2)

@@ -2,8 +2,8 @@
 
 python -m magical_intents.pictures OUT
 
-It writes OUT/pictures, the folder of a policy. It is small: a few minutes of one core. Waiting is not learnt: steps in
-which the expert neither drives nor turns, and its fingers rest.
+It writes OUT/pictures, the folder of a policy. It takes a few minutes of one core. Waiting is not learnt: steps after a
+pause in which the expert still neither drives nor turns are left out.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def small(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def films(intents: Iterable[Intent], folder: Path | None = None) -> list[Film]:
-    """A demonstration of each intent in each of the variants, which are kept in `folder`."""
+    """A demonstration of each intent in each of the variants. The demonstrations are kept in `folder`."""
     found = []
     for intent, examples in demonstrated(intents, PRESET, folder):
         for example in examples:

@@ -1,7 +1,7 @@
-"""The expert's plans as lessons for planners: scenes and what is brought where in them, without a simulation.
+"""The expert's plans as lessons for planners: scenes, the next object and its target position, without simulation.
 
-Demonstrations of many intents take long to make, and most of their steps are of no use to a planner, which has to know
-the objects and places of many intents in many scenes. The robot's poses are random here.
+Demonstrations of many intents take long to generate, and most of their steps do not help a planner. It has to learn the
+objects and targets of many intents in many scenes. The robot's poses are random here.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from magical_mj.tasks.planning import Noise, Subgoal, scene_after
 from magical_mj.utils.errors import IntentError, PlacementError
 
 SCENES: Final = 16
-"""The number of scenes of each intent: the demo scene, one as of Layout, and others as of All."""
+"""The number of scenes of each intent: the demo scene, one of the variant Layout, and others of All."""
 AWAY: Final = (0.3, 0.5)
 """The distance (units) of the robot from the block that it brings, or has brought."""
 REACH: Final = 0.8
@@ -35,7 +35,7 @@ CLOSED: Final = (0.27, -0.29)
 
 
 def planned(intent: Intent, rng: np.random.Generator, scenes: int = SCENES) -> list[Shown]:
-    """The plans of an intent in some random scenes. Those without a plan are left out."""
+    """The plans of an intent in some random scenes. Scenes without a plan are left out."""
     found = []
     try:
         demo = demo_scene(intent, rng)
@@ -71,7 +71,7 @@ def _shown(intent: Intent, scene: Scene, rng: np.random.Generator) -> Iterator[S
 
 
 def _away(scene: Scene, subgoal: Subgoal) -> float:
-    """The distance of the robot from what is brought; the robot itself is last."""
+    """The robot's distance from the block of a subgoal; infinite for subgoals of the robot, so that they are last."""
     if subgoal.block is None:
         return math.inf
     block = scene.blocks[subgoal.block]
@@ -79,7 +79,7 @@ def _away(scene: Scene, subgoal: Subgoal) -> float:
 
 
 def _on_the_way(scene: Scene, subgoal: Subgoal, rng: np.random.Generator) -> Iterator[tuple[Scene, bool]]:
-    """A state of driving to the object, and one of bringing it; whether the fingers are closed."""
+    """A state of driving to the object, then one of bringing it, each with whether the fingers are closed."""
     share, robot = rng.random(2), scene.robot.pose
     target = subgoal.target
     if subgoal.block is None:

@@ -27,21 +27,21 @@ POLICY: Final = "conditioned.safetensors"
 KINDS: Final = ("skill", "sentence", "demonstrations")
 """What is trained: the skill, and the two planners."""
 SHARPNESS: Final = 2.0
-"""Actions are drawn from the skill's probabilities to this power."""
+"""Actions are drawn from the skill's probabilities with this exponent."""
 EVERY: Final = 3
-"""A plan is made in every third step."""
+"""A plan is made every third step."""
 STANDING: Final = 0.5
-"""The same after a step in which nothing moved, so that a robot that is stuck tries other actions."""
+"""The exponent after a step in which the robot rested, so that a robot that is stuck tries other actions."""
 MOTION: Final = (0.01, 0.03)
-"""The least motion in a step of a robot that is not at rest: units or rad of the robot, and rad of a finger."""
+"""A robot with less motion in a step rests: units or rad of the robot, and rad of a finger."""
 
 
 class ConditionedPolicy(Model):
     """Plans in every third step, and draws actions from the skill's probabilities with the episode's generator.
 
     Attributes:
-        uses_instruction: whether sentences say what to do, and
-        uses_demonstrations: whether demonstrations do.
+        uses_instruction: whether it receives a sentence.
+        uses_demonstrations: whether it receives demonstrations.
     """
 
     def __init__(self, planner: Planner, skill: Skill) -> None:

@@ -1,7 +1,7 @@
-"""What a demonstration did, one object after the other: the labels of the planner, in hindsight.
+"""Labels for the planner, in hindsight: the objects that a demonstration brought, and the positions they reached.
 
 A demonstration moves blocks one after the other, and then perhaps the robot. The label of a step is the object that is
-brought somewhere next, or at the moment, and the position that it reached. Labels are read from states and actions
+being brought, or will be brought next, and the position that it reached. Labels are computed from states and actions
 alone.
 """
 
@@ -20,13 +20,13 @@ from magical_mj.scene.state_vector import MAX_BLOCKS
 ROBOT: Final = MAX_BLOCKS
 """The number of the robot among objects. Blocks have their own numbers."""
 DONE: Final = MAX_BLOCKS + 1
-"""The label of steps after which nothing is brought anywhere."""
+"""The label of steps after the last object was brought."""
 STIRRED: Final = 0.003
-"""The least motion of a block in a step (units) that counts."""
+"""The smallest motion of a block in a step (units) that counts."""
 PAUSE: Final = 6
 """A block that rests for at most this number of steps is still being moved."""
 CARRIED: Final = 0.1
-"""The least distance (units) that a block is brought."""
+"""A block that moved less far (units) was not brought."""
 LEAVING: Final = 8
 """The robot backs off from a block for at most this number of steps."""
 _CLOSED: Final = np.array([a.gripper == Gripper.CLOSE for a in ACTIONS])
@@ -55,7 +55,7 @@ class Shown(NamedTuple):
         actions: numbers, shape (steps,).
         labels: the objects and their places.
         final: the last state of the whole demonstration, shape (names,).
-        decisive: the first steps of each object, and of none.
+        decisive: the first step of each object's label, and of `DONE`.
     """
 
     states: NDArray[np.float32]
@@ -85,9 +85,9 @@ def labels_of(states: NDArray[np.float32], actions: NDArray[Any]) -> Labels:
 
 
 def _brought(states: NDArray[np.float32], actions: NDArray[Any]) -> list[tuple[int, int]]:
-    """Blocks that were brought somewhere with closed fingers, and the step at which each arrived, in this order.
+    """Blocks that were brought with closed fingers, and the step at which each arrived, in the order of arrival.
 
-    Of blocks that move at the same time, it is the one that moves farthest: it pushes the others.
+    If several blocks moved at the same time, only the one that moved farthest counts: it pushed the others.
     """
     positions, found = _positions(states), []
     moving = np.linalg.norm(np.diff(positions, axis=0), axis=2) > STIRRED

@@ -26,9 +26,9 @@ from magical_mj.scene.state_vector import FINGERS
 WORDS: Final = 1024
 """The number of word vectors. A word's number is its checksum modulo this, so there is no vocabulary to keep."""
 LENGTH: Final = 40
-"""The most words of a sentence."""
+"""The number of words of a sentence that are read."""
 MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number for a in ACTIONS])
-"""The action that does the same in a mirror."""
+"""Action -> the action with left and right exchanged."""
 _SIDES: Final[Mapping[str, tuple[int, int]]] = {"left": (-1, 0), "right": (1, 0), "top": (0, 1), "bottom": (0, -1)}
 
 
@@ -36,11 +36,11 @@ class Symmetry(NamedTuple):
     """n symmetries.
 
     Attributes:
-        matrix: of positions, shape (n, 2, 2).
-        turn: the angle (rad) after mirroring, shape (n,).
-        mirrored: whether x was mirrored before, shape (n,).
-        colours: the new number of each colour, shape (n, 4), and
-        shapes: of each shape.
+        matrix: maps positions, shape (n, 2, 2).
+        turn: the angle (rad) of the rotation, which follows the mirroring, shape (n,).
+        mirrored: whether x is mirrored, shape (n,).
+        colours: the new number of each colour, shape (n, 4).
+        shapes: the new number of each shape.
     """
 
     matrix: Tensor
@@ -106,7 +106,7 @@ def number_of(word: str) -> int:
 
 
 def renamed(words: NDArray[np.int64], by: Symmetry) -> NDArray[np.int64]:
-    """Sentences (n, LENGTH) that say the same about changed scenes."""
+    """Sentences (n, LENGTH) with the words for the changed scenes."""
     sides = {way: name for name, way in _SIDES.items()}
     result = words.copy()
     for row, (matrix, colours, shapes) in enumerate(zip(by.matrix, by.colours, by.shapes, strict=True)):

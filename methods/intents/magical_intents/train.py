@@ -35,7 +35,7 @@ from magical_mj.policies.models import torch_settings
 from magical_mj.utils.errors import DemonstrationError, TrainingError
 
 VARIANTS: Final = ("Demo", "Layout", "All")
-"""Of each intent one demonstration in each: so what varies in an intent is seen."""
+"""The variants with one demonstration of each intent, so that demonstrations of one intent differ."""
 INTENTS: Final = 1000
 """The number of intents of the plans."""
 SIMULATED_INTENTS: Final = 200
@@ -45,29 +45,29 @@ LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
 SAVED: Final = 100
-"""The number of updates after which a network is written."""
+"""A network is written each time after this number of updates."""
 GROUPS: Final = 48
 """The number of contexts in a planner's batch."""
 STEPS: Final = 4
-"""The number of steps for each, from demonstrations that are not part of the context."""
+"""The number of steps for each context, from demonstrations that are not part of it."""
 SIMULATED: Final = 0.3
 """The share of contexts whose steps are from simulated demonstrations. The others are from plans."""
 ALIKE: Final = 0.3
-"""The share of contexts with one demonstration, repeated, as if all were in one scene."""
+"""The share of contexts that repeat one demonstration, as if all were in one scene."""
 DECISIVE: Final = 0.5
-"""The share of steps after which another object is brought. The others are random."""
+"""The share of steps at which the object changes. The others are random."""
 REST: Final = 6
-"""The number of steps after the last object that are learnt."""
+"""The number of learnt steps after the last object was brought."""
 MOST_SHOWN: Final = 4
-"""The most demonstrations in a context."""
+"""The largest number of demonstrations in a context."""
 SKILLS: Final = 512
 """The number of steps in a batch of the skill."""
 NOISE: Final = (0.01, 0.01, 0.02)
 """The standard deviation of noise on the robot's pose: units, units, rad."""
 PLACE_NOISE: Final = 0.02
-"""The standard deviation of noise on the places that the skill receives (units)."""
+"""The standard deviation of noise on the targets that the skill receives (units)."""
 WEIGHT: Final = 0.3
-"""The weight of places in the planner's loss."""
+"""The weight of targets in the planner's loss."""
 
 
 class Lesson(NamedTuple):
@@ -82,9 +82,9 @@ class Quality(NamedTuple):
 
     loss: float
     objects: float
-    """The share of objects that are predicted."""
+    """The share of steps whose object is predicted."""
     places: float
-    """The share of places, of predicted objects, with an error of at most 0.15 units."""
+    """Among these steps, the share whose target is predicted with an error of at most 0.15 units."""
 
 
 def trained_intents(number: int = INTENTS) -> list[Intent]:
@@ -95,7 +95,7 @@ def trained_intents(number: int = INTENTS) -> list[Intent]:
 def demonstrated(
     intents: Iterable[Intent], preset: str, folder: Path | None = None
 ) -> Iterator[tuple[Intent, list[Example]]]:
-    """The intents, each with a demonstration in each of `VARIANTS`. Those that the expert fails are left out.
+    """The intents, each with a demonstration in each of `VARIANTS`. Intents that the expert fails are left out.
 
     The demonstrations are kept in `folder`.
     """
@@ -107,7 +107,7 @@ def demonstrated(
 
 
 def lessons(intents: Iterable[Intent], folder: Path | None = None) -> list[Lesson]:
-    """The intents with their demonstrations from states. Those with fewer than two of use are left out."""
+    """The intents with their demonstrations from states. Intents with fewer than two usable ones are left out."""
     every = [lesson(intent, examples) for intent, examples in demonstrated(intents, STATE, folder)]
     return [one for one in every if len(one.shown) > 1]
 
@@ -118,7 +118,7 @@ def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
     for example in examples:
         states, actions = np.asarray(example.observations, np.float32), np.asarray(example.actions, np.int64)
         labels = labels_of(states, actions)
-        if (labels.objects == DONE).all():  # what it moved, it moved by too little
+        if (labels.objects == DONE).all():  # all motions were too small
             continue
         last = int(np.flatnonzero(labels.objects != DONE).max(initial=0)) + 1
         rows = slice(min(len(actions), last + REST))
@@ -129,7 +129,7 @@ def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
 
 
 def planned_lessons(intents: Sequence[Intent], scenes: int = SCENES) -> list[Lesson]:
-    """The intents with plans of the expert, without simulation. Those with fewer than two plans are left out."""
+    """The intents with plans of the expert, without simulation. Intents with fewer than two plans are left out."""
     every = [Lesson(words_for(one), planned(one, np.random.default_rng(k), scenes)) for k, one in enumerate(intents)]
     return [one for one in every if len(one.shown) > 1]
 
@@ -153,7 +153,7 @@ def train(
 ) -> None:
     """Trains one of `KINDS`, and writes it into `out`. A planner's folder also gets the skill, and is a policy.
 
-    `watch` is called with the number of updates and the mean loss when the network was written.
+    Each time after the network is written, `watch` is called with the number of updates and the mean loss.
 
     Raises:
         TrainingError: if the folder holds another training.
@@ -192,7 +192,7 @@ def train(
 
 
 def skill_loss(network: Skill, data: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
-    """-E log pi(a | s, object, place) in steps of all demonstrations before `DONE`."""
+    """-E log pi(a | s, object, target) in steps of all demonstrations before `DONE`."""
     states, actions, objects, places = [], [], [], []
     for number in rng.integers(len(data), size=SKILLS // 8):
         shown = data[number].shown[rng.integers(len(data[number].shown))]
@@ -232,7 +232,7 @@ def batch(
     plans: Sequence[Lesson] = (),
     symmetries: bool = True,
 ) -> Batch:
-    """A batch. The context is a sentence, or some demonstrations other than those of the steps."""
+    """A batch. The context is a sentence, or demonstrations, and the steps are from other demonstrations."""
     initial, now, given, objects, places = [], [], [], [], []
     for _ in range(GROUPS):
         source = plans if plans and rng.random() > SIMULATED else data
@@ -278,7 +278,7 @@ def _changed_ends(ends: NDArray[np.float32], by: Symmetry) -> Tensor:
 
 
 def planner_loss(network: Planner, data: Sequence[Lesson], plans: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
-    """Minus the log-likelihood of objects and places, with a mean over intents."""
+    """The negative log-likelihood of objects and targets, averaged over the batch."""
     seen = batch(data, rng, reads=network.reads, plans=plans)
     objects, places = network(seen.initial, seen.now, network.context(seen.given)).likelihood(seen.objects, seen.places)
     return -(objects + WEIGHT * places).mean()

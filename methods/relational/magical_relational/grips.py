@@ -1,6 +1,6 @@
 """Samples of gripping a block from nearby, found by random search in the simulation of the demo scene.
 
-Demonstrations approach a block directly and close the fingers around it. None shows how to act next to a block, or
+Demonstrations approach a block directly and close the fingers around it. They never show how to act next to a block, or
 after a block was pushed aside. Here the robot leaves a demonstration at random shortly before a grip, and may push that
 block. Then it tries several random manoeuvres to grip the block: back off, turn to it, drive to it, close the fingers.
 After a successful manoeuvre, the block follows the fingers. The shortest one becomes the target action sequence.
@@ -29,17 +29,17 @@ NEAR: Final = range(4, 17)
 LATE: Final = 6
 """In a grip, the fingers close within this number of steps after the block starts to move."""
 SEGMENTS: Final = (2, 4)
-"""The least and the greatest number of random segments of driving or turning for leaving it, each of up to
-`LONGEST` steps."""
+"""The smallest and the largest number of random segments of driving or turning when the robot leaves."""
 LONGEST: Final = 5
+"""The largest number of steps of a segment."""
 REACH: Final = 0.75
 """The largest distance (units) of the block from the robot's centre for a grip attempt."""
 ATTEMPTS: Final = 8
 """The number of attempts from one state."""
 SHORTEST: Final = 7
-"""The least number of steps of an informative grip."""
+"""Grips with fewer steps are left out."""
 NEXT_TO: Final = 0.3
-"""The robot stops and closes the fingers at this distance (units) of its centre from the block."""
+"""The distance (units) of the robot's centre from the block at which it stops and closes the fingers."""
 TURNS: Final = (-0.7, 0.7)
 """The range of random errors of turns, in steps."""
 DRIVES: Final = (-1.0, 2.0)
@@ -47,13 +47,13 @@ DRIVES: Final = (-1.0, 2.0)
 CLOSING: Final = 4
 """The number of steps for closing the fingers."""
 PULLING: Final = 3
-"""The block must follow for this number of steps backward with closed fingers."""
+"""The number of steps that the robot drives back with closed fingers, to test whether the block follows."""
 SLIPPED: Final = 0.05
 """The largest motion (units) of a held block between the fingers while it is pulled."""
 ALIKE: Final = 0.03
-"""The largest difference (units) of a grip from one in a demonstration."""
+"""The largest distance (units) between the positions of a block in a grip and in a demonstration's grip."""
 STILL: Final = 0.02
-"""The least motion (rad) of a closing finger in a step."""
+"""A finger that moves by less (rad) in a step is not closing."""
 
 
 class _Start(NamedTuple):
@@ -132,7 +132,7 @@ def _closes(replay: Replay, begin: int) -> bool:
 
 
 def _free(replay: Replay, begin: int, early: int, block: int) -> bool:
-    """Whether, `early` steps before this block starts to move, no block moves, and no other one moves first."""
+    """Whether this block is the next to move, `early` steps before it does, and no block moves until then."""
     return early <= begin and replay.next[begin - early].min() == begin == replay.next[begin - early, block]
 
 

@@ -28,7 +28,7 @@ from magical_relational.replay import PATH_POINTS, Replay, Samples, front, in_ha
 Floats = NDArray[np.floating[Any]]
 
 LENGTH: Final = 34
-"""The largest number of steps of a play, enough for half a turn and 2.4 units."""
+"""The largest number of steps of a play, enough to turn around and drive 2.4 units."""
 SEGMENTS: Final = (
     (True, Drive.NONE, 10),
     (False, Drive.FORWARD, 10),
@@ -44,20 +44,21 @@ TOUCHED: Final = 0.01
 SLIPPED: Final = 0.08
 """The largest motion (units) of a carried block between the fingers."""
 BLOCKED: Final = 0.02
-"""The least distance (units) of a second step forward that is not blocked by a wall."""
+"""A robot that moves less far (units) in a second step forward is blocked by a wall."""
 BEFORE: Final = 8
-"""The numbers of steps before the end of a motion, or before a grip and its `MARGIN`, for the end of a path."""
+"""Paths end in one of this number of steps before the end of a motion, or before a grip and its `MARGIN`."""
 MARGIN: Final = 3
+"""The number of steps between the end of a path and a grip."""
 APART: Final = (0.36, 0.3)
-"""The clearance (units) of a path from other blocks, for the centres of the robot and of the carried block."""
+"""The clearance (units) of a path from other blocks: for the robot's centre, and for the carried block's."""
 ROOM: Final = 0.45
-"""The least distance (units) to the nearest block at the start of a free play."""
+"""The smallest distance (units) to the nearest block at the start of a free play."""
 SPEED: Final = (0.1, 0.3125)
 """The robot's speed, in units and rad per step."""
 LONGER: Final = (1.5, 3)
-"""The largest length of a path relative to the shortest one: a factor, and additional steps."""
+"""The largest number of steps of a path: a factor of the shortest path's number, plus additional steps."""
 CLOSE: Final = 0.08
-"""The distance (units) from its end within which a path only turns."""
+"""From this distance (units) to its end, the shortest path only turns."""
 
 
 class _Play(NamedTuple):
@@ -146,7 +147,7 @@ def _free_steps(replay: Replay) -> list[int]:
 
 
 def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Generator) -> _Play:
-    """Random segments of driving and turning from a moment on, which touch only the held block."""
+    """Random segments of driving and turning from a moment on, without touching any block except the held one."""
     engine.set_state(replay.saved[moment.step])
     gripper = Gripper.OPEN if moment.held is None else Gripper.CLOSE
     states, saved, actions = [engine.state_vector()], [engine.get_state()], []
@@ -200,7 +201,10 @@ def _turn(angle: Any) -> Floats:
 
 
 def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
-    """Samples of a play's first part, transformed so that it ends at a moment: those on a good path to it."""
+    """Samples of a play's first part, transformed so that it ends at a moment.
+
+    Only steps whose remaining path is clear and direct become samples. None without such steps.
+    """
     end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
     context, last = replay.states[moment.step], play.states[end]
     angle = float(context[2] - last[2])
@@ -241,7 +245,7 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
 
 
 def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The steps with a remaining path that stays clear of other blocks, or as clear as the path's end."""
+    """The steps whose remaining path keeps the clearance `APART` from other blocks, or at least that of its end."""
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
     others = (blocks[:, 0] > 0) & ~free
     if moment.held is not None:
@@ -257,7 +261,7 @@ def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, free: 
 
 
 def _direct(poses: Floats, end: NDArray[Any], steps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether the remaining steps are few compared with turning, driving straight and turning."""
+    """Whether the remaining path is not much longer (`LONGER`) than turning, driving straight and turning again."""
     to_end = end[:2] - poses[:, :2]
     distance = np.linalg.norm(to_end, axis=1)
     bearing = np.arctan2(to_end[:, 1], to_end[:, 0]) - math.pi / 2 - poses[:, 2]

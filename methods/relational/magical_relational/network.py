@@ -1,8 +1,8 @@
 """The network of `relational`: the blocks and regions in the robot's frame, and their relations to each other.
 
-It observes one state, in the robot's frame, and does not depend on the order of blocks and regions. Each is a
-node of a graph, and receives messages from all others (as in the graph networks of Battaglia et al. 2018,
-arXiv:1806.01261). A policy consists of several such networks with different initial weights. Their probabilities are
+It observes one state, in the robot's frame, and does not depend on the order of blocks and regions. Each block and
+region is a node of a graph. It receives messages from all others, as in the graph networks of Battaglia et al. 2018
+(arXiv:1806.01261). A policy consists of several such networks with different initial weights. Their probabilities are
 averaged.
 """
 
@@ -18,14 +18,14 @@ from magical_mj.scene.state_vector import FINGERS
 from magical_relational.settings import RelationalSettings
 
 ARENA: Final = 4 + 4
-"""The number of a node's features with its position in the arena, and the robot's pose."""
+"""The number of a node's features with positions in the arena: its own position, and the robot's pose."""
 NODE: Final = 5 + 2 + 4 + 4 + 6 + 1 + 2 + ARENA
 _FINGERS: Final = slice(NODE - ARENA - 2, NODE - ARENA)
 EDGE: Final = 6
 MOTION: Final = (0.01, 0.03)
-"""The least motion in a step of a robot that is not at rest: units or rad of the robot, and rad of a finger."""
+"""A robot with less motion in a step rests: units or rad of the robot, and rad of a finger."""
 STANDING: Final = 0.25
-"""The sharpness of probabilities while nothing moves, as a share of `RelationalSettings.sharpness`."""
+"""The sharpness of probabilities while the robot rests, as a share of `RelationalSettings.sharpness`."""
 
 
 class RelationalNetwork(nn.Module):
@@ -98,7 +98,7 @@ class Ensemble(nn.Module):
     def forward(self, histories: Tensor, tasks: Tensor) -> Tensor:
         """Logits, shape (n, 18), for histories (n, HISTORY, names) of one task. Only the last two states are used.
 
-        If the last action had no effect, the logits are less sharp, so that a robot that is stuck tries other actions.
+        If the robot rests, the logits are less sharp, so that a robot that is stuck tries other actions.
         """
         del tasks
         change = (histories[:, -1] - histories[:, -2]).abs()
@@ -112,7 +112,7 @@ class Ensemble(nn.Module):
 
 
 def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The blocks and regions of states (n, names) in the robot's frame. Those absent in the whole batch are left out.
+    """The blocks and regions of states (n, names) in the robot's frame. Rows that no state uses are left out.
 
     Returns:
         Nodes (n, k, NODE), edges (n, k, k, EDGE) from the second to the first, and which nodes are present (n, k).

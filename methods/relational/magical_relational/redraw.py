@@ -37,13 +37,13 @@ from magical_relational.method import Relational
 from magical_relational.settings import RelationalTrainingSettings
 
 POOL: Final = 2048
-"""The number of pictures in a pool. Batches are drawn from it until it is replaced."""
+"""The number of pictures in a pool."""
 SHOWN: Final = 2 / 3
 """The share of pictures of unchanged demonstrations."""
 BATCHES: Final = 128
 """The number of batches from each pool: with 64 samples in each, a picture is used four times."""
 MISSING: Final = 50.0
-"""The position (units) to the right of and above the arena for objects that a sample lacks."""
+"""The x and y (units) of objects that a sample lacks, far outside the arena."""
 
 
 class Redraw(BehaviouralCloning):
@@ -90,7 +90,7 @@ class Redraw(BehaviouralCloning):
         return super().update()
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """The same as in cloning, with the most probable actions (n,)."""
+        """Like in cloning, except that the actions (n,) are the most probable ones."""
         loss, logits, probabilities, others = super().loss()
         return loss, logits, probabilities.argmax(1), others
 
@@ -121,7 +121,7 @@ class Redraw(BehaviouralCloning):
 
 
 class Pool:
-    """Pictures of samples under the teacher's assumptions, and the probabilities of its actions there.
+    """Pictures of samples under the teacher's assumptions, and the teacher's action probabilities.
 
     Attributes:
         begun: the state of the teacher's generator before the current pictures were drawn.
@@ -151,7 +151,7 @@ class Pool:
 
 
 class Redrawer:
-    """Draws states in the view "ego" or "allo". They need not be from a simulation."""
+    """Draws states in the view "ego" or "allo". Any states can be drawn, not only simulated ones."""
 
     def __init__(self, view: str, renderer: str | None) -> None:
         self._view, self._renderer = view, renderer

@@ -1,9 +1,12 @@
 """Demonstrations, replayed: which blocks they move and how, and the samples that they yield.
 
-There are two ways to read a demonstration. In the first, each motion of a block counts. In the second, it is a series
-of deliveries. A block that is only bumped counts as not moved, and a block that another demonstration moves may matter
-here as well. A block in a region remains in it until the robot moves it. A robot that has released a block belongs to
-this block until it has backed off, and not yet to the next one.
+A demonstration can be read in two ways. By default, each motion of a block counts. With `deliveries`, it is a series of
+deliveries:
+
+- A block that is only bumped counts as unmoved.
+- A block that any demonstration moves matters in all of them.
+- A block in a region remains in it until the robot moves it.
+- The robot's current block is the released one until the robot has backed off from it, and then the next one.
 """
 
 from __future__ import annotations
@@ -25,17 +28,17 @@ from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 
 MOVED: Final = 0.03
-"""The least motion (units) of a block that counts as moved."""
+"""A block farther (units) from its start counts as moved."""
 BUMPED: Final = 0.25
 """The largest motion (units) of a block that was only bumped."""
 GRIPPING: Final = 3
 """The robot counts as having reached a block this number of steps before the block moves."""
 CARRIED: Final = 4
-"""The least number of steps of a block's motion that counts as carrying or pushing."""
+"""Shorter motions of a block, in steps, do not count as carrying or pushing."""
 FRONT: Final = 0.2
 """The distance (units) of the robot's front from its centre."""
 NEXT_TO: Final = 0.45
-"""The robot is still next to a block that it released within this distance (units) of its centre."""
+"""A robot is next to a block if the distance (units) between their centres is smaller."""
 OPENING: Final = 3
 """The number of steps for opening the fingers. Later actions without effect are left out."""
 PATH_POINTS: Final = 16
@@ -49,7 +52,7 @@ class Freedom(IntEnum):
     TURNS = 1
     ANYWHERE = 2
     REMOVES = 3
-    """Turns about a region from which the block is removed. It must not end in a region."""
+    """Turns about the region from which the block is removed. The block must not end in a region."""
 
 
 class Samples(NamedTuple):
@@ -69,11 +72,11 @@ class Samples(NamedTuple):
     path: Tensor
     """The next positions in the arena of the robot, and of its front or held block, shape (n, PATH_POINTS, 2)."""
     pair: Tensor
-    """Whether it is the block that the robot is about to grip, or moves, shape (n, MAX_BLOCKS)."""
+    """Whether each block is the one that the robot is about to grip, or moves, shape (n, MAX_BLOCKS)."""
     pivot: Tensor
     """The centre of rotation of the robot and this block, in the arena, shape (n, 2)."""
     freedom: Tensor
-    """The `Freedom` of each, shape (n,)."""
+    """Each sample's `Freedom`, shape (n,)."""
     looks: Tensor
     """1 for each shape and colour that an unmoved block may have, shape (n, 4 * 4): number 4 * shape + colour."""
 
@@ -101,7 +104,7 @@ def in_hand(state: NDArray[np.float32], block: int) -> NDArray[np.float64]:
 
 
 class Motion(NamedTuple):
-    """A block's motion, from a first step until before another one."""
+    """A block's motion, from the step `begin` until before the step `end`."""
 
     block: int
     begin: int
@@ -115,9 +118,9 @@ class Replay:
         states: shape (steps + 1, names).
         saved: the engine's states, of the same length.
         actions: shape (steps,).
-        never: a step after all others.
+        never: the number of states; as a step it means "does not occur".
         positions: of the blocks, in the arena, shape (steps + 1, MAX_BLOCKS, 2).
-        matters: whether the block is moved, here or in another demonstration (see `read`), shape (MAX_BLOCKS,).
+        matters: whether each block is moved, here or in another demonstration (see `read`), shape (MAX_BLOCKS,).
         begins: the step of each block's first motion, or `never`, shape (MAX_BLOCKS,).
         next: for each step, the step of each block's next motion, or `never`, shape (steps + 1, MAX_BLOCKS).
         moving: whether each block moves in each step, shape (steps + 1, MAX_BLOCKS).
@@ -164,7 +167,10 @@ class Replay:
         return Samples(states, actions, *loose, self._ahead(steps), *freedoms, self.looks(len(steps)))
 
     def looks(self, count: int) -> Tensor:
-        """See `Samples.looks`: what relates to all regions and all blocks in regions as an unmoved block does."""
+        """See `Samples.looks`. They share shapes and colours with the same objects as one of the unmoved blocks.
+
+        These objects are the regions, and the blocks in regions.
+        """
         state = torch.from_numpy(self.states[:1])
         blocks, regions = blocks_of(state)[0], regions_of(state)[0]
         inside, there = self._groups[0] < MAX_REGIONS, self._groups[0] >= 0
@@ -277,7 +283,7 @@ class Replay:
         return (int(before[gaps[-1] + 1] if len(gaps) else before[0]) if len(before) else step), last
 
     def _home(self, position: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The centre of the region with a position near its centre."""
+        """The centre of a region, if the position is near it."""
         for region in self._regions:
             middle, half = (region[1:3] + region[3:5]) / 2, (region[3:5] - region[1:3]).min() / 2
             if region[0] > 0 and np.linalg.norm(position - middle) < half - MOVED:

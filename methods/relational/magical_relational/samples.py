@@ -3,17 +3,18 @@
 - egocentric: positions in the arena do not matter, only positions in the robot's frame. (It changes no sample: the
   network does not receive positions in the arena.)
 - mirror: the task is the same in a mirror.
-- rename: colours and shapes are only labels: what matters is which objects share them. False for a task that names a
-  colour.
-- hindsight: the demonstrations aim to grip a block and to release it. Any path to these poses that is not much too long
-  is as good as theirs. Such paths are played in the simulation of the demo scene (`magical_relational.hindsight`).
+- rename: colours and shapes are only labels, and the task depends only on which objects share them. False for a task
+  that names a colour.
+- hindsight: the demonstrations aim to grip a block and to release it. Any other path to these poses is as good, unless
+  it is much longer than necessary. Such paths are played in the simulation of the demo scene
+  (`magical_relational.hindsight`).
 - grips: any manoeuvre that grips this block is as good, from any pose of the robot next to it, and after it was
   pushed. Such manoeuvres are found by random search in the same simulation (`magical_relational.grips`).
-- displace: objects that a demonstration never involves do not matter, neither their positions nor their presence. On
-  the path to a block, all other objects may be at other positions, including blocks that are used later. If
-  `egocentric` was kept, the robot may have any pose together with this block, and may be rotated together with a block
-  that it brings to a region. False if the absolute position of an object matters.
-- delivery: a demonstration is a series of deliveries: what it only bumps, it does not involve
+- displace: objects that a demonstration does not involve may have any position, or be missing. On the path to a block,
+  all other objects may be at other positions, including blocks that are used later. If `egocentric` was kept, the robot
+  may have any pose together with this block, and may be rotated together with a block that it brings to a region. False
+  if the absolute position of an object matters.
+- delivery: a demonstration is a series of deliveries, which do not involve blocks that are only bumped
   (`magical_relational.replay`). Releases of blocks are additional samples. False if a bump matters.
 - contrast: a block that no demonstration moves may have another shape and colour, as long as it shares them with the
   regions, and with the blocks in regions, like an unmoved block of the demo scene. Some of these blocks are in front of
@@ -36,17 +37,17 @@ from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STAT
 from magical_relational.replay import Freedom, Samples
 
 CLEAR: Final = 0.3
-"""The least distance (units) between the centres of a displaced object and of others."""
+"""The smallest distance (units) between the centres of a displaced object and of others."""
 REACH: Final = 0.75
-"""The largest coordinate of a displaced object."""
+"""The largest coordinate (units) of a displaced object."""
 PATH_CLEARANCE: Final = 0.36
 """The clearance (units) of a displaced block from the path of the robot and of its held block."""
 FACING: Final = (0.4, 1.3, 0.4)
-"""The range of distances (units) of a block in front of the robot, and the standard deviation of its angle (rad)."""
+"""Blocks in front of the robot: the range of distances (units), and the standard deviation of the bearing (rad)."""
 ATTEMPTS: Final = 6
 """The number of attempts to place a robot with its block."""
 _SIGNED: Final = ("x", "angle", "x_velocity", "angle_velocity")
-"""Entries whose sign a mirror changes."""
+"""The entries whose sign changes in a mirror."""
 ROBOT_SIGNED: Final = [STATE_NAMES.index(f"robot.{name}") for name in _SIGNED]
 _BLOCK: Final = STATE_NAMES.index("block0.present")
 BLOCK_SIGNED: Final = [STATE_NAMES.index(f"block0.{name}") - _BLOCK for name in _SIGNED]
@@ -86,7 +87,7 @@ def _colours(states: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> None:
-    """Displaces some groups, and removes some of those that may be missing, in place.
+    """Displaces some groups in place, and removes some of the groups that may be missing.
 
     With `pairs`, the robot and the block that it is about to grip or holds are first rotated and moved relative to all
     other objects. Their relative positions stay the same. This changes the robot's pose in the arena.
@@ -146,7 +147,7 @@ def contrast(samples: Samples, generator: torch.Generator) -> None:
 def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -> Tensor:
     """Rotates robots with their blocks and paths about `pivot`, and moves the free ones to other positions.
 
-    Returns those of the waiting ones, shape (n,), that could be placed.
+    Returns which of the waiting robots could be placed, shape (n,).
     """
     states, pair, pivot = samples.states, samples.pair, samples.pivot
     blocks, count = blocks_of(states), len(states)
