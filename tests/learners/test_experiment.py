@@ -99,7 +99,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ('["bc"]', '["bc", "bc"]', "methods contains an entry twice"),
         ("seeds = [0, 1]", "seeds = [2_000_000_000]", "at most"),
         ('"FixColour"', '"MoveToRegion"', "tasks contains an entry twice"),
-        ("bc.batches = 4", "seed = 4", "set seed by its own option"),
+        ("bc.batches = 4", "seed = 4", "seed has its own option"),
         ('variants = "Demo"', 'variants = "Shape"', "MoveToRegion"),  # which FixColour has
     ],
 )
