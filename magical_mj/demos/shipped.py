@@ -98,7 +98,8 @@ def load(
     quoted = shlex.quote(task)
     command = f"play {quoted} --record" if spec.plan is None else f"demos generate --tasks {quoted} --out"
     if folder is not None:
-        where = f"in {folder}: make some with magical-mj {command} {folder}"
+        absent = "" if Path(folder).exists() else ", which does not exist"
+        where = f"in {folder}{absent}: make some with magical-mj {command} {folder}"
     else:
         where = (
             f"in the package: make some with magical-mj {command} FOLDER, and name this folder, or set "

@@ -82,7 +82,7 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
     if problem := _misfit(encoder.weights, wanted):
         raise SettingsError(
             f"the encoder in {path} {problem}: give the folder of a training of bc, or a file written by save_encoder, "
-            "with the same sizes (network.*, quick)"
+            "with the sizes of this network (--quick in both trainings or in none, and the same settings network.*)"
         )
     return encoder
 

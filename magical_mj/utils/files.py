@@ -195,7 +195,7 @@ def _held(path: Path, timeout: float = -1) -> Iterator[None]:
 
 
 def _exists(path: Path) -> FileExistsError:
-    return FileExistsError(errno.EEXIST, "exists already", str(path))
+    return FileExistsError(errno.EEXIST, "exists already; give another path, or remove it first", str(path))
 
 
 def _rename(unfinished: Path, path: Path, overwrite: bool) -> None:

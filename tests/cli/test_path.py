@@ -58,6 +58,8 @@ def test_recordings_of_other_tasks_or_scenes_are_refused(shell: Shell) -> None:
     assert shell(*layout, "--out", "mine")[0] == 0
     train = ("train", "bc", "--preset", "State", "--demonstrations", "mine", "--out", "runs/mine", "--tasks")
     assert "there are no demonstrations of FindDupe in" in shell.fails(2, *train, "FindDupe")
+    absent = ("train", "bc", "--preset", "State", "--demonstrations", "other", "--out", "runs/x", "--tasks", "FindDupe")
+    assert "other, which does not exist: make some with" in shell.fails(2, *absent)
     assert "of MoveToRegion in " in (error := shell.fails(2, *train, "MoveToRegion"))
     assert "are of other scenes: MoveToRegion-Layout" in error
     assert not Path("runs").exists()

@@ -33,7 +33,7 @@ def test_what_is_written_is_there(tmp_path: Path, data: str | bytes) -> None:
 def test_nothing_is_replaced_unasked(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     files.write(path, "one")
-    with pytest.raises(FileExistsError, match="exists already") as caught:
+    with pytest.raises(FileExistsError, match="exists already; give another path, or remove it") as caught:
         files.write(path, "two")
     assert caught.value.filename == str(path)
     assert path.read_text() == "one"

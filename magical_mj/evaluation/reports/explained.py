@@ -114,7 +114,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     out.mkdir(parents=True, exist_ok=True)
     parts = [
         "# Which goal did a policy pursue?",
-        "docs/explain.md says what the words mean. Episodes are replayed from their actions.",
+        "The page docs/explain.md of magical_mj defines the columns. Episodes are replayed from their actions.",
         *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
