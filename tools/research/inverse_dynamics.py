@@ -41,7 +41,7 @@ class InverseDynamics(BehaviouralCloning):
         numbers = [usable(self._data, task) for task in range(len(self.settings.tasks))]
         batch, following = successive(self._data, numbers, self.settings.bc.batch_size, self._draw)
         pairs = self._augmented(torch.cat([batch.observations, following], 3), self._noise)
-        before, after = (self._actor.torso(stacks) for stacks in pairs.chunk(2, 1))
+        before, after = self._actor.torso(torch.cat(pairs.chunk(2, 1))).chunk(2)  # with the same batch norm
         actions, tasks = (values.to(self.device) for values in batch[1:])
         logits = self._actor.head(after - before, tasks)
         return nn.functional.cross_entropy(logits, actions), logits, actions, {}
@@ -62,7 +62,7 @@ def episodes_in(folder: Path) -> dict[str, list[Demonstration]]:
 def learnt(episodes: Mapping[str, Sequence[Demonstration]], batches: int, seed: int, *, quick: bool) -> Encoder:
     """The encoder after this number of batches. Prints how well the network predicted actions in the last tenth."""
     settings: TrainingSettings = load_settings(
-        "bc", tuple(episodes), quick=quick, seed=seed, **{"bc.batches": max(1, batches)}
+        "bc", tuple(episodes), quick=quick, seed=seed, **{"bc.batches": max(1, batches), "bc.heads": "uniform"}
     )
     learner = InverseDynamics(settings, episodes)
     metrics = pd.DataFrame([learner.update() for _ in range(batches)])
