@@ -163,7 +163,7 @@ def test_freed_memory_is_not_fetched_anew() -> None:
     for _ in range(20):
         torch.ones(20_000_000)  # 80 MB, twenty thousand pages
         faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
-    assert faults[-1] - faults[9] < 1000  # at first, the heap grows
+    assert faults[-1] - faults[9] < 20_000  # at first, the heap grows; otherwise it would be 200,000
 
 
 SETTINGS = InverseSettings(discount=0.9, temperature=0.5, alpha=0.25)
