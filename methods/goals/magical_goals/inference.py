@@ -1,7 +1,7 @@
 """Infers an intent from demonstrations, by minimum description length (Rissanen, 1978).
 
 The intent is the one that gives the final scenes of the demonstrations the shortest description: the bits of the intent
-itself, plus the bits that select each final scene among all those in which the intent holds. The fewer scenes satisfy
+itself, plus the bits that select each final scene among all scenes that satisfy the intent. The fewer scenes satisfy
 an intent, the fewer bits this takes. So the strictest of the intents that all demonstrations have reached is preferred.
 In Bayesian concept learning this is called the size principle (Tenenbaum, 1999). The bits that an intent saves are the
 logarithm of its posterior probability, up to a constant.
@@ -28,9 +28,9 @@ from magical_mj.tasks.planning import REACHABLE, Noise, scene_after
 from magical_mj.utils.errors import PlacementError, TrainingError
 
 BITS: Final = 28.0
-"""The length of the longest intents of one or two relations that are considered."""
+"""Intents of one or two relations are considered up to this length."""
 MOST: Final = 2000
-"""The number of these intents that are compared, the simplest ones."""
+"""At most this number of them are compared, the simplest ones."""
 EXTENDED: Final = 8
 """The number of the best intents that are extended by another relation, in each round."""
 PLANS: Final = 2
@@ -49,7 +49,7 @@ class Goal(NamedTuple):
 
 
 def infer(ends: Sequence[Ends]) -> list[Goal]:
-    """The intents that all demonstrations have reached, the best first. They are the same for the same scenes.
+    """The intents that all demonstrations have reached, the best first. Equal scenes give equal intents.
 
     Args:
         ends: the first and the last scene of each demonstration.
@@ -105,7 +105,7 @@ def _extended(
         bits = -math.log2((count + 0.5) / (len(starts) * PLANS + 1))
         gain = len(starts) * bits - conjunct_bits(part)
         longer = intent_of([*goal.intent.conjuncts, part])
-        if gain > 0 and len(longer.conjuncts) > len(goal.intent.conjuncts):  # the part does not follow
+        if gain > 0 and len(longer.conjuncts) > len(goal.intent.conjuncts):  # the goal does not imply the part
             yield Goal(longer, goal.saved + gain)
 
 

@@ -27,7 +27,7 @@ BUDGET: Final = 16  # simulated steps per step of the episode; after them, no ne
 GOALS: Final = "goals.json"
 """The policy's file in a run's folder."""
 SHOWN: Final = 20
-"""The number of intents that are kept for each task, for scenes in which the best one is undefined."""
+"""The number of intents that are kept for each task: the best one may be undefined in a scene."""
 
 
 class GoalPolicy:
@@ -56,7 +56,7 @@ class GoalPolicy:
         self._next = follower(goals, episode)
 
     def __call__(self, _: Any) -> int:
-        """The next action. The policy has no observations."""
+        """The next action. The policy ignores observations."""
         return self._next()
 
 
@@ -82,12 +82,12 @@ class InferredGoal:
         self._next = follower(self._inferred[ends], episode)
 
     def __call__(self, _: Any) -> int:
-        """The next action. The policy has no observations."""
+        """The next action. The policy ignores observations."""
         return self._next()
 
 
 def follower(goals: Sequence[Goal], episode: Episode) -> Callable[[], int]:
-    """A function that returns the action for the current state: one that leads to `chosen`; no-ops if it is None."""
+    """A function that returns the next action towards the `chosen` intent, or no-ops if there is none."""
     env = episode.env
     if env is None or env.horizon is None:
         raise SettingsError("a planning policy needs the simulation itself and cannot play in vector environments")

@@ -1,7 +1,7 @@
-"""Networks of a policy that is told what to do: a planner chooses an object and its target, and a skill acts.
+"""Networks of a policy that receives an instruction: a planner chooses an object and its target, and a skill acts.
 
 The planner observes the scene at the start of the episode and now, and attends to a context: the words of a sentence,
-or the objects of demonstrations, each at the start and at the end. It predicts which object is brought next, a block or
+or the objects of demonstrations, each at the start and at the end. It predicts the next object, a block or
 the robot, and its target position. The skill observes the scene in the robot's frame, the object and its target. Both
 are trained on the same demonstrations, with labels in hindsight (`subgoals`).
 """
@@ -38,7 +38,7 @@ class Graph(NamedTuple):
         nodes: features, shape (n, k, NODE).
         edges: features of pairs, shape (n, k, k, EDGE).
         present: which nodes exist, shape (n, k).
-        blocks: the number of nodes of blocks. The robot is next.
+        blocks: the number of nodes of blocks. The robot's node follows.
     """
 
     nodes: Tensor
@@ -274,6 +274,6 @@ class Skill(nn.Module):
 
 
 def _near(seen: Tensor) -> Tensor:
-    """Features (..., 5) of positions (..., 2) that the robot sees: also the direction, and the nearness."""
+    """Features (..., 5) of positions (..., 2) in the robot's frame: the position, its direction, and the nearness."""
     distance = seen.norm(dim=-1, keepdim=True)
     return torch.cat([seen, seen / (distance + 1e-3), 0.3 / (0.2 + distance)], -1)

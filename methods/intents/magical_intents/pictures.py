@@ -2,8 +2,8 @@
 
 python -m magical_intents.pictures OUT
 
-It writes OUT/pictures, the folder of a policy. It takes a few minutes of one core. Waiting is not learnt: steps after a
-pause in which the expert still neither drives nor turns are left out.
+It writes OUT/pictures, the folder of a policy. It takes a few minutes of one core. The network
+does not learn to wait: of several successive steps without driving and turning, only the first is used.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _RESTS: Final = np.array([(a.turn, a.drive) == (Turn.NONE, Drive.NONE) for a in 
 
 
 class Film(NamedTuple):
-    """An intent's demonstration: small pictures (steps, 48, 48, 12), actions (steps,), and its sentences' words."""
+    """An intent's demonstration: small pictures (steps, 48, 48, 12), actions (steps,), and sentences' words."""
 
     pictures: NDArray[np.uint8]
     actions: NDArray[np.int64]
@@ -160,7 +160,7 @@ def load_policy(folder: Path | str) -> SightedPolicy:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--folder", type=Path, help="where the demonstrations are kept; by default the user's cache")
+    parser.add_argument("--folder", type=Path, help="folder of the demonstrations; by default in the user's cache")
     chosen = parser.parse_args()
     with torch_settings(1):
         train(

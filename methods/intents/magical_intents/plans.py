@@ -1,7 +1,7 @@
-"""The expert's plans as lessons for planners: scenes, the next object and its target position, without simulation.
+"""The expert's plans as samples for planners: scenes, the next object and its target position, without simulation.
 
 Demonstrations of many intents take long to generate, and most of their steps do not help a planner. It has to learn the
-objects and targets of many intents in many scenes. The robot's poses are random here.
+objects and targets of many intents in many scenes. In plans, the robot's poses are random.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from magical_mj.utils.errors import IntentError, PlacementError
 SCENES: Final = 16
 """The number of scenes of each intent: the demo scene, one of the variant Layout, and others of All."""
 AWAY: Final = (0.3, 0.5)
-"""The distance (units) of the robot from the block that it brings, or has brought."""
+"""The smallest and the largest distance (units) of the robot from a block that it brings, or has brought."""
 REACH: Final = 0.8
 """The largest coordinate of the robot (units)."""
 OPEN: Final = (0.39, -0.39)
@@ -79,7 +79,7 @@ def _away(scene: Scene, subgoal: Subgoal) -> float:
 
 
 def _on_the_way(scene: Scene, subgoal: Subgoal, rng: np.random.Generator) -> Iterator[tuple[Scene, bool]]:
-    """A state of driving to the object, then one of bringing it, each with whether the fingers are closed."""
+    """A state of driving to the object, then one of bringing it, each with a flag for closed fingers."""
     share, robot = rng.random(2), scene.robot.pose
     target = subgoal.target
     if subgoal.block is None:
@@ -97,10 +97,10 @@ def _between(start: tuple[float, ...], end: tuple[float, ...], share: float) -> 
     return start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
 
 
-def _next_to(place: tuple[float, float], rng: np.random.Generator) -> Pose:
+def _next_to(position: tuple[float, float], rng: np.random.Generator) -> Pose:
     """A pose of the robot next to a block, and facing it."""
     angle, distance = rng.uniform(-math.pi, math.pi), rng.uniform(*AWAY)
-    x, y = place[0] + distance * math.sin(angle), place[1] - distance * math.cos(angle)
+    x, y = position[0] + distance * math.sin(angle), position[1] - distance * math.cos(angle)
     return max(-REACH, min(REACH, x)), max(-REACH, min(REACH, y)), angle
 
 

@@ -1,4 +1,4 @@
-"""Policies that are told what to do by a sentence, or by demonstrations, and their file in a training's folder."""
+"""Policies that receive a sentence, or demonstrations, at test time, and their file in a training's folder."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from magical_mj.utils.errors import TrainingError
 
 POLICY: Final = "conditioned.safetensors"
 KINDS: Final = ("skill", "sentence", "demonstrations")
-"""What is trained: the skill, and the two planners."""
+"""The trained networks: the skill, and the two planners."""
 SHARPNESS: Final = 2.0
 """Actions are drawn from the skill's probabilities with this exponent."""
 EVERY: Final = 3
-"""A plan is made every third step."""
+"""The number of steps between plans."""
 STANDING: Final = 0.5
 """The exponent after a step in which the robot rested, so that a robot that is stuck tries other actions."""
 MOTION: Final = (0.01, 0.03)
-"""A robot with less motion in a step rests: units or rad of the robot, and rad of a finger."""
+"""A robot rests if it moves less in a step: in units or rad, and a finger in rad."""
 
 
 class ConditionedPolicy(Model):
@@ -76,8 +76,8 @@ class ConditionedPolicy(Model):
             logits = self._skill(now, objects.clamp(max=ROBOT), places)
         self._step += 1
         change = (now - states[:, -2]).abs()
-        stands = (change[:, :3] < MOTION[0]).all(1) & (change[:, FINGERS] < MOTION[1]).all(1)
-        actions = drawn_actions(logits * torch.where(stands, STANDING, SHARPNESS)[:, None], self._rngs)
+        rests = (change[:, :3] < MOTION[0]).all(1) & (change[:, FINGERS] < MOTION[1]).all(1)
+        actions = drawn_actions(logits * torch.where(rests, STANDING, SHARPNESS)[:, None], self._rngs)
         return np.where(objects.numpy() == DONE, NOOP, actions)
 
 

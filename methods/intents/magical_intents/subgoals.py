@@ -1,4 +1,4 @@
-"""Labels for the planner, in hindsight: the objects that a demonstration brought, and the positions they reached.
+"""Labels for the planner, in hindsight: the objects that a demonstration moved, and the positions that they reached.
 
 A demonstration moves blocks one after the other, and then perhaps the robot. The label of a step is the object that is
 being brought, or will be brought next, and the position that it reached. Labels are computed from states and actions
@@ -22,7 +22,7 @@ ROBOT: Final = MAX_BLOCKS
 DONE: Final = MAX_BLOCKS + 1
 """The label of steps after the last object was brought."""
 STIRRED: Final = 0.003
-"""The smallest motion of a block in a step (units) that counts."""
+"""Smaller motions of a block in a step (units) do not count."""
 PAUSE: Final = 6
 """A block that rests for at most this number of steps is still being moved."""
 CARRIED: Final = 0.1
@@ -40,7 +40,7 @@ class Labels(NamedTuple):
 
     Attributes:
         objects: numbers of objects, shape (steps,).
-        places: where they are brought, shape (steps, 2); 0 after the last one.
+        places: their target positions, shape (steps, 2); 0 after the last object.
     """
 
     objects: NDArray[np.int64]
@@ -53,7 +53,7 @@ class Shown(NamedTuple):
     Attributes:
         states: before each action, shape (steps, names).
         actions: numbers, shape (steps,).
-        labels: the objects and their places.
+        labels: the objects and their targets.
         final: the last state of the whole demonstration, shape (names,).
         decisive: the first step of each object's label, and of `DONE`.
     """

@@ -1,7 +1,7 @@
 """Symmetries of the arena: turned and mirrored scenes, with other colours and shapes, and the sentences for them.
 
 An intent becomes another one in a changed scene: "to the left wall" becomes "to the top wall". So each demonstration
-shows many intents.
+provides samples of many intents.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from magical_mj.scene.constants import SHAPES as SHAPE_NAMES
 from magical_mj.scene.state_vector import FINGERS
 
 WORDS: Final = 1024
-"""The number of word vectors. A word's number is its checksum modulo this, so there is no vocabulary to keep."""
+"""The number of word vectors. A word's number is its checksum modulo this, so no vocabulary has to be stored."""
 LENGTH: Final = 40
-"""The number of words of a sentence that are read."""
+"""The number of words of a sentence that are used. Later words are ignored."""
 MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number for a in ACTIONS])
 """Action -> the action with left and right exchanged."""
 _SIDES: Final[Mapping[str, tuple[int, int]]] = {"left": (-1, 0), "right": (1, 0), "top": (0, 1), "bottom": (0, -1)}
@@ -107,14 +107,15 @@ def number_of(word: str) -> int:
 
 def renamed(words: NDArray[np.int64], by: Symmetry) -> NDArray[np.int64]:
     """Sentences (n, LENGTH) with the words for the changed scenes."""
-    sides = {way: name for name, way in _SIDES.items()}
+    names = {direction: name for name, direction in _SIDES.items()}
     result = words.copy()
     for row, (matrix, colours, shapes) in enumerate(zip(by.matrix, by.colours, by.shapes, strict=True)):
         pairs = {name: COLOUR_NAMES[colours[k]] for k, name in enumerate(COLOUR_NAMES)}
         for k, name in enumerate(SHAPE_NAMES):
             pairs |= {name: SHAPE_NAMES[shapes[k]], f"{name}s": f"{SHAPE_NAMES[shapes[k]]}s"}
-        ways = {name: (matrix @ torch.tensor(way).float()).round().int().tolist() for name, way in _SIDES.items()}
-        pairs |= {name: sides[x, y] for name, (x, y) in ways.items()}
+        for name, direction in _SIDES.items():
+            x, y = (matrix @ torch.tensor(direction).float()).round().int().tolist()
+            pairs[name] = names[x, y]
         for old, new in pairs.items():
             result[row][words[row] == number_of(old)] = number_of(new)
     return result

@@ -2,8 +2,8 @@
 
 python -m magical_intents.train OUT
 
-It writes OUT/skill, OUT/sentence and OUT/demonstrations. The last two are folders of policies. Called again with the
-same folder, it continues. The demonstrations are made by the expert if they do not exist yet.
+It writes OUT/skill, OUT/sentence and OUT/demonstrations. The last two are folders of policies. A second call with
+the same folder continues the training. The expert makes the demonstrations that do not exist yet.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from magical_mj.policies.models import torch_settings
 from magical_mj.utils.errors import DemonstrationError, TrainingError
 
 VARIANTS: Final = ("Demo", "Layout", "All")
-"""The variants with one demonstration of each intent, so that demonstrations of one intent differ."""
+"""Each intent has one demonstration in each of these variants, so that its demonstrations differ."""
 INTENTS: Final = 1000
 """The number of intents of the plans."""
 SIMULATED_INTENTS: Final = 200
@@ -45,13 +45,13 @@ LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
 SAVED: Final = 100
-"""A network is written each time after this number of updates."""
+"""The number of updates between two writes of the network."""
 GROUPS: Final = 48
 """The number of contexts in a planner's batch."""
 STEPS: Final = 4
 """The number of steps for each context, from demonstrations that are not part of it."""
 SIMULATED: Final = 0.3
-"""The share of contexts whose steps are from simulated demonstrations. The others are from plans."""
+"""The share of contexts with steps from simulated demonstrations. The steps of the others are from plans."""
 ALIKE: Final = 0.3
 """The share of contexts that repeat one demonstration, as if all were in one scene."""
 DECISIVE: Final = 0.5
@@ -78,13 +78,13 @@ class Lesson(NamedTuple):
 
 
 class Quality(NamedTuple):
-    """How well a planner predicts the steps of demonstrations."""
+    """The quality of a planner's predictions in steps of demonstrations."""
 
     loss: float
     objects: float
-    """The share of steps whose object is predicted."""
+    """The share of steps with the correct object."""
     places: float
-    """Among these steps, the share whose target is predicted with an error of at most 0.15 units."""
+    """Among these steps, the share of targets with an error of at most 0.15 units."""
 
 
 def trained_intents(number: int = INTENTS) -> list[Intent]:
@@ -153,7 +153,7 @@ def train(
 ) -> None:
     """Trains one of `KINDS`, and writes it into `out`. A planner's folder also gets the skill, and is a policy.
 
-    Each time after the network is written, `watch` is called with the number of updates and the mean loss.
+    After each writing of the network, `watch` is called with the number of updates and the mean loss.
 
     Raises:
         TrainingError: if the folder holds another training.
@@ -173,7 +173,7 @@ def train(
         network.load_state_dict(state["weights"])
         optimizer.load_state_dict(state["optimizer"])
         rate.load_state_dict(state["rate"])
-    acts = checkpoint.read(skill / POLICY)["weights"] if skill else None
+    skill_weights = checkpoint.read(skill / POLICY)["weights"] if skill else None
     out.mkdir(parents=True, exist_ok=True)
     for update in range(done, updates):
         rng = np.random.default_rng([seed, update])
@@ -186,7 +186,7 @@ def train(
         losses.append(loss.item())
         if (update + 1) % saved == 0 or update + 1 == updates:
             kept = {"weights": network.state_dict(), "optimizer": optimizer.state_dict(), "rate": rate.state_dict()}
-            checkpoint.write(path, {"training": training, "updates": update + 1, "skill": acts, **kept})
+            checkpoint.write(path, {"training": training, "updates": update + 1, "skill": skill_weights, **kept})
             watch(update + 1, float(np.mean(losses)))
             losses.clear()
 
@@ -240,8 +240,8 @@ def batch(
         order = rng.permutation(len(lesson.shown))
         number = min(int(rng.integers(1, MOST_SHOWN + 1)), len(order) - 1)
         context, others = order[:number], order[number:]
-        for place in rng.choice(others, STEPS).tolist():
-            cloned = lesson.shown[place]
+        for index in rng.choice(others, STEPS).tolist():
+            cloned = lesson.shown[index]
             step = rng.choice(cloned.decisive) if rng.random() < DECISIVE else rng.integers(len(cloned.states))
             initial.append(cloned.states[0])
             now.append(cloned.states[step])
@@ -253,8 +253,8 @@ def batch(
         if rng.random() < ALIKE:
             context = np.repeat(context[:1], number)
         ends = np.zeros((MOST_SHOWN, 2, len(initial[0])), np.float32)
-        for row, place in enumerate(context.tolist()):
-            ends[row] = lesson.shown[place].states[0], lesson.shown[place].final
+        for row, index in enumerate(context.tolist()):
+            ends[row] = lesson.shown[index].states[0], lesson.shown[index].final
         given.append(ends)
     start, current, wanted = (
         torch.from_numpy(np.stack(rows)).unflatten(0, (GROUPS, STEPS)) for rows in (initial, now, places)
@@ -286,7 +286,7 @@ def planner_loss(network: Planner, data: Sequence[Lesson], plans: Sequence[Lesso
 
 @torch.inference_mode()
 def quality(network: Planner, data: Sequence[Lesson], batches: int = 10) -> Quality:
-    """How well a planner predicts random steps."""
+    """A planner's quality in random steps."""
     found = []
     for number in range(batches):
         seen = batch(data, np.random.default_rng(number), reads=network.reads, symmetries=False)
@@ -303,7 +303,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--intents", type=int, default=INTENTS, help="the number of intents of the plans")
-    parser.add_argument("--folder", type=Path, help="where the demonstrations are kept; by default the user's cache")
+    parser.add_argument("--folder", type=Path, help="folder of the demonstrations; by default in the user's cache")
     parser.add_argument("--seed", type=int, default=0, help="of the networks and the batches")
     chosen = parser.parse_args()
     with torch_settings(1):

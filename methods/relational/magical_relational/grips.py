@@ -1,9 +1,10 @@
 """Samples of gripping a block from nearby, found by random search in the simulation of the demo scene.
 
-Demonstrations approach a block directly and close the fingers around it. They never show how to act next to a block, or
-after a block was pushed aside. Here the robot leaves a demonstration at random shortly before a grip, and may push that
-block. Then it tries several random manoeuvres to grip the block: back off, turn to it, drive to it, close the fingers.
-After a successful manoeuvre, the block follows the fingers. The shortest one becomes the target action sequence.
+Demonstrations approach a block directly and close the fingers around it. They do not show how to grip a block from
+another pose next to it, or after the robot has pushed it aside. Here the robot leaves a demonstration at random shortly
+before a grip, and may push that block. Then it tries several random manoeuvres to grip the block: back off, turn to it,
+drive to it, close the fingers. A manoeuvre succeeds if the block then follows the fingers. The shortest successful one
+becomes the target action sequence.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ SEGMENTS: Final = (2, 4)
 LONGEST: Final = 5
 """The largest number of steps of a segment."""
 REACH: Final = 0.75
-"""The largest distance (units) of the block from the robot's centre for a grip attempt."""
+"""Attempts begin at most this far (units) from the block to the robot's centre."""
 ATTEMPTS: Final = 8
 """The number of attempts from one state."""
 SHORTEST: Final = 7
 """Grips with fewer steps are left out."""
 NEXT_TO: Final = 0.3
-"""The distance (units) of the robot's centre from the block at which it stops and closes the fingers."""
+"""The robot closes its fingers at this distance (units) from its centre to the block."""
 TURNS: Final = (-0.7, 0.7)
 """The range of random errors of turns, in steps."""
 DRIVES: Final = (-1.0, 2.0)
@@ -51,7 +52,7 @@ PULLING: Final = 3
 SLIPPED: Final = 0.05
 """The largest motion (units) of a held block between the fingers while it is pulled."""
 ALIKE: Final = 0.03
-"""The largest distance (units) between the positions of a block in a grip and in a demonstration's grip."""
+"""A grip must hold the block within this distance (units) of its position in a demonstration's grip."""
 STILL: Final = 0.02
 """A finger that moves by less (rad) in a step is not closing."""
 
@@ -89,7 +90,7 @@ class _Rollout:
             self.act(Gripper.OPEN, turn if kind else Turn.NONE, Drive.NONE if kind == 1 else drive, times)
 
     def take(self, block: int, rng: np.random.Generator) -> None:
-        """Backs off or not, turns to a block, drives to it, and closes the fingers."""
+        """Backs off by up to four steps, turns to a block, drives to it, and closes the fingers."""
         self.act(Gripper.OPEN, Turn.NONE, Drive.BACK, int(rng.integers(LONGEST)))
         x, y = in_hand(self.states[-1], block)
         angle = math.atan2(-x, y)
@@ -102,7 +103,7 @@ class _Rollout:
 
 
 def gripped(engine: Engine, replays: Sequence[Replay], count: int, rng: np.random.Generator) -> list[Samples]:
-    """At least `count` samples of gripping the blocks that demonstrations grip. Fewer if most attempts fail."""
+    """At least `count` samples of gripping the blocks that demonstrations grip. Fewer if few attempts succeed."""
     starts, grips = [], []
     for replay in replays:
         for block, begin, end in replay.motions():
@@ -126,18 +127,18 @@ def gripped(engine: Engine, replays: Sequence[Replay], count: int, rng: np.rando
 
 
 def _closes(replay: Replay, begin: int) -> bool:
-    """Whether the fingers close about when a block starts to move."""
+    """Whether the fingers close around the time at which a block starts to move."""
     around = replay.actions[max(0, begin - 2) : begin + LATE]
     return any(ACTIONS[action].gripper == Gripper.CLOSE for action in around)
 
 
 def _free(replay: Replay, begin: int, early: int, block: int) -> bool:
-    """Whether this block is the next to move, `early` steps before it does, and no block moves until then."""
+    """Whether no block moves in the `early` steps before this block starts to move."""
     return early <= begin and replay.next[begin - early].min() == begin == replay.next[begin - early, block]
 
 
 def _shortest(engine: Engine, start: _Start, grips: NDArray[Any], rng: np.random.Generator) -> _Rollout | None:
-    """Leaves the demonstration, and returns the shortest attempt that grips the block, if any."""
+    """Leaves the demonstration, and returns the shortest attempt that grips the block; None if all attempts fail."""
     aside = _Rollout(engine, start.replay.saved[start.step])
     aside.wander(rng)
     if _disturbs(start, aside) or np.linalg.norm(in_hand(aside.states[-1], start.block)) > REACH:
@@ -172,10 +173,10 @@ def _samples(start: _Start, attempt: _Rollout) -> Samples:
     steps = np.flatnonzero((np.arange(count) <= count - CLOSING) | closing)
     poses = np.concatenate([states[:, :2], front(states[:, :3])], 1).reshape(-1, 2, 2)
     later = np.linspace(steps, count, PATH_POINTS // 2, axis=1).round().astype(int)
-    ahead = torch.from_numpy(poses[later].transpose(0, 2, 1, 3).reshape(len(steps), PATH_POINTS, 2))
+    path = torch.from_numpy(poses[later].transpose(0, 2, 1, 3).reshape(len(steps), PATH_POINTS, 2))
     here = np.full(len(steps), start.step)
     pair, _, freedom = start.replay.freedoms(here)
     seen = torch.from_numpy(states[steps])
     pivot = blocks_of(seen)[:, start.block, 1:3].clone()
-    loose, looks = start.replay.loose(here), start.replay.looks(len(here))
-    return Samples(seen, torch.from_numpy(actions[steps]), *loose, ahead, pair, pivot, freedom, looks)
+    displaceable, looks = start.replay.displaceable(here), start.replay.looks(len(here))
+    return Samples(seen, torch.from_numpy(actions[steps]), *displaceable, path, pair, pivot, freedom, looks)

@@ -1,4 +1,4 @@
-"""Hindsight samples: every path that was driven shows how to reach its end.
+"""Hindsight samples: a path that the robot has driven shows how to reach its end.
 
 The robot plays in the demo scene, free or with the block that it carries in a demonstration, with random segments of
 driving and turning that touch no other object. The path is then transformed, so that it ends at a pose shortly before
@@ -37,16 +37,16 @@ SEGMENTS: Final = (
 )
 """The segments of a play: whether it turns, how it drives, and the largest number of steps."""
 BUMPS: Final = 40
-"""The number of times that a play may touch an object and continue from `BACK` steps earlier."""
+"""A play that touches an object continues from `BACK` steps earlier, at most this number of times."""
 BACK: Final = 3
 TOUCHED: Final = 0.01
-"""The largest motion (units) of a block that counts as untouched."""
+"""A block that moves farther (units) was touched."""
 SLIPPED: Final = 0.08
 """The largest motion (units) of a carried block between the fingers."""
 BLOCKED: Final = 0.02
-"""A robot that moves less far (units) in a second step forward is blocked by a wall."""
+"""If the robot moves less far (units) in a second step forward, a wall blocks it."""
 BEFORE: Final = 8
-"""Paths end in one of this number of steps before the end of a motion, or before a grip and its `MARGIN`."""
+"""A path ends at most this number of steps before the end of a motion, or before the `MARGIN` of a grip."""
 MARGIN: Final = 3
 """The number of steps between the end of a path and a grip."""
 APART: Final = (0.36, 0.3)
@@ -56,9 +56,9 @@ ROOM: Final = 0.45
 SPEED: Final = (0.1, 0.3125)
 """The robot's speed, in units and rad per step."""
 LONGER: Final = (1.5, 3)
-"""The largest number of steps of a path: a factor of the shortest path's number, plus additional steps."""
+"""The largest number of steps of a path: this factor times that of the shortest path, plus additional steps."""
 CLOSE: Final = 0.08
-"""From this distance (units) to its end, the shortest path only turns."""
+"""Within this distance (units) of its end, the shortest path only turns."""
 
 
 class _Play(NamedTuple):
@@ -78,7 +78,7 @@ class _Moment(NamedTuple):
 def by_hindsight(
     engine: Engine, replays: Sequence[Replay], count: int, plays: int, rng: np.random.Generator
 ) -> list[Samples]:
-    """At least `count` samples, from `plays` plays of each kind. Fewer if few paths fit."""
+    """At least `count` samples, from `plays` plays of each kind. If few paths fit, there are fewer."""
     moments = [_moments(replay) for replay in replays]
     library: dict[tuple[int, int | None], list[_Play]] = {}
     for number, replay in enumerate(replays):
@@ -138,16 +138,16 @@ def _moments(replay: Replay) -> list[list[_Moment]]:
 
 
 def _free_steps(replay: Replay) -> list[int]:
-    """The steps without a block near the robot. Without such steps, the one with the largest distance."""
-    there = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
+    """The steps without a block near the robot. If there are none, the step with the largest distance to blocks."""
+    exists = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
     gaps = np.linalg.norm(replay.positions - replay.states[:, None, :2], axis=2)
-    gaps = np.where(there, gaps, np.inf).min(1)[:-1]
+    gaps = np.where(exists, gaps, np.inf).min(1)[:-1]
     still = ~replay.moving[:-1].any(1)
     return np.flatnonzero(still & (gaps > ROOM)).tolist() or [int(gaps.argmax())]
 
 
 def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Generator) -> _Play:
-    """Random segments of driving and turning from a moment on, without touching any block except the held one."""
+    """Drives and turns at random, beginning at a moment, without touching any block except the held one."""
     engine.set_state(replay.saved[moment.step])
     gripper = Gripper.OPEN if moment.held is None else Gripper.CLOSE
     states, saved, actions = [engine.state_vector()], [engine.get_state()], []
@@ -203,7 +203,7 @@ def _turn(angle: Any) -> Floats:
 def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
     """Samples of a play's first part, transformed so that it ends at a moment.
 
-    Only steps whose remaining path is clear and direct become samples. None without such steps.
+    Only steps with a clear and direct remaining path become samples. None if there are no such steps.
     """
     end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
     context, last = replay.states[moment.step], play.states[end]
@@ -218,9 +218,10 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
     ahead = front(poses) if moment.held is None else transformed(blocks[:, moment.held, 1:3])
     steps = np.arange(end)
     here = np.array([moment.step])
-    loose = replay.loose(here)
-    free = loose[2][0, MAX_REGIONS:].numpy() & replay.deliveries
-    good = _clear(poses[:end], ahead[:end], replay, moment, free) & _direct(poses[:end], context[:3], end - steps)
+    displaceable = replay.displaceable(here)
+    removable = displaceable[2][0, MAX_REGIONS:].numpy() & replay.deliveries
+    clear = _clear(poses[:end], ahead[:end], replay, moment, removable)
+    good = clear & _direct(poses[:end], context[:3], end - steps)
     steps = steps[good]
     if not len(steps):
         return None
@@ -235,19 +236,23 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
     path = torch.from_numpy(np.concatenate([poses[later][..., :2], ahead[later]], 1)).float()
     others = blocks_of(states)
     near = torch.cdist(path, others[..., 1:3]).amin(1) < APART[0]
-    others[..., 0] *= ~(near & torch.from_numpy(free))
-    loose, freedoms = (
-        [part.expand(len(steps), *part.shape[1:]) for part in parts] for parts in (loose, replay.freedoms(here))
+    others[..., 0] *= ~(near & torch.from_numpy(removable))
+    displaceable, freedoms = (
+        [part.expand(len(steps), *part.shape[1:]) for part in parts] for parts in (displaceable, replay.freedoms(here))
     )
-    return Samples._make(
-        [states, torch.from_numpy(play.actions[steps]), *loose, path, *freedoms, replay.looks(len(steps))]
-    )
+    actions = torch.from_numpy(play.actions[steps])
+    return Samples(states, actions, *displaceable, path, *freedoms, replay.looks(len(steps)))
 
 
-def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The steps whose remaining path keeps the clearance `APART` from other blocks, or at least that of its end."""
+def _clear(
+    poses: Floats, ahead: Floats, replay: Replay, moment: _Moment, removable: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether the remaining path keeps the clearance `APART` from other blocks, or at least that of its end.
+
+    Blocks that may be missing do not count: they are removed from the samples if they are too close.
+    """
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
-    others = (blocks[:, 0] > 0) & ~free
+    others = (blocks[:, 0] > 0) & ~removable
     if moment.held is not None:
         others[moment.held] = False
     positions, clear = blocks[others, 1:3], np.ones(len(poses), bool)

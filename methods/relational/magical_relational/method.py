@@ -1,4 +1,4 @@
-"""`relational`: behavioural cloning under assumptions about a task, each kept only if the demo score holds.
+"""`relational`: behavioural cloning under assumptions about a task, which the score in the demo scene tests.
 
 The network observes blocks and regions in the robot's frame (`network`). New networks are trained on the demonstrations
 alone, and others under all assumptions (`samples`). After `relational.trial` updates, each policy plays in the
@@ -50,7 +50,7 @@ from magical_relational.settings import PREMISES, RelationalSettings, Relational
 REPORT: Final = "assumptions.json"
 """The file in a run's folder with each trial's assumptions, its demo score, and whether it was kept."""
 BATCHES: Final = 16
-"""The number of batches in an update: preparing many samples at once takes half the time of separate batches."""
+"""The number of batches in an update. Preparing many samples at once takes half the time of separate batches."""
 SHOWN: Final = 0.35
 """The share of unchanged samples."""
 GRIPPED: Final = 0.25
@@ -58,7 +58,7 @@ GRIPPED: Final = 0.25
 RELEASED: Final = 0.12
 """The share of releases among all other samples, if `delivery` is assumed."""
 AVERAGED: Final = 0.2
-"""The share of the latest weights in the moving average of weights, which plays more consistently."""
+"""The share of the latest weights in the moving average of weights. The average plays more consistently."""
 NOISE: Final = (0.01, 0.01, 0.02)
 """The standard deviation of noise on the robot's pose in samples: units, units, rad."""
 
@@ -66,7 +66,7 @@ NOISE: Final = (0.01, 0.01, 0.02)
 class Sources(NamedTuple):
     """The sources of samples: demonstrations without no-ops, paths from hindsight, grips, and releases.
 
-    All others fall back to demonstrations if empty.
+    A source without samples is replaced by the demonstrations.
     """
 
     shown: Samples
@@ -78,7 +78,7 @@ class Sources(NamedTuple):
 def demonstrated(
     demonstrations: Sequence[Demonstration], chosen: RelationalSettings, seed: int, *, deliveries: bool = False
 ) -> Sources:
-    """The samples of demonstrations, and those of hindsight and grips in their scene if these are to be assumed.
+    """The samples of demonstrations; those of hindsight and grips only if `chosen` has these assumptions.
 
     With `deliveries`, the demonstrations are read as deliveries of blocks (see `magical_relational.replay`).
     """
@@ -218,7 +218,7 @@ class Relational(Method):
         self.draw.set_state(state["draw"])
 
     def _sources(self, assumed: Sequence[str]) -> Sources:
-        """The sources under these assumptions. Without assumptions, both readings have the same states and actions."""
+        """The sources under these assumptions. Without any, both readings have the same states and actions."""
         deliveries = "delivery" in (assumed or self._assumptions)
         if deliveries not in self._read:
             settings = self.settings
@@ -293,7 +293,7 @@ class Relational(Method):
             torch.optim.Adam(network.parameters(), chosen.learning_rate, fused=True)
             for network in self._learning.networks
         ]
-        # There are fewer if assumptions are kept together.
+        # The largest number. If assumptions are kept together, fewer trials follow.
         self.updates = self._count + (max(1, 2 - len(self._report)) + len(self._waiting)) * chosen.trial
 
     def _weights(self) -> dict[str, torch.Tensor]:

@@ -18,12 +18,12 @@ from magical_mj.scene.state_vector import FINGERS
 from magical_relational.settings import RelationalSettings
 
 ARENA: Final = 4 + 4
-"""The number of a node's features with positions in the arena: its own position, and the robot's pose."""
+"""The number of a node's features in the arena's frame: the robot's pose, its own position, and their difference."""
 NODE: Final = 5 + 2 + 4 + 4 + 6 + 1 + 2 + ARENA
 _FINGERS: Final = slice(NODE - ARENA - 2, NODE - ARENA)
 EDGE: Final = 6
 MOTION: Final = (0.01, 0.03)
-"""A robot with less motion in a step rests: units or rad of the robot, and rad of a finger."""
+"""A robot rests if it moves less in a step: in units or rad, and a finger in rad."""
 STANDING: Final = 0.25
 """The sharpness of probabilities while the robot rests, as a share of `RelationalSettings.sharpness`."""
 
@@ -56,9 +56,9 @@ class RelationalNetwork(nn.Module):
         """The logits for the results of `graph`."""
         fingers = nodes[:, 0, _FINGERS]
         nodes = self.node(nodes)
-        hears = present[:, None] & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
+        receives = present[:, None] & ~torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
         for messages in self.rounds:
-            nodes = messages(nodes, edges, hears)
+            nodes = messages(nodes, edges, receives)
         shares = self.share(nodes)[..., 0].masked_fill(~present, -1e4).softmax(1)
         largest = maxima(nodes, present)
         return self.action(torch.cat([(shares[..., None] * nodes).sum(1), largest, fingers], 1))
@@ -74,11 +74,11 @@ class Messages(nn.Module):
         self.listener = nn.Linear(hidden, hidden, bias=False)
         self.update = nn.Sequential(nn.Linear(2 * hidden, hidden), nn.ReLU(), nn.Linear(hidden, hidden))
 
-    def forward(self, nodes: Tensor, edges: Tensor, hears: Tensor) -> Tensor:
+    def forward(self, nodes: Tensor, edges: Tensor, receives: Tensor) -> Tensor:
         """New nodes (n, k, hidden), from nodes, edges (n, k, k, EDGE), and a mask of the messages (n, k, k)."""
-        said = self.edge(edges) + self.listener(nodes)[:, :, None] + self.speaker(nodes)[:, None]
-        heard = said.relu().masked_fill(~hears[..., None], 0.0).amax(2)
-        return nodes + self.update(torch.cat([nodes, heard], 2))
+        sent = self.edge(edges) + self.listener(nodes)[:, :, None] + self.speaker(nodes)[:, None]
+        received = sent.relu().masked_fill(~receives[..., None], 0.0).amax(2)
+        return nodes + self.update(torch.cat([nodes, received], 2))
 
 
 class Ensemble(nn.Module):
@@ -102,20 +102,20 @@ class Ensemble(nn.Module):
         """
         del tasks
         change = (histories[:, -1] - histories[:, -2]).abs()
-        stands = (change[:, :3] < MOTION[0]).all(1) & (change[:, FINGERS] < MOTION[1]).all(1)
-        return self.logits(histories[:, -1]) * torch.where(stands, STANDING, 1.0)[:, None]
+        rests = (change[:, :3] < MOTION[0]).all(1) & (change[:, FINGERS] < MOTION[1]).all(1)
+        return self.logits(histories[:, -1]) * torch.where(rests, STANDING, 1.0)[:, None]
 
     def logits(self, states: Tensor) -> Tensor:
         """The logits for states (n, names) of a moving robot."""
-        chances = torch.stack([network(states).softmax(1) for network in self.networks]).mean(0)
-        return self.settings.sharpness * chances.clamp(min=1e-9).log()
+        probabilities = torch.stack([network(states).softmax(1) for network in self.networks]).mean(0)
+        return self.settings.sharpness * probabilities.clamp(min=1e-9).log()
 
 
 def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The blocks and regions of states (n, names) in the robot's frame. Rows that no state uses are left out.
+    """The blocks and regions of states (n, names) in the robot's frame. Rows that are empty in all states are left out.
 
     Returns:
-        Nodes (n, k, NODE), edges (n, k, k, EDGE) from the second to the first, and which nodes are present (n, k).
+        Nodes (n, k, NODE); edges (n, k, k, EDGE), from the second node to the first; which nodes exist (n, k).
     """
     blocks, regions = blocks_of(states), regions_of(states)
     if not torch.compiler.is_exporting():  # the shapes in an exported network are fixed

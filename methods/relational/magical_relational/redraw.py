@@ -43,11 +43,11 @@ SHOWN: Final = 2 / 3
 BATCHES: Final = 128
 """The number of batches from each pool: with 64 samples in each, a picture is used four times."""
 MISSING: Final = 50.0
-"""The x and y (units) of objects that a sample lacks, far outside the arena."""
+"""Missing objects are put at this x and y (units), far outside the arena."""
 
 
 class Redraw(BehaviouralCloning):
-    """Minimises -E log pi(a | picture of s); a is drawn by the policy of `relational`, or is the demonstrator's."""
+    """Minimises -E log pi(a | picture of s); a is an action of the policy of `relational`, or the demonstrator's."""
 
     parts: ClassVar[tuple[str, ...]] = ("network", "bc", "relational")
     settings_type: ClassVar[type[TrainingSettings]] = RelationalTrainingSettings
@@ -90,7 +90,7 @@ class Redraw(BehaviouralCloning):
         return super().update()
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Like in cloning, except that the actions (n,) are the most probable ones."""
+        """As in cloning, but the actions (n,) are the most probable ones."""
         loss, logits, probabilities, others = super().loss()
         return loss, logits, probabilities.argmax(1), others
 

@@ -1,4 +1,4 @@
-"""Demonstrations, replayed: which blocks they move and how, and the samples that they yield.
+"""Replayed demonstrations: their blocks' motions, and the samples that they yield.
 
 A demonstration can be read in two ways. By default, each motion of a block counts. With `deliveries`, it is a series of
 deliveries:
@@ -30,9 +30,9 @@ from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 MOVED: Final = 0.03
 """A block farther (units) from its start counts as moved."""
 BUMPED: Final = 0.25
-"""The largest motion (units) of a block that was only bumped."""
+"""In deliveries, a block that moves less far (units) was only bumped."""
 GRIPPING: Final = 3
-"""The robot counts as having reached a block this number of steps before the block moves."""
+"""The robot has reached a block at this number of steps before the block moves."""
 CARRIED: Final = 4
 """Shorter motions of a block, in steps, do not count as carrying or pushing."""
 FRONT: Final = 0.2
@@ -52,27 +52,27 @@ class Freedom(IntEnum):
     TURNS = 1
     ANYWHERE = 2
     REMOVES = 3
-    """Turns about the region from which the block is removed. The block must not end in a region."""
+    """Turns about the region that the block leaves. The block must not end in a region."""
 
 
 class Samples(NamedTuple):
-    """States, their actions, and the objects that may be displaced."""
+    """States, their actions, and what may be changed in the states."""
 
     states: Tensor
     """Shape (n, names)."""
     actions: Tensor
     """Shape (n,)."""
     groups: Tensor
-    """Each block's group, which is displaced as a whole, shape (n, MAX_BLOCKS): its region, or MAX_REGIONS + its own
-    number; -1 if the block does not exist."""
+    """Each block's group, shape (n, MAX_BLOCKS): the number of its region, otherwise MAX_REGIONS + its own number.
+    -1 if the block does not exist. Groups are displaced as a whole."""
     movable: Tensor
     """Which of these groups may be displaced, shape (n, MAX_REGIONS + MAX_BLOCKS)."""
     droppable: Tensor
     """Which of these groups may be missing, shape (n, MAX_REGIONS + MAX_BLOCKS)."""
     path: Tensor
-    """The next positions in the arena of the robot, and of its front or held block, shape (n, PATH_POINTS, 2)."""
+    """The next positions of the robot, and of its front or held block, in the arena, shape (n, PATH_POINTS, 2)."""
     pair: Tensor
-    """Whether each block is the one that the robot is about to grip, or moves, shape (n, MAX_BLOCKS)."""
+    """Whether each block is the robot's current one, which it approaches, moves or leaves, shape (n, MAX_BLOCKS)."""
     pivot: Tensor
     """The centre of rotation of the robot and this block, in the arena, shape (n, 2)."""
     freedom: Tensor
@@ -101,6 +101,10 @@ def in_hand(state: NDArray[np.float32], block: int) -> NDArray[np.float64]:
     x, y = blocks_of(torch.from_numpy(state[None]))[0, block, 1:3].numpy() - state[:2]
     sin, cos = math.sin(state[2]), math.cos(state[2])
     return np.array([cos * x + sin * y, cos * y - sin * x])
+
+
+Pivot = NDArray[np.float32] | None
+"""A centre of rotation in the arena, shape (2,), if there is one."""
 
 
 class Motion(NamedTuple):
@@ -139,7 +143,7 @@ class Replay:
             self.saved.append(engine.get_state())
         self.states = np.array(states)
         blocks = blocks_of(torch.from_numpy(self.states)).numpy()
-        there, self.positions = blocks[..., 0] > 0, blocks[..., 1:3]
+        exists, self.positions = blocks[..., 0] > 0, blocks[..., 1:3]
         positions = self.positions
         steps = self.never = len(positions)
         shift = np.linalg.norm(positions - positions[:1], axis=2)
@@ -152,93 +156,117 @@ class Replay:
         later = np.where(self.moving, np.arange(steps)[:, None], self.never)
         self.next = np.minimum.accumulate(later[::-1], 0)[::-1]
         self._regions, robot = regions_of(torch.from_numpy(self.states[0])).numpy(), self.states[:, :2]
-        within = np.stack([_inside(region, positions) & there for region in self._regions])
+        within = np.stack([_inside(region, positions) & exists for region in self._regions])
         visited = np.stack([_inside(region, robot) for region in self._regions])
         self.used = (within[:, -1] != within[:, 0]).any(1) | (visited[:, -1] != visited[:, 0])
-        self._groups = np.where(there, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
+        self._groups = np.where(exists, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
         for number, inside in enumerate(within):
             self._groups[inside] = number
-        self._left = [self._released(step) for step in range(steps)]
+        self._released = [self._released_block(step) for step in range(steps)]
 
     def samples(self, steps: NDArray[np.int64]) -> Samples:
         """The states before these steps' actions, and the actions."""
         states, actions = torch.from_numpy(self.states[steps]), torch.from_numpy(self.actions[steps])
-        loose, freedoms = self.loose(steps), self.freedoms(steps)
-        return Samples(states, actions, *loose, self._ahead(steps), *freedoms, self.looks(len(steps)))
+        displaceable, freedoms = self.displaceable(steps), self.freedoms(steps)
+        return Samples(states, actions, *displaceable, self._path(steps), *freedoms, self.looks(len(steps)))
 
     def looks(self, count: int) -> Tensor:
-        """See `Samples.looks`. They share shapes and colours with the same objects as one of the unmoved blocks.
+        """See `Samples.looks`: the shapes and colours with the same relations as those of one of the unmoved blocks.
 
-        These objects are the regions, and the blocks in regions.
+        A block's relations are the regions, and the blocks in regions, that have its colour or its shape.
         """
         state = torch.from_numpy(self.states[:1])
         blocks, regions = blocks_of(state)[0], regions_of(state)[0]
-        inside, there = self._groups[0] < MAX_REGIONS, self._groups[0] >= 0
-        known = blocks[torch.from_numpy(inside & there)]
-        colours = torch.cat([known[:, COLOURS], regions[regions[:, 0] > 0, 5:]])
+        in_region, exists = self._groups[0] < MAX_REGIONS, self._groups[0] >= 0
+        inside = blocks[torch.from_numpy(in_region & exists)]
+        present_colours = torch.cat([inside[:, COLOURS], regions[regions[:, 0] > 0, 5:]])
 
-        def relations(shapes: Tensor, own: Tensor) -> Tensor:
-            return torch.cat([shapes @ known[:, SHAPES].T, own @ colours.T], 1)
+        def relations(shapes: Tensor, colours: Tensor) -> Tensor:
+            return torch.cat([shapes @ inside[:, SHAPES].T, colours @ present_colours.T], 1)
 
-        free = blocks[torch.from_numpy(there & ~inside & ~self.matters)]
-        every = torch.eye(4).repeat_interleave(4, 0), torch.eye(4).repeat(4, 1)
-        same = torch.cdist(relations(*every), relations(free[:, SHAPES], free[:, COLOURS])) < 0.5
+        unmoved = blocks[torch.from_numpy(exists & ~in_region & ~self.matters)]
+        all_looks = torch.eye(4).repeat_interleave(4, 0), torch.eye(4).repeat(4, 1)
+        same = torch.cdist(relations(*all_looks), relations(unmoved[:, SHAPES], unmoved[:, COLOURS])) < 0.5
         return same.any(1).float().expand(count, -1)
 
-    def loose(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
-        """The groups at these steps, those that may be displaced, and those that may be missing."""
+    def displaceable(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
+        """See `Samples.groups`, `movable` and `droppable`, for the states at these steps.
+
+        A group that no demonstration involves may always be displaced, or be missing. Another group may be displaced
+
+        - if it contains the next block to move: only before this block's first motion, while the robot still backs
+          off from the previous block,
+        - otherwise: until the robot has reached the next block, or, if it is one block, until its own first motion.
+        """
         groups = self._groups[steps]
-        coming, target = self.next[steps].min(1), self.next[steps].argmin(1)
-        approaching = (coming < self.never) & (coming > steps + GRIPPING)
-        leaves = np.array([self._left[step] is not None for step in steps], dtype=bool)
+        next_step, next_block = self.next[steps].min(1), self.next[steps].argmin(1)
+        follows = next_step < self.never
+        approaches = follows & (next_step > steps + GRIPPING)
+        backs_off = np.array([self._released[step] is not None for step in steps], dtype=bool)
         movable, droppable = (np.zeros((len(steps), MAX_REGIONS + MAX_BLOCKS), bool) for _ in range(2))
         for group in range(MAX_REGIONS + MAX_BLOCKS):
-            members = groups == group
-            exists = members.any(1) | (group < MAX_REGIONS and self._regions[group, 0] > 0)
-            begins = np.where(members, self.begins, self.never).min(1)
-            used = group < MAX_REGIONS and bool(self.used[group])
-            droppable[:, group] = exists & ~(members & self.matters).any(1) & (not used)
-            comes_next = members[np.arange(len(steps)), target] & (coming < self.never)
-            later = (steps < begins) & (begins < self.never) & (group >= MAX_REGIONS)
-            others = ~comes_next & (approaching | later)
-            movable[:, group] = droppable[:, group] | (exists & (others | (leaves & later)))
+            is_region, members = group < MAX_REGIONS, groups == group
+            exists = members.any(1) | (is_region and self._regions[group, 0] > 0)
+            involved = (members & self.matters).any(1) | (is_region and bool(self.used[group]))
+            first_motion = np.where(members, self.begins, self.never).min(1)
+            waits = (not is_region) & (steps < first_motion) & (first_motion < self.never)
+            contains_next = members[np.arange(len(steps)), next_block] & follows
+            idle = np.where(contains_next, waits & backs_off, waits | approaches)
+            droppable[:, group] = exists & ~involved
+            movable[:, group] = exists & (~involved | idle)
         return torch.from_numpy(groups), torch.from_numpy(movable), torch.from_numpy(droppable)
 
     def freedoms(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
         """See `Samples.pair`, `pivot` and `freedom`."""
         pair = np.zeros((len(steps), MAX_BLOCKS), bool)
-        pivot, freedom = np.zeros((len(steps), 2), np.float32), np.zeros(len(steps), np.int64)
-        for row, step in enumerate(steps):
-            block, freedom[row], around = self._freedom(int(step))
-            if freedom[row] > Freedom.NONE:
-                pair[row, block], pivot[row] = True, around
-        return torch.from_numpy(pair), torch.from_numpy(pivot), torch.from_numpy(freedom)
+        pivots, freedoms = np.zeros((len(steps), 2), np.float32), np.zeros(len(steps), np.int64)
+        for row, step in enumerate(steps.tolist()):
+            block, freedom, pivot = self._current_block(step)
+            freedoms[row] = freedom
+            if freedom > Freedom.NONE:
+                pair[row, block], pivots[row] = True, pivot
+        return torch.from_numpy(pair), torch.from_numpy(pivots), torch.from_numpy(freedoms)
 
-    def _freedom(self, step: int) -> tuple[int, Freedom, NDArray[np.float32] | None]:
+    def _current_block(self, step: int) -> tuple[int, Freedom, Pivot]:
         """The robot's current block at a step, its freedom, and the centre of rotation."""
-        coming, block = int(self.next[step].min()), int(self.next[step].argmin())
-        left = self._left[step]
-        if coming <= step + 1 or left is not None:
-            block = block if left is None else left
-            alone = left is not None or (self.next[step] <= step + 1).sum() == 1
-            first, last = self._motion(step, block)
-            there, here = (self._home(self.positions[at, block]) if alone else None for at in (last, first))
-            if there is None and here is not None and self.deliveries:
-                return block, Freedom.REMOVES, here
-            return block, Freedom.NONE if there is None else Freedom.TURNS, there
-        if coming == self.never:
+        released = self._released[step]
+        if released is not None:
+            return released, *self._freedom_of_delivery(step, released)
+        block = int(self.next[step].argmin())
+        if self.next[step, block] == self.never:  # no block moves any more
             return block, Freedom.NONE, None
-        home = self._home(self.positions[step, block]) if self.deliveries else None
-        return (block, Freedom.ANYWHERE, self.positions[step, block]) if home is None else (block, Freedom.TURNS, home)
+        moving = (self.next[step] <= step + 1).sum()
+        if moving == 0:
+            return block, *self._freedom_of_approach(step, block)
+        return block, *(self._freedom_of_delivery(step, block) if moving == 1 else (Freedom.NONE, None))
 
-    def _released(self, step: int) -> int | None:
+    def _freedom_of_approach(self, step: int, block: int) -> tuple[Freedom, Pivot]:
+        """While the robot drives to a block: anywhere. If a delivery begins in a region, it turns about the region."""
+        position = self.positions[step, block]
+        centre = self._region_centre(position) if self.deliveries else None
+        return (Freedom.ANYWHERE, position) if centre is None else (Freedom.TURNS, centre)
+
+    def _freedom_of_delivery(self, step: int, block: int) -> tuple[Freedom, Pivot]:
+        """While a block moves, and after its release: turns about the region where its motion ends.
+
+        If the motion ends outside of regions, a delivery turns about the region where it began.
+        """
+        first, last = self._motion_around(step, block)
+        begin, end = (self._region_centre(self.positions[at, block]) for at in (first, last))
+        if end is not None:
+            return Freedom.TURNS, end
+        if begin is not None and self.deliveries:
+            return Freedom.REMOVES, begin
+        return Freedom.NONE, None
+
+    def _released_block(self, step: int) -> int | None:
         """The block that the robot has released and is still next to, while no block moves."""
         before = np.flatnonzero(self.moving[:step].any(1))
         if not self.deliveries or not len(before) or self.next[step].min() <= step + 1:
             return None
         block = int(self.moving[before[-1]].argmax())
-        away = np.linalg.norm(self.positions[step, block] - self.states[step, :2])
-        return block if away < NEXT_TO else None
+        distance = np.linalg.norm(self.positions[step, block] - self.states[step, :2])
+        return block if distance < NEXT_TO else None
 
     def motions(self) -> list[Motion]:
         """The motions of single blocks, of at least `CARRIED` steps. Short rests count as moving."""
@@ -265,7 +293,7 @@ class Replay:
                 step += 1
         return np.array(found, dtype=np.int64)
 
-    def _ahead(self, steps: NDArray[np.int64]) -> Tensor:
+    def _path(self, steps: NDArray[np.int64]) -> Tensor:
         """See `Samples.path`: the robot and its front in every other step, until it has reached a block."""
         coming = self.next[steps].min(1)
         last = np.where(coming > steps + 1, np.minimum(coming, self.never - 1), self.never - 1)
@@ -273,7 +301,7 @@ class Replay:
         robot = self.states[later][..., :3]
         return torch.from_numpy(np.concatenate([robot[..., :2], front(robot)], 1))
 
-    def _motion(self, step: int, block: int) -> tuple[int, int]:
+    def _motion_around(self, step: int, block: int) -> tuple[int, int]:
         """The first and the last step of a block's motion at, or before, a step."""
         last = step
         while last < self.never - 1 and self.next[last, block] <= last + CARRIED:
@@ -282,8 +310,8 @@ class Replay:
         gaps = np.flatnonzero(np.diff(before) > CARRIED)
         return (int(before[gaps[-1] + 1] if len(gaps) else before[0]) if len(before) else step), last
 
-    def _home(self, position: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        """The centre of a region, if the position is near it."""
+    def _region_centre(self, position: NDArray[np.float32]) -> Pivot:
+        """The centre of the region that contains a position well inside; None without such a region."""
         for region in self._regions:
             middle, half = (region[1:3] + region[3:5]) / 2, (region[3:5] - region[1:3]).min() / 2
             if region[0] > 0 and np.linalg.norm(position - middle) < half - MOVED:

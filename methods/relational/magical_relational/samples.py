@@ -2,7 +2,7 @@
 
 - egocentric: positions in the arena do not matter, only positions in the robot's frame. (It changes no sample: the
   network does not receive positions in the arena.)
-- mirror: the task is the same in a mirror.
+- mirror: the task is the same in a mirrored arena.
 - rename: colours and shapes are only labels, and the task depends only on which objects share them. False for a task
   that names a colour.
 - hindsight: the demonstrations aim to grip a block and to release it. Any other path to these poses is as good, unless
@@ -10,17 +10,17 @@
   (`magical_relational.hindsight`).
 - grips: any manoeuvre that grips this block is as good, from any pose of the robot next to it, and after it was
   pushed. Such manoeuvres are found by random search in the same simulation (`magical_relational.grips`).
-- displace: objects that a demonstration does not involve may have any position, or be missing. On the path to a block,
-  all other objects may be at other positions, including blocks that are used later. If `egocentric` was kept, the robot
-  may have any pose together with this block, and may be rotated together with a block that it brings to a region. False
-  if the absolute position of an object matters.
-- delivery: a demonstration is a series of deliveries, which do not involve blocks that are only bumped
+- displace: objects that a demonstration does not involve may have any position, or be missing. While the robot
+  approaches a block, all other objects may be at other positions, including blocks that it moves later. If `egocentric`
+  was kept, the robot may have any pose together with this block. While it brings a block to a region, both may be
+  rotated about the region. False if the absolute position of an object matters.
+- delivery: a demonstration is a series of deliveries. A block that is only bumped is not involved
   (`magical_relational.replay`). Releases of blocks are additional samples. False if a bump matters.
-- contrast: a block that no demonstration moves may have another shape and colour, as long as it shares them with the
-  regions, and with the blocks in regions, like an unmoved block of the demo scene. Some of these blocks are in front of
-  the robot. False if an unmoved block matters in another way.
+- contrast: a block that no demonstration moves may have another shape and colour. With the regions, and with the blocks
+  in regions, it must share its shape or colour as an unmoved block of the demo scene does. Some of these blocks are put
+  in front of the robot. False if an unmoved block matters in another way.
 
-Each is false in some tasks. `magical_relational.method` keeps an assumption only if the demo score holds.
+Each is false in some tasks. `magical_relational.method` keeps an assumption only if the demo score does not fall much.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ CLEAR: Final = 0.3
 REACH: Final = 0.75
 """The largest coordinate (units) of a displaced object."""
 PATH_CLEARANCE: Final = 0.36
-"""The clearance (units) of a displaced block from the path of the robot and of its held block."""
+"""The smallest distance (units) of a displaced block from the paths of the robot and of its held block."""
 FACING: Final = (0.4, 1.3, 0.4)
-"""Blocks in front of the robot: the range of distances (units), and the standard deviation of the bearing (rad)."""
+"""Blocks in front of the robot: the smallest and the largest distance (units), and the bearing's deviation (rad)."""
 ATTEMPTS: Final = 6
-"""The number of attempts to place a robot with its block."""
+"""The number of attempts to find a free pose for a robot and its block."""
 _SIGNED: Final = ("x", "angle", "x_velocity", "angle_velocity")
 """The entries whose sign changes in a mirror."""
 ROBOT_SIGNED: Final = [STATE_NAMES.index(f"robot.{name}") for name in _SIGNED]
@@ -89,8 +89,8 @@ def _colours(states: Tensor) -> tuple[Tensor, Tensor]:
 def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> None:
     """Displaces some groups in place, and removes some of the groups that may be missing.
 
-    With `pairs`, the robot and the block that it is about to grip or holds are first rotated and moved relative to all
-    other objects. Their relative positions stay the same. This changes the robot's pose in the arena.
+    With `pairs`, the robot and its current block are first rotated and moved together. So the robot's pose in the arena
+    changes, but the block's pose in the robot's frame does not.
     """
     waiting = (samples.freedom > Freedom.NONE) & (torch.rand(len(samples.freedom), generator=generator) < 0.8)
     for _ in range(ATTEMPTS if pairs else 0):
@@ -100,7 +100,7 @@ def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> No
     moving = movable & (torch.rand(shape, generator=generator) < torch.where(droppable, 0.85, 0.5))
     dropped = moving & droppable & (torch.rand(shape, generator=generator) < 0.35)
     blocks, regions = blocks_of(states), regions_of(states)
-    # Headings would reveal the identity of a block, and the arena's rotation.
+    # Their old headings would identify the blocks, and reveal the arena's rotation.
     turned = moving.any(1)[:, None] & ~samples.pair
     blocks[..., 3] += math.tau * torch.rand(turned.shape, generator=generator) * turned
     positions = (torch.rand((*shape, 2), generator=generator) * 2 - 1) * REACH
@@ -126,28 +126,28 @@ def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> No
 def contrast(samples: Samples, generator: torch.Generator) -> None:
     """Gives unmoved blocks outside of regions other shapes and colours, and puts some in front of robots, in place."""
     states, here = samples.states, torch.arange(len(samples.states))
-    blocks, loose = blocks_of(states), samples.droppable[:, MAX_REGIONS:] & samples.looks.any(1, keepdim=True)
-    changed = loose & (torch.rand(loose.shape, generator=generator) < 0.5)
+    blocks, unmoved = blocks_of(states), samples.droppable[:, MAX_REGIONS:] & samples.looks.any(1, keepdim=True)
+    changed = unmoved & (torch.rand(unmoved.shape, generator=generator) < 0.5)
     looks = torch.multinomial(samples.looks + 1e-9, MAX_BLOCKS, replacement=True, generator=generator)
     for columns, numbers in ((SHAPES, looks // 4), (COLOURS, looks % 4)):
         new = torch.nn.functional.one_hot(numbers, 4).float()
         blocks[..., columns] = torch.where(changed[..., None], new, blocks[..., columns])
-    chosen = (torch.rand(loose.shape, generator=generator) * (loose & (blocks[..., 0] > 0.5))).argmax(1)
+    chosen = (torch.rand(unmoved.shape, generator=generator) * (unmoved & (blocks[..., 0] > 0.5))).argmax(1)
     angle = states[:, 2] + FACING[2] * torch.randn(len(here), generator=generator)
     distance = FACING[0] + (FACING[1] - FACING[0]) * torch.rand(len(here), generator=generator)
-    place = states[:, :2] + distance[:, None] * torch.stack([-angle.sin(), angle.cos()], 1)
-    apart = (blocks[..., 1:3] - place[:, None]).norm(dim=2) + 10.0 * (blocks[..., 0] < 0.5)
+    position = states[:, :2] + distance[:, None] * torch.stack([-angle.sin(), angle.cos()], 1)
+    apart = (blocks[..., 1:3] - position[:, None]).norm(dim=2) + 10.0 * (blocks[..., 0] < 0.5)
     apart[here, chosen] = 10.0
-    fits = loose[here, chosen] & (place.abs().amax(1) < REACH) & (apart.amin(1) > CLEAR)
-    fits &= (samples.path - place[:, None]).norm(dim=2).amin(1) > PATH_CLEARANCE
+    fits = unmoved[here, chosen] & (position.abs().amax(1) < REACH) & (apart.amin(1) > CLEAR)
+    fits &= (samples.path - position[:, None]).norm(dim=2).amin(1) > PATH_CLEARANCE
     fits &= torch.rand(len(here), generator=generator) < 0.7
-    blocks[here, chosen, 1:3] = torch.where(fits[:, None], place, blocks[here, chosen, 1:3])
+    blocks[here, chosen, 1:3] = torch.where(fits[:, None], position, blocks[here, chosen, 1:3])
 
 
 def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -> Tensor:
-    """Rotates robots with their blocks and paths about `pivot`, and moves the free ones to other positions.
+    """Rotates waiting robots with their blocks and paths about `pivot`. With `Freedom.ANYWHERE`, also moves them.
 
-    Returns which of the waiting robots could be placed, shape (n,).
+    A robot stays as it was if the new poses are not free. Returns which robots have changed, shape (n,).
     """
     states, pair, pivot = samples.states, samples.pair, samples.pivot
     blocks, count = blocks_of(states), len(states)
@@ -164,7 +164,7 @@ def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -
     absent = 10.0 * (pair | (blocks[..., 0] < 0.5))[:, None]
 
     def gap(positions: Tensor, least: float) -> Tensor:
-        """The distance to the nearest other block, at most `least`."""
+        """The distance to the nearest other block, but at most `least`."""
         return (torch.cdist(positions, blocks[..., 1:3]) + absent).amin((1, 2)).clamp(max=least)
 
     taken = pair.int().argmax(1)[:, None, None].expand(-1, 1, 2)

@@ -19,7 +19,7 @@ PREMISES: Final = {"mirror": "egocentric"}
 
 @dataclass(frozen=True)
 class RelationalSettings(Settings, part="relational"):
-    """Behavioural cloning with assumptions that the demo score must support. It is not in the paper."""
+    """Behavioural cloning under assumptions that the demo score tests. It is not in the paper."""
 
     assumptions: Annotated[Names, Meta(description="assumptions to try, together or in this order")] = ASSUMPTIONS
     hidden: Count = 64

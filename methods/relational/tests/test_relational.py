@@ -157,9 +157,9 @@ def test_what_is_only_bumped_is_not_delivered() -> None:
     for replay in deliveries:
         assert replay.matters.nonzero()[0].tolist() == [duplicate]
         assert {motion.block for motion in replay.motions()} == {duplicate}
-        _, _, droppable = replay.loose(start)
+        _, _, droppable = replay.displaceable(start)
         assert droppable[0, MAX_REGIONS:].nonzero()[:, 0].tolist() == [0, 1, 2, 3, star]
-    assert not all(replay.loose(start)[2][0, MAX_REGIONS + star] for replay in motions)
+    assert not all(replay.displaceable(start)[2][0, MAX_REGIONS + star] for replay in motions)
 
 
 def test_a_block_that_another_demonstration_moves_is_not_removed() -> None:
@@ -167,7 +167,7 @@ def test_a_block_that_another_demonstration_moves_is_not_removed() -> None:
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         replays = read(engine, demonstrations, deliveries=True)
     assert any((replay.begins[:4] == replay.never).any() for replay in replays)
-    assert not any(replay.loose(np.arange(5))[2].any() for replay in replays)
+    assert not any(replay.displaceable(np.arange(5))[2].any() for replay in replays)
 
 
 def test_releases_begin_with_a_held_block_and_end_away_from_it() -> None:
