@@ -1,4 +1,4 @@
-"""Frozen encoders: behavioural cloning on convolutions that were learnt before and are not trained further."""
+"""Frozen encoders: behavioural cloning on convolutions of an earlier training, which do not change any more."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Encoder(NamedTuple):
 
 
 class Frozen(nn.Sequential):
-    """Layers that are not trained: without gradients, and with batch norm's averages as they are."""
+    """Layers that are not trained: without gradients, and with constant averages of batch norm."""
 
     def __init__(self, layers: nn.Sequential) -> None:
         super().__init__(*layers)
@@ -48,7 +48,7 @@ class Frozen(nn.Sequential):
 
 
 def save_encoder(path: Path | str, encoder: Encoder) -> None:
-    """Writes an encoder into a file for the setting `bc.encoder`, which is replaced if it exists.
+    """Writes an encoder into a file for the setting `bc.encoder`. An existing file is replaced.
 
     Raises:
         SettingsError: if `played_in` contains anything except variants.
@@ -62,7 +62,7 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
     """The encoder in the settings, if there is one.
 
     Raises:
-        SettingsError: if it does not fit the settings, or its file lacks the facts about its training.
+        SettingsError: if it does not fit the settings, or its file does not describe its training.
         TrainingError: if its file is missing or damaged.
     """
     if not settings.bc.encoder:
@@ -117,7 +117,7 @@ def _in_file(path: Path) -> Encoder:
 
 
 def _misfit(given: Mapping[str, Any], wanted: Mapping[str, Tensor]) -> str:
-    """Why weights do not fit a network; empty if they do."""
+    """The reason why weights do not fit a network; empty if they fit."""
     if not given:
         return "has no convolutions: it is not for pictures"
     if missing := sorted(wanted.keys() - given.keys()):

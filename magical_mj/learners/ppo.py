@@ -45,7 +45,7 @@ class ActorCritic(nn.Module):
 
 
 class Steps(NamedTuple):
-    """A rollout with what PPO needs to learn from it. All shapes are (steps, environments, ...)."""
+    """A rollout with the data that PPO learns from. All shapes are (steps, environments, ...)."""
 
     observations: NDArray[Any]
     actions: NDArray[np.int64]
@@ -58,18 +58,18 @@ class Steps(NamedTuple):
 
 
 class PPO:
-    """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
+    """PPO with external rewards: `collect` a rollout, compute its rewards, and `improve` the policy with them.
 
-    Where the paper on MAGICAL gives no detail, this follows its library rlpyt: advantages are not normalised, the
+    If the paper on MAGICAL does not give a detail, this follows its library rlpyt: advantages are not normalised, the
     clipping range falls with the learning rate, Adam's eps is 1e-8, and values are not clipped. Unlike rlpyt, it treats
     the horizon as truncation, not termination: returns are bootstrapped with the value of the last state.
 
     With the same rewards and random numbers, trainings equal those of stable-baselines3's PPO to the bit
-    (tests/learners/test_stable_baselines3.py). That PPO takes rewards from the environments only.
+    (tests/learners/test_stable_baselines3.py). stable-baselines3 accepts only the environments' rewards.
 
     Attributes:
         steps: the latest rollout.
-        score: the mean score of the episodes in the last rollout in which episodes ended; 0 before the first one.
+        score: the mean score of the episodes that ended in the latest rollout with such episodes; 0 before.
     """
 
     steps: Steps
@@ -82,7 +82,7 @@ class PPO:
         critic: Heads,
         generator: torch.Generator,
     ) -> None:
-        """The critic's heads use the actor's torso. The generator draws minibatches, PyTorch's global one actions."""
+        """The critic uses the actor's torso. `generator` draws minibatches; PyTorch's global one draws actions."""
         self.settings = settings.ppo
         self.policy = ActorCritic(actor, critic)
         self.optimizer = torch.optim.Adam(self.policy.parameters(), self.settings.learning_rate, fused=True)
@@ -96,7 +96,7 @@ class PPO:
 
     @torch.no_grad()
     def collect(self, *, pairs: bool = False) -> Rollout:
-        """Plays `ppo.steps` steps in each environment, and returns them; with `pairs`, with the following states."""
+        """Plays and returns `ppo.steps` steps in each environment. With `pairs`, also returns the following states."""
         rows, scores = [], list[float]()
         for _ in range(self.settings.steps):
             seen = self._observations
@@ -122,7 +122,7 @@ class PPO:
         return Rollout(*map(torch.as_tensor, (seen, self.steps.actions, self._environments.tasks)))
 
     def successors(self) -> NDArray[Any]:
-        """The observation after each step, (steps, environments, ...). An episode's last step keeps its own."""
+        """The observation after each step, (steps, environments, ...). After an episode's last step, it is repeated."""
         seen, ended = self.steps.observations, self.steps.ended
         return np.where(ended[..., None, None], seen, np.stack([*seen[1:], self._observations]))
 
@@ -161,9 +161,9 @@ class PPO:
             KL(pi_old, pi).
         """
         ppo, steps = self.settings, self.steps
-        left = 1.0 - (self._played - self._rollout_size) / self._total  # the share of the training that is left
-        clip = left * ppo.clip if ppo.anneal_clip else ppo.clip
-        self.optimizer.param_groups[0]["lr"] = left * ppo.learning_rate
+        remaining = 1.0 - (self._played - self._rollout_size) / self._total  # the share of the training
+        clip = remaining * ppo.clip if ppo.anneal_clip else ppo.clip
+        self.optimizer.param_groups[0]["lr"] = remaining * ppo.learning_rate
         advantages = self.advantages(rewards)
         tasks = np.broadcast_to(self._environments.tasks, rewards.shape)
         columns = (steps.actions, tasks, steps.log_probs, advantages, advantages + steps.values)
@@ -240,7 +240,7 @@ class RewardLearner(Learner):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        settings.check_reinforcement()  # for every such method
+        settings.check_reinforcement()
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
         self._draw = torch.Generator().manual_seed(settings.seed)
@@ -271,7 +271,7 @@ class RewardLearner(Learner):
         return cast("Actor", self._average.module)
 
     def update(self) -> Mapping[str, float]:
-        """One rollout, its rewards and PPO's step. Restores the global generators, which draw the actions."""
+        """One rollout, its rewards and PPO's update. Restores the global generators, which draw the actions."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
@@ -283,7 +283,7 @@ class RewardLearner(Learner):
         return metrics
 
     def collect(self) -> Rollout:
-        """Plays a rollout. Rewards are learnt from it and computed for it."""
+        """Plays a rollout, for learning the reward and improving the policy."""
         return self._ppo.collect(pairs=self.pairs)
 
     @abstractmethod

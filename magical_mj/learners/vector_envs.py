@@ -1,4 +1,4 @@
-"""The vector environments for PPO. Their state can be saved and restored in mid-episode."""
+"""The vector environments for PPO. Their state can be saved and restored during an episode."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.utils.extras import check_extra
 
 
 class Step(NamedTuple):
-    """One action in every environment. Where an episode has ended, the next one has begun."""
+    """The result of one action in every environment. After an episode has ended, the next one has begun."""
 
     observations: NDArray[Any]
     """Stacks of frames, shape (n, 96, 96, 12) uint8; or histories of states, shape (n, HISTORY, names) float32."""
@@ -35,7 +35,7 @@ class Step(NamedTuple):
 
 
 class TrainingEnvs(ABC):
-    """The environments of a run: single environments on all cores, or one batch.
+    """The environments of a run, either single environments on all cores or one batch.
 
     Attributes:
         tasks: the numbers of the environments' tasks, ascending.
@@ -82,12 +82,12 @@ class TrainingEnvs(ABC):
 
 
 def _restarted(latest: NDArray[Any], begin: NDArray[np.bool_], states: NDArray[Any]) -> NDArray[Any]:
-    """The histories after some environments began an episode: these contain its first state only."""
+    """The histories after some environments have begun an episode. These repeat its first state."""
     return np.where(begin[:, None, None], states[:, None], latest)
 
 
 class LocalEnvs(TrainingEnvs):
-    """Single environments on all cores, with identical results. Their state can be restored in mid-episode.
+    """Single environments on all cores, with the same results on any number of cores.
 
     The seed of an episode is a function of the run's seed, the environment's number and the episode's number.
     """
@@ -175,16 +175,16 @@ class BatchedEnvs(TrainingEnvs):
         super().__init__(settings)
 
     def reset(self) -> NDArray[Any]:
-        """Starts the environments at different steps, so that their random actions end together."""
+        """Begins the environments at different times, so that they end their random actions at the same time."""
         rng = np.random.default_rng(self._seed)
         first, _ = self._arrays.reset()
         self._latest = np.repeat(first[:, None], HISTORY, axis=1) if self._states else first
-        for left in range(int(self._random_starts.max()), -1, -1):
-            begin = self._random_starts == left
+        for remaining in range(int(self._random_starts.max()), -1, -1):
+            begin = self._random_starts == remaining
             if begin.any():
                 first, _ = self._arrays.reset(options={"reset_mask": begin})
                 self._latest = _restarted(self._latest, begin, first) if self._states else first
-            if left:
+            if remaining:
                 self.step(rng.integers(len(ACTIONS), size=len(self.tasks)))
         return self._latest
 

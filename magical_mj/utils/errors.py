@@ -44,7 +44,7 @@ class InvalidSeedError(MagicalError, ValueError):
 
 
 class PlacementError(MagicalError, RuntimeError):
-    """No legal placement was found within the allowed number of attempts, or a plan has no position for a block."""
+    """An object without a legal placement after the allowed number of attempts, or without a position in a plan."""
 
 
 class DemonstrationError(MagicalError, ValueError):
@@ -52,7 +52,7 @@ class DemonstrationError(MagicalError, ValueError):
 
 
 class UntrustedNameError(MagicalError, ValueError):
-    """A file refers to code that the user has not named: see docs/trust.md.
+    """A file that refers to code that the user has not named: see docs/trust.md.
 
     Attributes:
         reference: the reference, such as "package.module:SPEC".
@@ -76,11 +76,11 @@ class ClosedError(MagicalError, RuntimeError):
 
 
 class PhysicsError(MagicalError, RuntimeError):
-    """An unstable simulation."""
+    """A simulation that became unstable."""
 
 
 class RenderingError(MagicalError, RuntimeError):
-    """OpenGL does not work on this machine."""
+    """A picture that cannot be drawn, since OpenGL does not work on this machine."""
 
 
 class SettingsError(MagicalError, ValueError):
@@ -88,11 +88,11 @@ class SettingsError(MagicalError, ValueError):
 
 
 class MissingExtraError(MagicalError, ImportError):
-    """A required package is not installed. The message contains the command that installs it."""
+    """A required package that is not installed. The message contains the command that installs it."""
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """Worker processes died repeatedly, or a cluster does not respond."""
+    """Worker processes that died repeatedly, or a cluster that does not respond."""
 
 
 class EvaluationError(MagicalError, RuntimeError):
@@ -121,7 +121,7 @@ def closest(name: object, allowed: Iterable[str]) -> str:
 
 
 def short_repr(value: object) -> str:
-    """`value` as text for a message, shortened. It works for any value."""
+    """`value` as text for a message, shortened. Every value is accepted."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):  # integers with thousands of digits, deeply nested lists
@@ -135,7 +135,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def listing(names: Sequence[str], most: int = 8) -> str:
-    """The names separated by commas; after the first ones, only the number of the others."""
+    """The first `most` names, separated by commas, and the number of all others."""
     rest = len(names) - most
     return ", ".join(names) if rest <= 0 else f"{', '.join(names[:most])} and {rest} more"
 

@@ -1,7 +1,8 @@
 r"""Untrusted text, such as names and errors from other people's files, in this package's output formats.
 
 There is one function for each format. All of them replace control characters, and characters that change the writing
-direction, by their escapes, such as ``\x1b``: they do not belong in names, and terminals and browsers obey them.
+direction, by their escapes, such as ``\x1b``. Such characters do not belong in names, and change the output of terminals
+and browsers.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def markdown(text: str) -> str:
 
 
 def markdown_code(text: str) -> str:
-    """The text as code in Markdown. Names with characters other than letters, digits and ``.-_`` become plain text."""
+    """The text as code in Markdown. If it has characters other than letters, digits and ``.-_``, it is plain text."""
     return f"`{text}`" if re.fullmatch(r"[\w.-]+", text) else markdown(text)
 
 

@@ -24,7 +24,7 @@ MODULES: Final = {
     "web": ("websockets",),
     "window": ("pygame",),
 }
-"""Extra -> the imported modules of its packages; see pyproject.toml. Without those that only some platforms have."""
+"""Extra -> the imported modules of its packages; see pyproject.toml. Packages for only some platforms are left out."""
 
 
 def check_extra(what: str, *extras: str) -> None:
@@ -40,7 +40,7 @@ def check_extra(what: str, *extras: str) -> None:
 
 
 def check_module(what: str, name: str, extra: str) -> None:
-    """Raises a `MissingExtraError` unless this module of an extra is installed, which only a part of its users need."""
+    """Raises a `MissingExtraError` unless this module of an extra is installed. Only some uses of the extra need it."""
     if find_spec(name) is None:
         raise MissingExtraError(f"{what} need {name}: {remedy(extra)}")
 

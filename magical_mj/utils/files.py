@@ -1,4 +1,4 @@
-"""Atomic writing of files, which appear under their names only when they are complete; locks; and reading."""
+"""Atomic writing of files and folders, locks, and reading. A file gets its name only when it is complete."""
 
 from __future__ import annotations
 
@@ -141,9 +141,9 @@ def is_unfinished(path: Path) -> bool:
 
 @contextmanager
 def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
-    """A context for a file or folder, which must exist, that only one process at a time can enter.
+    """A context that only one process at a time can enter for an existing file or folder.
 
-    Meanwhile, there is a hidden lock file in the folder, or next to the file. If another process is in the context,
+    Meanwhile, a hidden lock file exists in the folder, or next to the file. If another process is in the context,
     this one waits, or raises `busy`.
     """
     path = path.absolute()  # the block may change the working folder

@@ -1,7 +1,7 @@
 """References to objects in users' modules, ``"package.module:NAME"``, plug-ins, and errors in users' code.
 
 Importing a module runs its code, so a file from elsewhere must not choose the module. A file may contain only names
-that installed packages announce by an entry point, and references that the user has typed in the same call:
+that installed packages announce by an entry point, and references that the user has typed in the same call.
 
 - References typed by the user are imported by `resolve`, which also searches the working folder. References that an
   installed package announces are imported by `resolve_installed`, but not from the working folder.
@@ -39,7 +39,7 @@ from magical_mj.utils.errors import (
 
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 _LONGEST: Final = 100
-"""The number of letters in the longest module's name that is looked for in the working folder."""
+"""A module with a longer name is not looked for in the working folder."""
 _PACKAGE: Final = f"{Path(__file__).parents[1]}{os.sep}"
 _STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 
@@ -129,7 +129,8 @@ def reference_of(point: EntryPoint) -> str:
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
-    It is the name in the first match of `definition` in the file, which is not imported; empty without a match.
+    Its name is that of the first match of `definition` in the file. Without a match, it is empty. The file is not
+    imported.
     """
     name = text.partition(":")[0].removesuffix(".py") if isinstance(text, str) else ""
     file = Path(f"{name}.py")

@@ -52,7 +52,7 @@ PATIENCE: Final = 10
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """One thread per worker: rounding depends on the number of threads, and workers share the cores."""
 AHEAD: Final = 2
-"""The number of work items per worker that are submitted in advance, so that no worker waits for the caller."""
+"""The number of submitted work items per worker. With a second one, no worker waits for the caller."""
 _ADDRESS: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
 
@@ -73,7 +73,7 @@ class Timed(Generic[Result]):
 
 @dataclass(frozen=True)
 class Split(Generic[Piece]):
-    """A result that replaces a work item by smaller ones, which are done next."""
+    """A result that replaces a work item by smaller ones. They are done next."""
 
     pieces: Sequence[Piece]
 
@@ -160,7 +160,7 @@ def _map_locally(function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs
 def _map_on_dask(
     function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int | None, address: str | None
 ) -> Generator[Any]:
-    """At most `jobs` items are on the cluster at once; None: all."""
+    """As `map_unordered`, on a cluster, with at most `jobs` items at the same time; None: all items."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
 
@@ -359,12 +359,12 @@ def serve() -> None:
     os.dup2(nothing, 0)
     os.dup2(2, 1)
 
-    def let_go() -> None:  # otherwise the caller would not notice the end of this process while a fork is running
+    def close_pipes() -> None:  # otherwise the caller would not notice the end of this process while a fork is running
         for pipe in (source, answers):
             os.dup2(nothing, pipe.fileno())
 
     if hasattr(os, "register_at_fork"):  # not on Windows
-        os.register_at_fork(after_in_child=let_go)
+        os.register_at_fork(after_in_child=close_pipes)
     pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
     function = b""
@@ -391,7 +391,7 @@ def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
 def _answers(function: bytes, piece: bytes) -> Iterator[bytes]:
     """A worker's pickled answers: a time limit if there is one, then the result or the error."""
     try:
-        result = _unpickled(function)(pickle.loads(piece))  # noqa: S301 as well
+        result = _unpickled(function)(pickle.loads(piece))  # noqa: S301 from the same process
         if isinstance(result, Timed):
             yield _readable("timed", (result.seconds, result.late))
             result = result.call()
@@ -401,7 +401,7 @@ def _answers(function: bytes, piece: bytes) -> Iterator[bytes]:
         error.add_note(note)
         try:
             yield _readable("failed", error)
-        except Exception:  # noqa: BLE001 of an error that holds a lock, say
+        except Exception:  # noqa: BLE001 the error cannot be pickled, for example because it holds a lock
             substitute = WorkerError(f"a worker process raised {error!r}")
             substitute.add_note(note)
             yield _readable("failed", substitute)
@@ -410,7 +410,7 @@ def _answers(function: bytes, piece: bytes) -> Iterator[bytes]:
 def _readable(kind: str, content: Any) -> bytes:
     """The pickled answer. Raises an error if the caller could not unpickle it."""
     text = cloudpickle.dumps((kind, content))
-    pickle.loads(text)  # noqa: S301 our own
+    pickle.loads(text)  # noqa: S301 pickled above
     return text
 
 

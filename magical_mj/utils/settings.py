@@ -1,4 +1,4 @@
-"""Settings: frozen dataclasses. Each field defines type, bounds, meaning and default for Python, TOML and options.
+"""Settings: frozen dataclasses. A field defines a setting's type, bounds, meaning and default for all interfaces.
 
 A field is annotated, ``episodes: Annotated[Count, Meta(description="Episodes in each environment.")] = 100``. A
 subclass of `Settings` checks all its fields when an object is created. `changed` also accepts values as text, and
@@ -112,7 +112,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
 
 
 def _check_choice(name: str, value: Any, plain: Any) -> None:
-    """Raises an `UnknownNameError` if the type is a `Literal`, or one that may be None, and has no such name."""
+    """Raises an `UnknownNameError` if the type is a `Literal`, or a `Literal` or None, without this name."""
     names = next((part for part in (plain, *get_args(plain)) if get_origin(part) is Literal), None)
     if names is not None and (value is not None or names is plain):
         check_name(name, value, get_args(names))

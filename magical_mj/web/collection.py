@@ -1,4 +1,4 @@
-"""Studies: they offer scenes to participants, check the recordings, and store them safely in one folder.
+"""Studies: a study offers scenes to participants, checks the recordings, and stores them in one folder.
 
 The folder contains a subfolder with the demonstrations of each participant, named by a random id; `study.jsonl`, with
 a line for each offer, consent, and accepted or rejected recording; and the secret parts of two addresses, `token` for
@@ -37,16 +37,16 @@ _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
 LOG: Final = "study.jsonl"
 PRACTICE: Final = 1_000_000
-"""The seed of the first scene for practice, far from all seeds that count."""
+"""The seed of the first scene for practice. Scenes with lower seeds count."""
 BINS: Final = 10
 """The number of bars in the histogram of scores."""
 
 
 class Study(Struct, forbid_unknown_fields=True):
-    """The settings of a study, and what participants see; the content of a study file (TOML).
+    """The settings of a study, with its texts for participants. The content of a study file (TOML).
 
     Attributes:
-        environments: "FindDupe-Demo" -> the number of episodes that are wanted; None: no limit.
+        environments: an environment, such as "FindDupe-Demo" -> the required number of episodes; None: no limit.
         title: the page's title.
         instructions: shown above the arena.
         consent: the text that participants must agree to before they play; "" for none.
@@ -55,7 +55,7 @@ class Study(Struct, forbid_unknown_fields=True):
         practice: the number of practice episodes at the start, which are not stored.
         least_score: recordings with a lower score are rejected, and must be repeated. By default every complete episode
             counts.
-        shows: the features available to participants: the expert, other speeds, scenes other than the offered one.
+        shows: the features that participants may use: the expert, other speeds, scenes other than the offered one.
         lease_minutes: how long an offer is reserved for a participant.
         opens: the time of the first offer, with a time zone; None: at once.
         closes: the time of the last offer, with a time zone; None: never.
@@ -163,9 +163,9 @@ class Collection:
     def next(self, participant: str) -> dict[str, Any]:
         """The participant's next scene, as data for the page.
 
-        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool, "number": 1, "of": 4}}`: the first of
-        four episodes. Without a limit, `of` is None. If no scene can be offered now, `next` is None, and `why` gives
-        the reason. `{"next": None, "consent": text}` if the participant must first agree to this text.
+        For the first of four episodes, `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool,
+        "number": 1, "of": 4}}`. Without a limit, `of` is None. If no scene can be offered now, `next` is None, and
+        `why` gives the reason. If the participant must first agree to a text, `{"next": None, "consent": text}`.
         """
         with self._lock:
             now = self._clock()
@@ -205,13 +205,13 @@ class Collection:
             Its score.
 
         Raises:
-            MagicalError: if it does not count, with the reason.
+            MagicalError: if it does not count. The message gives the reason.
             OSError: if it cannot be saved.
         """
         demo, deviation, suspect = demos.from_recording(recording)
         pair, key = (demo.task, demo.variant), _key(demo)
         with self._lock:
-            if self._episodes.get(key, ("", 0.0))[0] == participant:  # the first answer to it was lost
+            if self._episodes.get(key, ("", 0.0))[0] == participant:  # the answer to the first message was lost
                 return self._episodes[key][1]
             offer, now = self._offers.get(participant), self._clock()
             facts = {"participant": participant, "task": demo.task, "variant": demo.variant, "seed": demo.scene_seed}
@@ -295,7 +295,7 @@ class Collection:
         ]
 
     def _holds(self, participant: str, offer: Offer, now: float) -> bool:
-        """Whether an offer is still reserved for this participant. An expired one is, until others need its scene.
+        """Whether an offer is still reserved for this participant. An expired offer is, until others need its scene.
 
         The quota is checked in both cases: if a clock is set back, expired offers become valid again.
         """
@@ -309,7 +309,7 @@ class Collection:
         return offer.seed not in others and (wanted is None or in_use < wanted)
 
     def _choose(self, participant: str, now: float) -> Offer | None:
-        """A scene that nobody is playing, of the environment with the fewest episodes; None if all are taken."""
+        """A free scene of the environment with the fewest episodes; None if all scenes are in use."""
         if self._practised[participant] < self.study.practice:
             task, variant = next(iter(self._quotas))
             return Offer(task, variant, PRACTICE + self._practised[participant], 0.0)

@@ -17,9 +17,9 @@ from magical_mj.web.page_data import sample_models
 from magical_mj.web.server import PlayServer
 
 FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
-"""The settings of models with the folders of their files."""
+"""The attributes of models that name the folders of their files."""
 MOST_OF_MODEL: Final = 200_000_000
-"""The largest size of a model with all its files, which the browser keeps in memory."""
+"""The largest size in bytes of a model with all its files. The browser keeps them in memory."""
 
 
 @dataclass
@@ -27,8 +27,8 @@ class InspectServer(PlayServer):
     """Serves `inspect.html` and its libraries, under a secret address like the page for playing.
 
     Args:
-        model: the contents of the file that the page shows first, and of all files that it refers to. The file is
-            the first entry. If it is empty, the page shows scenes of the benchmark.
+        model: file name -> content: first the file that the page shows, then the files that it refers to. If it is
+            empty, the page shows scenes of the benchmark.
 
     Raises:
         MagicalError: if the libraries cannot be fetched.

@@ -1,6 +1,6 @@
-"""The pages' npm packages: MuJoCo's WebAssembly build, and drawing libraries. Fetched once, in fixed versions.
+"""The pages' npm packages: MuJoCo's WebAssembly build, and drawing libraries, in fixed versions.
 
-Each archive is used only if its hash is the expected one.
+Each package is fetched once. Its archive is used only if it has the expected hash.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ HINTS: Final = {
     "ClusterShape": "Blocks of one shape close together, away from other shapes. Colours do not matter.",
     "SweepToTop": "The debris is light: push it gently, and completely into the zone.",
 }
-"""Task -> how a player gets its points, in everyday words."""
+"""Task -> advice for players about its score."""
 ROBOT: Final = ("left_finger", "right_finger", "face")
 """The parts of the robot's drawing."""
 
@@ -82,7 +82,7 @@ def catalogue(
 
     Args:
         environments: the pairs (task, variant) that can be chosen.
-        simulation: where the simulation runs. The browser has the scenes of a few seeds only.
+        simulation: the simulation's location. In the browser, only the scenes of a few seeds are available.
         shifts: environment -> axis -> the strengths that can be chosen, or the names of bodies.
         puzzles: the environments of puzzles, with their names on the page.
     """
@@ -165,7 +165,7 @@ def drawing_style() -> dict[str, Any]:
 
 
 def solid_shapes() -> dict[str, Any]:
-    """The outlines of solid objects and the limits of legal scenes, as JSON data: what `check_scene` knows.
+    """The data that `check_scene` uses, as JSON data: the outlines of solid objects, and the limits of legal scenes.
 
     A part is an outline (x, y of each corner, counter-clockwise, in the object's frame) enlarged by a radius.
     """
@@ -233,7 +233,7 @@ def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
     mesh = model.mesh(model.geom_dataid[geom])
     first, count = mesh.vertadr[0], mesh.vertnum[0]
     turned = np.empty(9)
-    # the compiler moves meshes to their centre of mass and turns them
+    # The compiler moves meshes to their centre of mass and turns them.
     mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
     vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
     faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]

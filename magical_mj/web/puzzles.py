@@ -1,7 +1,7 @@
-"""Puzzles: intents that a person plays after two demonstrations, without knowing the sentence.
+"""Puzzles: a person sees two demonstrations of an intent, without its sentence, and plays it in other scenes.
 
-puzzles.json has those that the page draws; `python -m tools.puzzles` writes it. The page judges intents by goals: an
-intent in one initial scene, with the indices of the blocks that each relation is about.
+puzzles.json contains the puzzles that the page chooses from; `python -m tools.puzzles` writes it. The page checks
+intents as goals: a goal lists, for one initial scene, each relation with the indices of its blocks.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from magical_mj.tasks.registry import Pair, sample_scene, task_name, task_spec
 from magical_mj.web.page_data import scene_data
 
 DEMONSTRATIONS: Final = 2
-"""The number of demonstrations, each in a demo scene of its own."""
+"""The number of demonstrations. Each has its own demo scene."""
 VARIANTS: Final = ("Demo", "Layout", "All")
 SCENES: Final = 4
-"""The number of scenes of the other variants than Demo."""
+"""The number of scenes in each variant other than Demo."""
 FILE: Final = Path(__file__).with_name("puzzles.json")
 
 
 @dataclass(frozen=True)
 class Puzzle:
-    """An intent with what a player sees of it.
+    """An intent with the demonstrations that a player sees.
 
     Attributes:
         task: the task, with its demo scenes.
         demonstrations: the actions in the demo scenes, a letter for each.
-        rivals: the simplest other intents that the demonstrations may have meant; () if they are not known.
+        rivals: the simplest other intents that all demonstrations have reached; () if they are not known.
     """
 
     task: str
@@ -50,7 +50,7 @@ class Puzzle:
 
     @property
     def intent(self) -> Intent:
-        """What is to be guessed."""
+        """The intent that a player must guess."""
         return task_intent(self.task)
 
     @property
@@ -60,7 +60,7 @@ class Puzzle:
 
     @property
     def environments(self) -> list[Pair]:
-        """The page's environments of it."""
+        """The puzzle's environments on the page."""
         return [(self.name, variant) for variant in VARIANTS]
 
     def reached_instead(self, initial: Scene, final: Scene) -> Intent | None:
@@ -75,12 +75,12 @@ def _holds(intent: Intent, initial: Scene, final: Scene) -> bool:
 
 @cache
 def puzzles() -> tuple[Puzzle, ...]:
-    """The puzzles that are drawn."""
+    """The puzzles in puzzles.json."""
     return tuple(msgspec.json.decode(FILE.read_bytes(), type=list[Puzzle]))
 
 
 def puzzle_of(task: str) -> Puzzle:
-    """The puzzle of any intent. If it is not among those that are drawn, the expert makes the demonstrations.
+    """The puzzle of any intent. If puzzles.json does not contain it, the expert makes the demonstrations.
 
     Raises:
         IntentError: if no scene was found for the intent.
@@ -96,9 +96,9 @@ def puzzle_of(task: str) -> Puzzle:
 
 
 def goal_data(intent: Intent, initial: Scene) -> list[dict[str, Any]] | None:
-    """An intent in an initial scene as JSON data: its relations, with the blocks that they are about.
+    """An intent in an initial scene as JSON data: its relations with their blocks.
 
-    None if one is undefined in the scene.
+    None if a relation is undefined in the scene.
     """
     try:
         intent.parts(initial, initial)
@@ -109,7 +109,7 @@ def goal_data(intent: Intent, initial: Scene) -> list[dict[str, Any]] | None:
 
 
 def _conjunct_data(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene) -> dict[str, Any]:
-    """A relation. Its argument is the index of the block if it names one."""
+    """A relation. If its argument refers to a block, it is replaced by the block's index."""
     relation, argument = RELATIONS[conjunct.relation], conjunct.argument
     if relation.each is not None:
         flags = relation.each(argument, initial, initial)
@@ -124,7 +124,7 @@ def _conjunct_data(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene) 
 
 
 def puzzle_scenes(puzzle: Puzzle, variant: str) -> dict[str, Any]:
-    """The page's data of a puzzle's environment, as `magical_mj.web.page_data.environment_scenes` of a task's."""
+    """The page's data of a puzzle's environment, in the form of `magical_mj.web.page_data.environment_scenes`."""
     demo, number = variant == "Demo", DEMONSTRATIONS if variant == "Demo" else SCENES
     rivals = [parse(rival) for rival in puzzle.rivals]
     solved = replayed(puzzle.task, "Demo", 0, actions_of(puzzle.demonstrations[0]), "expert", 0).scenes()[-1]

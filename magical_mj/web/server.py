@@ -1,8 +1,8 @@
 """The server of the page of `magical-mj play --web`. Python simulates, and the browser draws poses.
 
 All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`. Others are rejected. The page talks to its own
-`PlayerSession` through a WebSocket. Browsers may open it only from a page of the server's own origin. Its messages
-are JSON objects, and each is answered by one:
+`PlayerSession` through a WebSocket. Browsers may open it only from a page of the server's own origin. Each
+message is a JSON object, and the answer is another one:
 
 | message | answer |
 |---|---|
@@ -162,7 +162,7 @@ class PlayServer:
         return response
 
     def _is_addressed(self, request: Request) -> bool:
-        """Whether the request is for this server: a foreign site whose name resolves here could otherwise read data.
+        """Whether the request names this server. Otherwise a foreign site could use a name that resolves to this address.
 
         Behind a proxy with another name, every request is accepted.
         """
@@ -201,7 +201,7 @@ def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = 
 
 
 class PlayerSession:
-    """Answers the messages of one connection, with its own simulation. `runs`: it is the operator's connection."""
+    """Answers the messages of one connection, with its own simulation. `runs`: whether it is the operator's."""
 
     def __init__(
         self,
