@@ -1,6 +1,6 @@
 """InOrder: drive into the red region, then into the green one, then into the blue one.
 
-A task whose score depends on the whole episode: docs/adding-a-task.md explains it.
+The score depends on the whole episode. docs/adding-a-task.md explains such tasks.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ ORDER = ("red", "green", "blue")
 
 
 def visited(scenes: Sequence[Scene]) -> int:
-    """The number of regions that the robot has visited in the order."""
+    """The number of regions that the robot has visited in the required order."""
     number = 0
     for scene in scenes:
         if number < len(ORDER) and any(r.colour == ORDER[number] and r.contains(scene.robot) for r in scene.regions):
@@ -25,12 +25,12 @@ def visited(scenes: Sequence[Scene]) -> int:
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is one region of each colour."""
+    """Raises an `InvalidSceneError` unless there is one region of each colour."""
     require(sorted(region.colour for region in scene.regions) == sorted(ORDER), "InOrder", "one region of each colour")
 
 
 def score(scenes: Sequence[Scene], rules: Rules = "paper") -> float:
-    """The share of the regions that were visited in the order."""
+    """The share of the regions that were visited in the required order."""
     return visited(scenes) / len(ORDER)
 
 

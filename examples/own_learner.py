@@ -1,7 +1,7 @@
-"""A learner of one's own: behavioural cloning that cannot simply repeat its last action.
+"""Your own learner: behavioural cloning that cannot simply repeat its last action.
 
-Half of the stacks that it trains on show only the present frame. `magical_mj.learners.Learner` explains the interface.
-This file trains it for a few batches and evaluates it:
+Half of its training observations repeat the present frame, so that they do not show motion. This file trains it for a
+few batches and evaluates it. `magical_mj.learners.Learner` explains the interface.
 
     python examples/own_learner.py
 """
@@ -39,7 +39,7 @@ class Forgetful(Learner):
         return self.network
 
     def update(self) -> Mapping[str, float]:
-        """One batch; returns what metrics.csv records."""
+        """Trains on one batch. Returns the values for metrics.csv."""
         images, actions, tasks = self.data.sample(32, self.generator)
         stacks = self.augment(as_input(images, self.device), self.generator)
         forget = torch.rand(len(stacks), 1, 1, 1, generator=self.generator).to(self.device) < 0.5
@@ -53,7 +53,7 @@ class Forgetful(Learner):
         return {"loss": loss.item()}
 
     def get_state(self) -> dict[str, Any]:
-        """What a checkpoint holds."""
+        """The content of a checkpoint."""
         weights, optimizer = self.network.state_dict(), self.optimizer.state_dict()
         return {"weights": weights, "optimizer": optimizer, "generator": self.generator.get_state()}
 

@@ -1,13 +1,14 @@
-"""A world model of pictures that plans in MoveToRegion, with stable-worldmodel.
+"""Trains a world model on pictures with stable-worldmodel, and plans with it in MoveToRegion.
 
     .venv-worldmodel/bin/python examples/world_model.py --out FOLDER    # after make worldmodel-test
 
-Records random episodes in Layout, trains the library's LeWM with a small convolutional encoder
-on them, and plans to the goal's picture by the cross-entropy method, in the scenes of seeds 0 and on. A second call
-with the same folder plays with the trained model again. It is a loop to start from, not yet a baseline: after 400
-episodes and 600 batches it solved none of 5 episodes in Demo, where random actions solve one in 20.
+Records random episodes in Layout, trains the library's LeWM with a small convolutional encoder on them, and plans to
+the goal's picture by the cross-entropy method, in the scenes of seeds 0, 1, .... A second call with the same folder
+plays with the trained model again. This is an example to start from, not yet a baseline: after 400 episodes and 600
+batches, it solved 0 of 5 episodes in Demo. Random actions solve 1 in 20.
 
-Variations name shifts or their factors, "scene" or "all". Factors of a scene can be set, but are only drawn together:
+Variations name shifts or their factors, "scene" or "all". Factors of a scene can be set one by one, but are drawn only
+together:
 
     options = {"variation": ["camera", "slip"], "variation_values": {"scene.robot": [0.3, 0.2, 1.0]}}
     world.reset(seed=5, options=options)
@@ -68,7 +69,7 @@ class Encoder(nn.Module):
 
 
 def new_model() -> LeWM:
-    """The library's model, small."""
+    """The library's model, with small sizes."""
     predictor = Predictor(
         num_frames=FRAMES - 1, depth=2, heads=4, dim_head=16, mlp_dim=128, input_dim=WIDTH, hidden_dim=WIDTH
     )
@@ -77,7 +78,7 @@ def new_model() -> LeWM:
 
 
 class Sticky(BasePolicy):
-    """Random actions, each for a while."""
+    """Random actions. Each is repeated a random number of times."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__()

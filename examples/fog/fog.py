@@ -28,7 +28,7 @@ class Fog(Shift):
 
 
 class Magnet(Shift):
-    """A constant acceleration in one direction, as if the arena were tilted."""
+    """A constant acceleration in one direction, as in a tilted arena."""
 
     name = "magnet"
     summary = "a constant force on everything"

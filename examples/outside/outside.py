@@ -5,7 +5,7 @@
 - PairUp: bring the two blocks of one colour next to each other.
 - Huddle: bring all blocks together.
 
-A fifth task is PushOut, in ../push_out. The demo scenes have no goal regions.
+The demo scenes have no goal regions. A fifth task is PushOut, in ../push_out.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ADJACENT: Final = 0.45
 TOGETHER: Final = 0.45
 """The largest distance of a block from the centroid of all blocks in a huddle."""
 DEMONSTRATIONS: Final = Path(__file__).parent / "outside_demonstrations"
-"""The folder that `magical-mj demos generate` writes, as in README.md."""
+"""The folder that `magical-mj demos generate` writes: see README.md."""
 
 
 def _distance(first: Block | Robot, second: Block | Robot) -> float:
@@ -43,7 +43,7 @@ def _numbers(scene: Scene, fits: Callable[[Block], bool]) -> list[int]:
 
 
 def _only(name: str, count: int, what: str, fits: Callable[[Block], bool]) -> Callable[[Scene], None]:
-    """A check that this number of blocks fits."""
+    """A check that exactly `count` blocks fit."""
 
     def check(scene: Scene) -> None:
         require(len(_numbers(scene, fits)) == count, name, f"{count} {what}")
@@ -159,7 +159,7 @@ def pair_up(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan_pair_up(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Brings one of them next to the other."""
+    """Brings one block of the pair next to the other."""
     first, second = _pair(now)
     return [bring(now, first, _around(now, second, 0.28, 0.36), noise)]
 
@@ -224,8 +224,8 @@ def plan_huddle(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     return todo
 
 
-def apart(scene: Scene) -> None:
-    """Raises an `InvalidSceneError` unless there are enough blocks, and they are apart."""
+def check_huddle(scene: Scene) -> None:
+    """Raises an `InvalidSceneError` unless there are at least two blocks."""
     require(len(scene.blocks) > 1, "Huddle", "several blocks")
 
 
@@ -242,7 +242,7 @@ HUDDLE: Final = TaskSpec(
     ),
     steps=140,
     score=huddle,
-    check=apart,
+    check=check_huddle,
     plan=plan_huddle,
     demonstrations=DEMONSTRATIONS,
     colour=any_colours,

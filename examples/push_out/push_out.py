@@ -11,7 +11,7 @@ Score
     The share of the blocks that are outside the region.
 
 Differences from the original
-    The original has no such task.
+    The original benchmark does not have this task.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """SweepInOrder: sweep the red, the blue and the yellow piece of debris to the top, in this order.
 
-x-magical's task SweepToTop with subtasks, and a wrapper with rewards of its own. Use this file as a start for others.
+x-magical's task SweepToTop with subtasks, and a wrapper that defines rewards. Start your own task from this file.
 
 Goal
     All pieces are in the zone along the top wall, and each entered it before the next one.
@@ -36,7 +36,7 @@ ORDER: Final[tuple[Colour, ...]] = ("red", "blue", "yellow")
 
 
 def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there is one piece of each colour."""
+    """Raises an `InvalidSceneError` unless there is one piece of each colour."""
     SWEEP_TO_TOP.check(scene)
     colours = [block.colour for block in scene.blocks]
     require(sorted(colours) == sorted(ORDER), "SweepInOrder", f"one block of each of {ORDER}, but this has {colours}")
@@ -58,7 +58,7 @@ def score(scenes: Sequence[Scene], rules: Rules = "paper") -> float:
 
 
 def distance(scenes: Sequence[Scene], rules: Rules = "paper") -> float:
-    """The sum over the pieces that do not count, see above."""
+    """The sum over the pieces that do not count: see above."""
     heights = {block.colour: block.y for block in scenes[-1].blocks}
     pairs = zip(ORDER, counting(scenes), strict=True)
     return sum(WRONG + max(ARRIVED - heights[colour], 0.0) for colour, counts in pairs if not counts)
@@ -79,10 +79,11 @@ SPEC: Final = replace(
 
 
 class Subtasks(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """Adds the current subtask to states, and rewards subtasks: an example of rewards of one's own.
+    """Adds the current subtask to states, and rewards subtasks: an example of your own rewards.
 
-    The observation gets four entries, of which one is 1: the number of pieces that count. `info["subtask"]` is this
-    number. The reward is its increase, plus how much nearer the next piece has come to the zone (world units).
+    The observation gets four more entries, a one-hot code of the number of pieces that count. `info["subtask"]` is this
+    number. If it changes in a step, the reward is the change. Otherwise the reward is the motion of the next piece
+    towards the zone (world units).
 
     Args:
         env: an environment of SweepInOrder with the preset State.
@@ -101,7 +102,7 @@ class Subtasks(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordCons
         return self.get_wrapper_attr("engine")
 
     def _now(self) -> tuple[int, float]:
-        """The number of pieces that count, and the y of the first other one."""
+        """The number of pieces that count, and the y of the first piece that does not count."""
         done = counting(self._engine.scored_scenes)
         heights = {block.colour: block.y for block in self._engine.scene.blocks}
         following = ORDER[done.index(False)] if False in done else ORDER[-1]
@@ -111,7 +112,7 @@ class Subtasks(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordCons
         return np.concatenate([observation, np.eye(4, dtype=np.float32)[done]])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
+        """Begins an episode."""
         observation, info = super().reset(seed=seed, options=options)
         self._before = self._now()
         return self._seen(observation, self._before[0]), info | {"subtask": self._before[0]}
