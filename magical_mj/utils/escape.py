@@ -1,8 +1,8 @@
 r"""Untrusted text, such as names and errors from other people's files, in this package's output formats.
 
 There is one function for each format. All of them replace control characters, and characters that change the writing
-direction, by their escapes, such as ``\x1b``. Such characters do not belong in names, and change the output of terminals
-and browsers.
+direction, by their escapes, such as ``\x1b``. Such characters do not belong in names, and change the output of
+terminals and browsers.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ class PlayServer:
         return response
 
     def _is_addressed(self, request: Request) -> bool:
-        """Whether the request names this server. Otherwise a foreign site could use a name that resolves to this address.
+        """Whether the request names this server: a foreign site could let its own name resolve to this address.
 
         Behind a proxy with another name, every request is accepted.
         """

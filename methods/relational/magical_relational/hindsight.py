@@ -241,7 +241,7 @@ def _transformed(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Ge
         [part.expand(len(steps), *part.shape[1:]) for part in parts] for parts in (displaceable, replay.freedoms(here))
     )
     actions = torch.from_numpy(play.actions[steps])
-    return Samples(states, actions, *displaceable, path, *freedoms, replay.looks(len(steps)))
+    return Samples._make([states, actions, *displaceable, path, *freedoms, replay.looks(len(steps))])
 
 
 def _clear(

@@ -238,7 +238,9 @@ class Replay:
         moving = (self.next[step] <= step + 1).sum()
         if moving == 0:
             return block, *self._freedom_of_approach(step, block)
-        return block, *(self._freedom_of_delivery(step, block) if moving == 1 else (Freedom.NONE, None))
+        if moving == 1:
+            return block, *self._freedom_of_delivery(step, block)
+        return block, Freedom.NONE, None
 
     def _freedom_of_approach(self, step: int, block: int) -> tuple[Freedom, Pivot]:
         """While the robot drives to a block: anywhere. If a delivery begins in a region, it turns about the region."""
