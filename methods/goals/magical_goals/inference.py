@@ -38,7 +38,7 @@ PLANS: Final = 2
 SAMPLES: Final = 50
 """The number of random ends of each demonstration, for estimating how likely an intent holds by chance."""
 MOVED: Final = 0.05
-"""The distance (units) from its start at which a block, or the robot, counts as moved."""
+"""A block or the robot counts as moved if it is farther (units) from its start."""
 
 
 class Goal(NamedTuple):

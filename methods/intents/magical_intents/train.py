@@ -55,7 +55,7 @@ SIMULATED: Final = 0.3
 ALIKE: Final = 0.3
 """The share of contexts that repeat one demonstration, as if all were in one scene."""
 DECISIVE: Final = 0.5
-"""The share of steps at which the object changes. The others are random."""
+"""The share of decisive steps, when the object changes. The other steps are random."""
 REST: Final = 6
 """The number of learnt steps after the last object was brought."""
 MOST_SHOWN: Final = 4

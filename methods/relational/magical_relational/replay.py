@@ -72,7 +72,8 @@ class Samples(NamedTuple):
     path: Tensor
     """The next positions of the robot, and of its front or held block, in the arena, shape (n, PATH_POINTS, 2)."""
     pair: Tensor
-    """Whether each block is the robot's current one, which it approaches, moves or leaves, shape (n, MAX_BLOCKS)."""
+    """Whether each block is the robot's current one, which it approaches, moves or leaves, shape (n, MAX_BLOCKS).
+    False for all blocks if the freedom is NONE."""
     pivot: Tensor
     """The centre of rotation of the robot and this block, in the arena, shape (n, 2)."""
     freedom: Tensor
@@ -192,11 +193,11 @@ class Replay:
     def displaceable(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
         """See `Samples.groups`, `movable` and `droppable`, for the states at these steps.
 
-        A group that no demonstration involves may always be displaced, or be missing. Another group may be displaced
+        A group that the demonstration does not involve may always be displaced, or be missing. Others may be displaced
 
-        - if it contains the next block to move: only before this block's first motion, while the robot still backs
+        - if they contain the next block to move: only before this block's first motion, while the robot still backs
           off from the previous block,
-        - otherwise: until the robot has reached the next block, or, if it is one block, until its own first motion.
+        - otherwise: until the robot has reached the next block; single blocks also until their own first motion.
         """
         groups = self._groups[steps]
         next_step, next_block = self.next[steps].min(1), self.next[steps].argmin(1)

@@ -34,7 +34,7 @@ class RelationalSettings(Settings, part="relational"):
     ] = 0.15
     ways: Annotated[Count, Meta(description="samples from hindsight")] = 30_000
     grips: Annotated[Count, Meta(description="samples of gripping a block from nearby")] = 5_000
-    plays: Annotated[Count, Meta(description="in each demonstration's scene, free and with each moved block")] = 8
+    plays: Annotated[Count, Meta(description="plays in each demo scene without a block, and with each moved block")] = 8
     sharpness: Annotated[Positive, Meta(description="exponent of the policy's probabilities")] = 2.0
 
     def __post_init__(self) -> None:
