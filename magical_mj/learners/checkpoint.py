@@ -20,12 +20,12 @@ ARRAY: Final = "array:"
 """The prefix of a string that refers to a numpy array."""
 
 
-def write(path: Path, state: dict[str, Any]) -> None:
+def write(path: Path, state: dict[str, Any], *, overwrite: bool = True) -> None:
     """Writes nested dicts and lists of tensors, arrays and plain values. Raises a `TrainingError` if that fails."""
     tensors: dict[str, torch.Tensor] = {}
     tree = json.dumps(_packed(state, "", tensors))
     try:
-        files.write(path, save(tensors, {"tree": tree}), overwrite=True)
+        files.write(path, save(tensors, {"tree": tree}), overwrite=overwrite)
     except OSError as error:
         raise TrainingError(f"cannot write {path}: {error.strerror}; the previous file is kept") from error
 

@@ -47,15 +47,16 @@ class Frozen(nn.Sequential):
         return super().train(mode=False)
 
 
-def save_encoder(path: Path | str, encoder: Encoder) -> None:
-    """Writes an encoder into a file for the setting `bc.encoder`. An existing file is replaced.
+def save_encoder(path: Path | str, encoder: Encoder, *, overwrite: bool = False) -> None:
+    """Writes an encoder into a file for the setting `bc.encoder`.
 
     Raises:
         SettingsError: if `played_in` contains anything except variants.
-        TrainingError: if the file cannot be written.
+        TrainingError: if the file exists and `overwrite` is false, or it cannot be written.
     """
     check_variants(encoder.played_in, "played_in")
-    checkpoint.write(files.to_path(path), {"encoder": {**encoder._asdict(), "weights": dict(encoder.weights)}})
+    contents = {**encoder._asdict(), "weights": dict(encoder.weights)}
+    checkpoint.write(files.to_path(path), {"encoder": contents}, overwrite=overwrite)
 
 
 def load_encoder(settings: TrainingSettings) -> Encoder | None:

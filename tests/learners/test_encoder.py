@@ -35,7 +35,7 @@ def random_encoder(path: Path, played_in: str = "Demo", seed: int = 7, **facts: 
             if name.endswith("running_var"):
                 values.uniform_(0.1, 0.3)
     encoder = Encoder(layers.state_dict(), played_in, **facts)
-    save_encoder(path, encoder)
+    save_encoder(path, encoder, overwrite=True)
     return encoder
 
 
@@ -145,13 +145,16 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     refused("bc.encoder is for pictures", preset="State")
     larger: dict[str, Any] = {"network.first_channels": 8}
     refused("encoder.* has 0.weight of shape .*, not .*--quick in both trainings or in none", **larger)
-    save_encoder(file, Encoder({name: values for name, values in weights.items() if name != "1.running_mean"}))
+    incomplete = Encoder({name: values for name, values in weights.items() if name != "1.running_mean"})
+    with pytest.raises(TrainingError, match="exists already"):
+        save_encoder(file, incomplete)
+    save_encoder(file, incomplete, overwrite=True)
     refused("lacks 1.running_mean: give the folder of a training of bc, or")
-    save_encoder(file, Encoder({**weights, "15.weight": torch.zeros(1)}))
+    save_encoder(file, Encoder({**weights, "15.weight": torch.zeros(1)}), overwrite=True)
     refused("has 15.weight, which this network does not have")
-    save_encoder(file, Encoder({**weights, "0.weight": weights["0.weight"] * torch.nan}))
+    save_encoder(file, Encoder({**weights, "0.weight": weights["0.weight"] * torch.nan}), overwrite=True)
     refused("numbers in 0.weight that are not real and finite")
-    save_encoder(file, Encoder(weights, demonstration_set=2))
+    save_encoder(file, Encoder(weights, demonstration_set=2), overwrite=True)
     refused(r"demonstrations of set 2: add --set demos\.set=2")
     two: dict[str, Any] = {"demos.set": 2}
     assert load_encoder(using(file, **two)) is not None

@@ -83,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--paper", action="store_true", help="the paper's network instead of the quick one")
     options = parser.parse_args(arguments)
+    if options.out.exists():
+        parser.error(f"{options.out} exists already; give another path, or remove it first")
     torch.set_num_threads(1)
     found = episodes_in(options.episodes)
     if not found:
