@@ -2,9 +2,9 @@
 
 Demonstrations approach a block directly and close the fingers around it. They do not show how to grip a block from
 another pose next to it, or after the robot has pushed it aside. Here the robot leaves a demonstration at random shortly
-before a grip, and may push that block. Then it tries several random manoeuvres to grip the block: back off, turn to it,
-drive to it, close the fingers. A manoeuvre succeeds if the block then follows the fingers. The shortest successful one
-becomes the target action sequence.
+before a grip, with open or closed fingers, and may push that block. Then it tries several random manoeuvres to grip the
+block: back off, turn to it, drive to it, close the fingers. A manoeuvre succeeds if the block then follows the fingers.
+The shortest successful one becomes the target action sequence.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ SEGMENTS: Final = (2, 4)
 """The smallest and the largest number of random segments of driving or turning when the robot leaves."""
 LONGEST: Final = 5
 """The largest number of steps of a segment."""
+CLOSED: Final = 0.4
+"""The share of attempts after closing the fingers."""
 REACH: Final = 0.75
 """Attempts begin at most this far (units) from the block to the robot's centre."""
 ATTEMPTS: Final = 8
@@ -82,12 +84,13 @@ class _Rollout:
             self.actions.append(action)
 
     def wander(self, rng: np.random.Generator) -> None:
-        """Leaves the demonstration with some random segments of driving and turning."""
+        """Leaves the demonstration with some random segments of driving and turning, with open or closed fingers."""
+        gripper = Gripper(int(rng.random() < CLOSED))
         for _ in range(rng.integers(SEGMENTS[0], SEGMENTS[1] + 1)):
             turn, drive = Turn(int(rng.integers(1, 3))), Drive(int(rng.integers(1, 3)))
             kind = rng.integers(3)
             times = int(rng.integers(1, LONGEST + 1))
-            self.act(Gripper.OPEN, turn if kind else Turn.NONE, Drive.NONE if kind == 1 else drive, times)
+            self.act(gripper, turn if kind else Turn.NONE, Drive.NONE if kind == 1 else drive, times)
 
     def take(self, block: int, rng: np.random.Generator) -> None:
         """Backs off by up to four steps, turns to a block, drives to it, and closes the fingers."""

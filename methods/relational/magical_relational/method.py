@@ -43,8 +43,8 @@ from magical_relational.grips import gripped
 from magical_relational.hindsight import by_hindsight
 from magical_relational.network import Ensemble, graph
 from magical_relational.policy import save_policy
-from magical_relational.replay import Samples, joined, read
-from magical_relational.samples import contrast, displace, mirror, rename
+from magical_relational.replay import CLOSING, Samples, joined, read
+from magical_relational.samples import close, contrast, displace, exchange, mirror, rename
 from magical_relational.settings import PREMISES, RelationalSettings, RelationalTrainingSettings
 
 REPORT: Final = "assumptions.json"
@@ -57,6 +57,8 @@ GRIPPED: Final = 0.25
 """The share of `grips` among all other samples, if it is assumed. Half of the rest are from `hindsight`."""
 RELEASED: Final = 0.12
 """The share of releases among all other samples, if `delivery` is assumed."""
+EXCHANGED: Final = (0.1, 0.5)
+"""The shares of exchanged blocks, if `contrast` is assumed: among blocks that are carried, and that are released."""
 AVERAGED: Final = 0.2
 """The share of the latest weights in the moving average of weights. The average plays more consistently."""
 NOISE: Final = (0.01, 0.01, 0.02)
@@ -240,10 +242,18 @@ class Relational(Method):
             )
         ]
         samples = joined(parts)
+        if "contrast" in assumed:
+            first = size - paths - grips - releases
+            chance = EXCHANGED[0] * (samples.actions >= CLOSING)
+            chance[:first] = chance[first + paths :] = 0.0
+            chance[size - releases :] = EXCHANGED[1]
+            exchange(samples, chance, self.draw)
         if "displace" in assumed:
             displace(samples.of(slice(shown, None)), self.draw, pairs="egocentric" in assumed)
         if "contrast" in assumed:
             contrast(samples.of(slice(shown, None)), self.draw)
+        if "delivery" in assumed:
+            close(samples.of(slice(shown, None)), self.draw)
         samples = samples.of(torch.randperm(size, generator=self.draw))
         states, actions = samples.states, samples.actions
         if "mirror" in assumed:

@@ -24,7 +24,7 @@ from torch import Tensor
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
+from magical_mj.scene.actions import ACTIONS, NOOP, Action, Gripper
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 
 MOVED: Final = 0.03
@@ -43,6 +43,10 @@ OPENING: Final = 3
 """The number of steps for opening the fingers. Later actions without effect are left out."""
 PATH_POINTS: Final = 16
 """The number of points that describe the robot's path ahead."""
+
+
+CLOSING: Final = Action(Gripper.CLOSE).number
+"""This action and all with larger numbers close the fingers."""
 
 
 class Freedom(IntEnum):

@@ -15,10 +15,11 @@
   was kept, the robot may have any pose together with this block. While it brings a block to a region, both may be
   rotated about the region. False if the absolute position of an object matters.
 - delivery: a demonstration is a series of deliveries. A block that is only bumped is not involved
-  (`magical_relational.replay`). Releases of blocks are additional samples. False if a bump matters.
+  (`magical_relational.replay`). Releases of blocks are additional samples. Fingers that hold nothing may be closed.
+  False if a bump, or an empty hand, matters.
 - contrast: a block that no demonstration moves may have another shape and colour. With the regions, and with the blocks
   in regions, it must share its shape or colour as an unmoved block of the demo scene does. Some of these blocks are put
-  in front of the robot. False if an unmoved block matters in another way.
+  in front of the robot. A robot that holds such a block releases it. False if an unmoved block matters in another way.
 
 Each is false in some tasks. `magical_relational.method` keeps an assumption only if the demo score does not fall much.
 """
@@ -32,9 +33,9 @@ import torch
 from torch import Tensor
 
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, Turn
+from magical_mj.scene.actions import ACTIONS, NOOP, Turn
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
-from magical_relational.replay import Freedom, Samples
+from magical_relational.replay import CLOSING, Freedom, Samples
 
 CLEAR: Final = 0.3
 """The smallest distance (units) between the centres of a displaced object and of others."""
@@ -44,6 +45,10 @@ PATH_CLEARANCE: Final = 0.36
 """The smallest distance (units) of a displaced block from the paths of the robot and of its held block."""
 FACING: Final = (0.4, 1.3, 0.4)
 """Blocks in front of the robot: the smallest and the largest distance (units), and the bearing's deviation (rad)."""
+EMPTY: Final = 0.5
+"""The fingers are empty if all blocks are farther (units) than this from the robot's centre."""
+OPENED: Final = torch.tensor([math.pi / 8, -math.pi / 8])
+"""The angles (rad) of open fingers."""
 ATTEMPTS: Final = 6
 """The number of attempts to find a free pose for a robot and its block."""
 _SIGNED: Final = ("x", "angle", "x_velocity", "angle_velocity")
@@ -142,6 +147,34 @@ def contrast(samples: Samples, generator: torch.Generator) -> None:
     fits &= (samples.path - position[:, None]).norm(dim=2).amin(1) > PATH_CLEARANCE
     fits &= torch.rand(len(here), generator=generator) < 0.7
     blocks[here, chosen, 1:3] = torch.where(fits[:, None], position, blocks[here, chosen, 1:3])
+
+
+def exchange(samples: Samples, chance: Tensor, generator: torch.Generator) -> None:
+    """Exchanges the looks of current blocks and unmoved ones, in place. The robot releases such a block anywhere.
+
+    `chance`, shape (n,), is the probability of an exchange. The robot must hold the block, or have released it.
+    """
+    blocks, rows = blocks_of(samples.states), torch.arange(len(samples.states))
+    unmoved = samples.droppable[:, MAX_REGIONS:] & (blocks[..., 0] > 0.5)
+    other = (torch.rand(unmoved.shape, generator=generator) * unmoved).argmax(1)
+    mine = samples.pair.int().argmax(1)
+    fits = samples.pair.any(1) & unmoved[rows, other] & (torch.rand(len(rows), generator=generator) < chance)
+    rows, other, mine = rows[fits], other[fits], mine[fits]
+    looks = blocks[..., SHAPES.start : COLOURS.stop]
+    looks[rows, mine], looks[rows, other] = looks[rows, other], looks[rows, mine]
+    samples.groups[rows, mine] = MAX_REGIONS + mine
+    samples.freedom[rows] = Freedom.ANYWHERE
+    samples.actions[rows] = torch.where(samples.actions[rows] < CLOSING, samples.actions[rows], NOOP)
+
+
+def close(samples: Samples, generator: torch.Generator) -> None:
+    """Closes the fingers of some robots that are far from all blocks and open their fingers, in place."""
+    states, blocks = samples.states, blocks_of(samples.states)
+    apart = (blocks[..., 1:3] - states[:, None, :2]).norm(dim=2) + 10.0 * (blocks[..., 0] < 0.5)
+    chosen = (samples.actions < CLOSING) & (apart.amin(1) > EMPTY)
+    chosen &= torch.rand(len(states), generator=generator) < 0.3
+    share = (2 * torch.rand((len(states), 1), generator=generator) - 1).clamp(min=0)
+    states[:, FINGERS] = torch.where(chosen[:, None], share * OPENED, states[:, FINGERS])
 
 
 def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -> Tensor:

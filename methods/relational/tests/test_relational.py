@@ -20,7 +20,7 @@ from magical_relational.network import STANDING, Ensemble, graph
 from magical_relational.policy import POLICY, load_policy
 from magical_relational.redraw import Redraw, Redrawer, scenes_of
 from magical_relational.replay import NEXT_TO, PATH_POINTS, Freedom, Replay, Samples, in_hand, read
-from magical_relational.samples import contrast, displace, mirror, rename
+from magical_relational.samples import close, contrast, displace, exchange, mirror, rename
 from magical_relational.settings import ASSUMPTIONS, RelationalSettings
 
 from magical_mj import TASKS, demos
@@ -287,6 +287,40 @@ def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
             held.append(np.linalg.norm(in_hand(engine.state_vector(), number) - before) < 0.05)
     assert np.mean(held) > 0.6
     assert any(pushed)
+
+
+def test_a_robot_releases_a_block_that_it_should_not_hold() -> None:
+    """In FindDupe, held blocks lose the query's look, and the robot opens its fingers. Others keep their actions."""
+    samples = demonstrated(shipped("FindDupe")[:4], NOTHING_TRIED, 0, deliveries=True).shown
+    other = Samples(*(part.clone() for part in samples))
+    held = (samples.actions >= CLOSED) & samples.pair.any(1)
+    exchange(other, held.float(), torch.Generator().manual_seed(0))
+    assert torch.equal(samples.states[:, :8], other.states[:, :8])
+    assert torch.equal(blocks_of(samples.states)[..., :7], blocks_of(other.states)[..., :7])
+    rows, mine = samples.pair.nonzero().T
+    query = len(shipped("FindDupe")[0].scene.blocks) - 1
+    same = [
+        (blocks_of(states)[rows, mine, 7:] == blocks_of(states)[rows, query, 7:]).all(1)
+        for states in (samples.states, other.states)
+    ]
+    assert same[0].all()
+    assert torch.equal(same[1], ~held[rows])
+    assert (other.actions[held] < CLOSED).all()
+    assert torch.equal(samples.actions[~held], other.actions[~held])
+    assert (other.freedom[held] == Freedom.ANYWHERE).all()
+
+
+def test_fingers_are_closed_only_if_they_are_empty_and_open_again() -> None:
+    samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0, deliveries=True).shown
+    other = Samples(*(part.clone() for part in samples))
+    close(other, torch.Generator().manual_seed(0))
+    closed = (samples.states != other.states).any(1)
+    changed = (samples.states != other.states).any(0).nonzero()[:, 0].tolist()
+    assert changed == [6, 7]
+    assert (other.actions[closed] < CLOSED).all()
+    assert (other.states[closed, 6].abs() < samples.states[closed, 6].abs() + 1e-3).all()
+    blocks = blocks_of(other.states[closed])
+    assert ((blocks[..., 1:3] - other.states[closed, None, :2]).norm(dim=2)[blocks[..., 0] > 0] > NEXT_TO).all()
 
 
 def test_a_robot_that_is_stuck_acts_less_sharply() -> None:
