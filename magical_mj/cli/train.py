@@ -127,6 +127,7 @@ def train(
         raise SettingsError(
             "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"
         )
+    METHODS[method].check_settings(settings)
     keep_freed_memory()
     screen = console()
     _describe_demonstrations(screen, settings)

@@ -155,7 +155,8 @@ class Engine:
     @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        return self._broken or (self.limit is not None and self.steps >= self.limit)
+        steps = self.steps
+        return self._broken or (self.limit is not None and steps >= self.limit)
 
     def reset(
         self,
@@ -301,7 +302,11 @@ class Engine:
         return restored, (self.setup, self.shifts, *episode, self.simulation.renderer)
 
     def close(self) -> None:
-        """Frees the simulation. Can be called more than once."""
+        """Frees the simulation. Can be called more than once.
+
+        Methods and properties of the episode, such as `score`, `scene` and `steps`, then raise a `ClosedError`. Those
+        of the engine, such as `task` and `limit`, do not.
+        """
         if self._simulation is not None:
             self._simulation.free()
         self._simulation = None

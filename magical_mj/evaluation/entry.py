@@ -164,17 +164,19 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
     episodes: Columns
     sha256: str
     played_in: Annotated[list[Annotated[str, Meta(pattern=r"^\w{1,80}$(?!\n)")]], Meta(max_length=20)] = []
+    other_tasks: Annotated[list[Line], Meta(max_length=1_000)] = []
 
 
 class Entry(EntryFields, frozen=True):
     """The results of one method. Episodes read from a file have no duration, and no individual versions.
 
     `played_in` names the variants, apart from Demo, of the scenes in its policies' training, as far as the evaluations
-    recorded them.
+    recorded them. `other_tasks` names the tasks that its encoders or rewards, but not its policies, were trained on.
     """
 
     episodes: list[EpisodeResult]
     played_in: list[str] = []
+    other_tasks: list[str] = []
 
     @property
     def method(self) -> str:
@@ -188,8 +190,8 @@ class Entry(EntryFields, frozen=True):
 
     @property
     def undeclared(self) -> str:
-        """The problem that its card lacks a privilege. Empty if none is known to be missing."""
-        return undeclared(self.card, self.played_in)
+        """The reason why its card is incomplete. Empty if nothing is known to be missing."""
+        return undeclared(self.card, self.played_in, self.other_tasks)
 
     @property
     def counted(self) -> list[EpisodeResult]:
@@ -213,11 +215,14 @@ def has_place(task: str, variant: str, shift: str) -> bool:
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
-def undeclared(card: Card, played_in: Sequence[str]) -> str:
-    """The problem that a card does not declare learning in these variants; empty if it does, or there are none."""
-    if not played_in or OTHER_SCENES in (card.privileges or ()):
-        return ""
-    return f'learnt in scenes of {", ".join(played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
+def undeclared(card: Card, played_in: Sequence[str], other_tasks: Sequence[str]) -> str:
+    """The reason why a card does not declare learning in these variants and tasks. Empty if it does."""
+    if played_in and OTHER_SCENES not in (card.privileges or ()):
+        return f'learnt in scenes of {", ".join(played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
+    stated = card.demonstrations.other or ""
+    if absent := [task for task in other_tasks if task not in stated]:
+        return f"has an encoder or a reward of {', '.join(absent)}: name them in the card's [demonstrations] other"
+    return ""
 
 
 def common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
@@ -249,8 +254,9 @@ def packed(entry: Entry) -> bytes:
             environment = f"{episode.task}-{episode.variant} {episode.shift}".rstrip()
             column[environment].append(getattr(episode, field))
     fields = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
-    if not entry.played_in:  # older versions did not write it
-        del fields["played_in"]
+    for name in ("played_in", "other_tasks"):
+        if not fields[name]:  # older versions did not write them
+            del fields[name]
     content = {**fields, "format": FORMAT, "runs": entry.runs, "episodes": columns}
     text = _text({**content, "sha256": hashlib.sha256(_text(content)).hexdigest()})
     return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
@@ -292,7 +298,8 @@ def read_entry(path: Path | str) -> Entry:
     versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
     episodes = [row for entry in parts.values() for row in entry.episodes]
     played_in = sorted({name for entry in parts.values() for name in entry.played_in})
-    return Entry(card, observations, rules, protocol, versions, episodes, played_in)
+    other_tasks = sorted({task for entry in parts.values() for task in entry.other_tasks})
+    return Entry(card, observations, rules, protocol, versions, episodes, played_in, other_tasks)
 
 
 def _content(path: Path, most: int) -> bytes:
@@ -329,7 +336,7 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
     shared = {name: getattr(content, name) for name in EntryFields.__struct_fields__}
-    return Entry(**shared, episodes=episodes, played_in=content.played_in)
+    return Entry(**shared, episodes=episodes, played_in=content.played_in, other_tasks=content.other_tasks)
 
 
 def _check_name(method: str, name: object) -> None:

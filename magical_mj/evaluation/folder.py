@@ -50,6 +50,7 @@ class PlayedPolicy(Struct):
     given: str = ""
     demonstration_set: StoredInt = 1
     played_in: str = "Demo"
+    other_tasks: list[str] = []
 
 
 class Played(Struct):

@@ -81,9 +81,11 @@ def submit(
     check_trainings(known.values(), name)
     learnt = [row for settings in known.values() for row in recorded_policies(settings) if row.name == name]
     played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
-    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in)
+    other_tasks = sorted({task for row in learnt for task in row.other_tasks})
+    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in, other_tasks)
     protocol = common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items()))
-    entry = _combined(new_card, [source for source in sources if source[0].policy == name], protocol, played_in)
+    own = [source for source in sources if source[0].policy == name]
+    entry = _combined(new_card, own, protocol, played_in, other_tasks)
     content = packed(entry)
     unpacked(content, "the choice of folders")
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -91,12 +93,14 @@ def submit(
     return entry
 
 
-def _check_declared(card: Card, method: str, sets: set[int], played_in: Sequence[str]) -> None:
+def _check_declared(
+    card: Card, method: str, sets: set[int], played_in: Sequence[str], other_tasks: Sequence[str]
+) -> None:
     """Raises a `SettingsError` if the card does not declare the training data.
 
-    These are the set of demonstrations, and scenes of test variants that were played in training. Evaluations know both
-    only for trainings of this package. For other policies they record set 1 and no play, so a card may declare another
-    set.
+    These are the set of demonstrations, scenes of test variants that were played in training, and other tasks. They are
+    known only for trainings of this package. For other policies, evaluations record set 1 and no play, so a card may
+    declare another set.
     """
     if len(sets) > 1 or sets - {1, card.demonstrations.loaded_set}:
         raise SettingsError(
@@ -104,12 +108,16 @@ def _check_declared(card: Card, method: str, sets: set[int], played_in: Sequence
             f"[demonstrations] loaded_set = {card.demonstrations.loaded_set}: declare the set, and submit policies of "
             "one set only"
         )
-    if problem := undeclared(card, played_in):
+    if problem := undeclared(card, played_in, other_tasks):
         raise SettingsError(f"{method} {problem}")
 
 
 def _combined(
-    card: Card, sources: Sequence[tuple[EpisodeResult, Path]], protocol: int | None, played_in: list[str]
+    card: Card,
+    sources: Sequence[tuple[EpisodeResult, Path]],
+    protocol: int | None,
+    played_in: list[str],
+    other_tasks: list[str],
 ) -> Entry:
     """The entry of one method's episodes, each given with its folder. They are checked."""
     for episode, folder in sources:
@@ -131,4 +139,5 @@ def _combined(
         Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
         episodes,
         played_in,
+        other_tasks,
     )

@@ -87,6 +87,12 @@ class BehaviouralCloning(Learner):
         """The variants of the scenes in the encoder's training."""
         return super().played_in if self._encoder is None else self._encoder.played_in
 
+    @property
+    def other_tasks(self) -> tuple[str, ...]:
+        """The encoder's tasks that are not in the settings."""
+        known = () if self._encoder is None else self._encoder.tasks
+        return tuple(task for task in known if task not in self.settings.tasks)
+
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
         """The data set. Its method `sample` draws batches."""
         return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
@@ -155,7 +161,7 @@ def clone(
             learner.update()
         learner.recalibrate()
     if folder is not None:
-        with folder.locked():
+        with folder.locked(learner):
             learner.save_policy(folder.path)
     return learner.policy()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -12,12 +12,12 @@ from torch import Tensor, nn
 
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import Torso
-from magical_mj.learners.policy import POLICY
+from magical_mj.learners.policy import POLICY, load_policy
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.loading import CONFIG, learnt_from
-from magical_mj.policies.models import check_set, check_variants
+from magical_mj.policies.loading import CONFIG
+from magical_mj.policies.models import check_tasks, check_variants
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, TrainingError, short_repr
+from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 
 PREFIX: Final = "torso.convolutions."
 """The prefix of the encoder's weights among those of a policy."""
@@ -28,10 +28,12 @@ class Encoder(NamedTuple):
 
     weights: Mapping[str, Tensor]
     """The state of a `Torso`'s convolutions with batch norm."""
+    tasks: Sequence[str]
+    """The tasks of the episodes in its training."""
     played_in: str = "Demo"
     """The variants of the scenes in its training, separated by commas."""
     demonstration_set: int = 1
-    """The set of the package's demonstrations that it was trained on."""
+    """The set of the package's demonstrations that it was trained on; 0 for none of them."""
 
 
 class Frozen(nn.Sequential):
@@ -51,10 +53,10 @@ def save_encoder(path: Path | str, encoder: Encoder, *, overwrite: bool = False)
     """Writes an encoder into a file for the setting `bc.encoder`.
 
     Raises:
-        SettingsError: if `played_in` contains anything except variants.
+        SettingsError: if `tasks` contains anything except names, or `played_in` anything except variants.
         TrainingError: if the file exists and `overwrite` is false, or it cannot be written.
     """
-    check_variants(encoder.played_in, "played_in")
+    _check(encoder, "")
     contents = {**encoder._asdict(), "weights": dict(encoder.weights)}
     checkpoint.write(files.to_path(path), {"encoder": contents}, overwrite=overwrite)
 
@@ -72,11 +74,11 @@ def load_encoder(settings: TrainingSettings) -> Encoder | None:
         raise SettingsError(f"bc.encoder is for pictures and has no effect with the preset {settings.preset}")
     path = Path(settings.bc.encoder)
     encoder = _of_run(path) if path.is_dir() else _in_file(path)
-    if encoder.demonstration_set not in (1, settings.demos.set):
+    if encoder.demonstration_set not in (0, settings.demos.set):
         number = encoder.demonstration_set
         raise SettingsError(
-            f"the encoder in {path} learnt from demonstrations of set {number}: add --set demos.set={number}, so that "
-            "evaluations of the policy record it"
+            f"the encoder in {path} learnt with demos.set={number}, and this training would with "
+            f"demos.set={settings.demos.set}: use one set for both, since evaluations and entries record one"
         )
     with torch.device("meta"):  # only for its shapes
         wanted = Torso(settings.network, batch_norm=True).convolutions.state_dict()
@@ -98,23 +100,36 @@ def encoder_digest(settings: TrainingSettings) -> str:
 def _of_run(folder: Path) -> Encoder:
     if not (folder / CONFIG).is_file():
         raise SettingsError(f"bc.encoder={folder} is not the folder of a training: it has no {CONFIG}")
-    weights = checkpoint.read(folder / POLICY).get("weights", {})
+    policy = load_policy(folder)
+    weights = policy.actor.state_dict()
     kept = {name.removeprefix(PREFIX): values for name, values in weights.items() if name.startswith(PREFIX)}
-    return Encoder(kept, **learnt_from(folder))
+    return Encoder(kept, (*policy.tasks, *policy.other_tasks), policy.played_in, policy.demonstration_set)
 
 
 def _in_file(path: Path) -> Encoder:
+    if not path.exists():
+        raise SettingsError(
+            f"bc.encoder={path} does not exist: give the folder of a training, or a file written by save_encoder"
+        )
     try:
         known = checkpoint.read(path).get("encoder")
     except TrainingError as error:
         raise TrainingError(f"{error}; give the folder of a training, or a file written by save_encoder") from error
     if not isinstance(known, dict) or known.keys() != set(Encoder._fields) or not isinstance(known["weights"], dict):
         raise SettingsError(
-            f"{path} was not written by save_encoder, so the variants of its training are unknown: give such a file, "
-            "or the folder of a training"
+            f"{path} was not written by save_encoder of this version, so the tasks and variants of its training are "
+            "unknown: give such a file, or the folder of a training"
         )
-    variants = check_variants(known["played_in"], f"played_in in {path}")
-    return Encoder(known["weights"], variants, check_set(known["demonstration_set"], f"demonstration_set in {path}"))
+    encoder = Encoder(**known)
+    _check(encoder, f" in {path}")
+    return encoder
+
+
+def _check(encoder: Encoder, where: str) -> None:
+    check_tasks(encoder.tasks, f"tasks{where}")
+    check_variants(encoder.played_in, f"played_in{where}")
+    if as_integer(encoder.demonstration_set) is None:
+        raise SettingsError(f"demonstration_set{where} must be a number of a set, or 0 for none")
 
 
 def _misfit(given: Mapping[str, Any], wanted: Mapping[str, Tensor]) -> str:

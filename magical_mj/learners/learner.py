@@ -144,11 +144,22 @@ class Learner(Method):
         """The variants of the scenes in its training, separated by commas."""
         return self.settings.reward.variant
 
+    @property
+    def other_tasks(self) -> tuple[str, ...]:
+        """Tasks that are not in the settings, but that an encoder or a reward was trained on."""
+        return ()
+
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the network's probabilities."""
         settings = self.settings
-        learnt: dict[str, Any] = {"demonstration_set": settings.demos.set, "played_in": self.played_in}
-        return TrainedPolicy(self.actor, settings.tasks, settings.preset, **learnt)
+        return TrainedPolicy(
+            self.actor,
+            settings.tasks,
+            settings.preset,
+            demonstration_set=settings.demos.set,
+            played_in=self.played_in,
+            other_tasks=self.other_tasks,
+        )
 
     def save_policy(self, folder: Path) -> None:
         """Writes the network."""

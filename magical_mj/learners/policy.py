@@ -42,6 +42,7 @@ class TrainedPolicy(Model):
         preset: the preset of the training's observations.
         demonstration_set: the set of the package's demonstrations that it was trained on.
         played_in: the variants of the scenes in its training, separated by commas.
+        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
     """
 
     def __init__(
@@ -52,9 +53,10 @@ class TrainedPolicy(Model):
         *,
         demonstration_set: int = 1,
         played_in: str = "Demo",
+        other_tasks: Sequence[str] = (),
     ) -> None:
         super().__init__(self._drawn, remembers=preset == STATE)
-        self.demonstration_set, self.played_in = demonstration_set, played_in
+        self.demonstration_set, self.played_in, self.other_tasks = demonstration_set, played_in, tuple(other_tasks)
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
 
@@ -138,8 +140,8 @@ class _Logits(nn.Module):
 def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
     """Writes the policy of a training as an ONNX file.
 
-    Its metadata contain the task, the preset, the set of the package's demonstrations, and the variants of its
-    training.
+    Its metadata contain the task, the preset, the set of the package's demonstrations, the variants of its training,
+    and the other tasks of an encoder or a reward.
 
     The input `observations` contains stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
     float32, oldest first. At the start of an episode, its first state is repeated for the missing earlier ones. The
@@ -177,8 +179,10 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
             part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
-        learnt = {name: str(value) for name, value in learnt_from(folder).items()}
-        program.model.metadata_props.update(task=task, preset=policy.preset, **learnt)
+        learnt = learnt_from(folder)
+        learnt["other_tasks"] = "\n".join(learnt["other_tasks"])
+        texts = {name: str(value) for name, value in learnt.items()}
+        program.model.metadata_props.update(task=task, preset=policy.preset, **texts)
         program.save(unfinished, external_data=False)
     return out
 

@@ -278,6 +278,11 @@ class OnLearntReward(RewardLearner):
                 f"demos.set={number}, so that evaluations of the policy record it"
             )
 
+    @property
+    def other_tasks(self) -> tuple[str, ...]:
+        """The tasks of the reward that are not in the settings."""
+        return tuple(task for task in self._rewarded.settings.tasks if task not in self.settings.tasks)
+
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Does nothing."""
         del rollout

@@ -25,11 +25,11 @@ from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
 from magical_mj.learners.data import digest
-from magical_mj.learners.encoder import encoder_digest, load_encoder
-from magical_mj.learners.learner import threads_for
+from magical_mj.learners.encoder import encoder_digest
+from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
-from magical_mj.policies.loading import CONFIG, loader_in, sources
+from magical_mj.policies.loading import CONFIG, LEARNT, loader_in, sources
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
@@ -110,8 +110,10 @@ class RunFolder:
         return policy
 
     @contextmanager
-    def locked(self) -> Iterator[Checkpoint | None]:
+    def locked(self, method: Method) -> Iterator[Checkpoint | None]:
         """A context that locks the folder against other processes. Creates it, with its config.toml, if needed.
+
+        config.toml records what `method` learns from in addition to the settings.
 
         Yields the last checkpoint. It is read again, since another process may have continued the training.
 
@@ -121,7 +123,7 @@ class RunFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if not config.exists():
-                files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance(self._settings)}")
+                files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance(self._settings, method)}")
         except OSError as error:
             raise TrainingError(f"cannot write into {self.path}: {error.strerror}") from error
         busy = TrainingError(f"another process is training in {self.path}; wait until it ends, or give a new folder")
@@ -277,8 +279,10 @@ def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
     }
 
 
-def _provenance(settings: TrainingSettings) -> str:
+def _provenance(settings: TrainingSettings, method: Method) -> str:
     """The time, command, versions, threads and external inputs of a run's start, as TOML."""
+    read = {name: usual for name, (usual, sources) in LEARNT.items() if (START, name) in sources}
+    learnt = {name: value for name, usual in read.items() if (value := getattr(method, name, usual)) != usual}
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -290,6 +294,6 @@ def _provenance(settings: TrainingSettings) -> str:
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
         **{name: now for name, (_, now) in _sources(settings).items() if now},
-        **({"played_in": encoder.played_in} if (encoder := load_encoder(settings)) else {}),
+        **learnt,
     }
     return "".join(f"{name} = {toml_value(value)}\n" for name, value in start.items())

@@ -81,7 +81,7 @@ def train(
         torch_settings(folder.threads),
         _enough_memory(folder.path),
         closing((learner or METHODS[settings.method])(settings)) as method,
-        folder.locked() as last,
+        folder.locked(method) as last,
     ):
         return _Training(folder, last, settings, method).run(watch)
 

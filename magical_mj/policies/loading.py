@@ -29,7 +29,7 @@ from magical_mj.policies.interface import (
     uses_instruction,
     uses_simulation,
 )
-from magical_mj.policies.models import LOADERS, Shape, check_set, check_variants
+from magical_mj.policies.models import LOADERS, Shape, check_set, check_tasks, check_variants
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
@@ -46,8 +46,11 @@ CONFIG: Final = "config.toml"
 LEARNT: Final = {
     "demonstration_set": (1, [("demos", "set")]),
     "played_in": ("Demo", [("reward", "variant"), ("made", "played_in")]),
+    "other_tasks": ((), [("made", "other_tasks")]),
 }
 """A field of `Source` about the policy's training -> its default, and where settings contain it: (table, name)."""
+CHECKS: Final = {"demonstration_set": check_set, "played_in": check_variants, "other_tasks": check_tasks}
+"""The same fields -> the function that checks a value."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (
@@ -81,6 +84,7 @@ class Source:
         shown: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations that it was trained on, if known.
         played_in: the variants of the scenes that it was trained in, if known, separated by commas.
+        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on, if known.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -96,6 +100,7 @@ class Source:
     shown: bool = False
     demonstration_set: int = 1
     played_in: str = "Demo"
+    other_tasks: tuple[str, ...] = ()
     needs_plan: bool = False
 
     def load(self) -> Act:
@@ -148,6 +153,8 @@ class Source:
             facts["demonstration_set"] = self.demonstration_set
         if self.played_in != "Demo":
             facts["played_in"] = self.played_in
+        if self.other_tasks:
+            facts["other_tasks"] = list(self.other_tasks)
         return facts
 
     def _hash(self) -> dict[str, str]:
@@ -247,7 +254,7 @@ def playable(
 
 
 def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
-    """The fields `demonstration_set` and `played_in` of `Source`.
+    """The fields of `Source` in `LEARNT`.
 
     Args:
         origin: the policy's origin. If it is the folder of a training, they are read from its settings.
@@ -262,7 +269,7 @@ def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
             known = settings.get(part)
             if isinstance(known, dict) and setting in known:
                 value, where = known[setting], f"{part}.{setting} in {path}"
-        facts[name] = check_set(value, where) if name == "demonstration_set" else check_variants(value, where)
+        facts[name] = CHECKS[name](value, where)
     return facts
 
 

@@ -66,13 +66,15 @@ class Model:
         remembers: whether observations are state vectors, and `act` takes the last few of them (`History.states`).
 
     Attributes:
-        tasks, preset, demonstration_set, played_in: facts about its training. Missing if the file lacks them.
+        tasks, preset, demonstration_set, played_in, other_tasks: facts about its training. Missing if the file lacks
+            them.
     """
 
     tasks: tuple[str, ...]
     preset: str
     demonstration_set: int
     played_in: str
+    other_tasks: tuple[str, ...]
 
     def __init__(
         self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
@@ -334,6 +336,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
         model.played_in = known.get("played_in", "Demo")
         check_variants(model.played_in, f"played_in in {path}")
+        model.other_tasks = check_tasks(known.get("other_tasks", "").splitlines(), f"other_tasks in {path}")
     return model
 
 
@@ -350,6 +353,13 @@ def check_variants(value: object, where: str) -> str:
     if not isinstance(value, str) or not set(value.split(",")) <= set(EVERY_VARIANT):
         raise SettingsError(f"{where} must be variants, separated by commas, not {short_repr(value)}")
     return value
+
+
+def check_tasks(value: object, where: str) -> tuple[str, ...]:
+    """Names of tasks, which need not exist here. Raises a `SettingsError` if the value contains anything else."""
+    if not isinstance(value, list | tuple) or not all(isinstance(task, str) and task for task in value):
+        raise SettingsError(f"{where} must be a list of tasks, not {short_repr(value)}")
+    return tuple(value)
 
 
 def onnx_runtime() -> Any:

@@ -213,6 +213,37 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
             use()
 
 
+def test_a_closed_engine_has_no_episode() -> None:
+    """All that describes the episode raises the same error; all that describes the engine is still known."""
+    engines = (
+        magical_mj.Engine("FixColour", seed=3),
+        magical_mj.Engine.of_scene(magical_mj.sample_scene("FixColour", "Demo", 0)),
+    )
+    for engine in engines:
+        known = {
+            name: getattr(engine, name) for name in ("task", "variant", "rules", "horizon", "limit", "shifts", "seed")
+        }
+        engine.close()
+        engine.close()
+        assert {name: getattr(engine, name) for name in known} == known
+        for name in (
+            "scene",
+            "initial_scene",
+            "steps",
+            "over",
+            "draws",
+            "instruction",
+            "model",
+            "data",
+            "scored_scenes",
+        ):
+            with pytest.raises(ClosedError, match="make another one"):
+                getattr(engine, name)
+        for call in (engine.score, engine.remaining, engine.reset, engine.render, engine.state_vector, engine.fingers):
+            with pytest.raises(ClosedError, match="make another one"):
+                call()
+
+
 def test_numbers_that_mujoco_would_not_take_are_refused() -> None:
     """MuJoCo would reset silently. An accepted state is returned unchanged by `get_state`."""
     env = magical_mj.Engine("FixColour", seed=0)

@@ -11,10 +11,10 @@ import torch
 from safetensors.torch import save_file
 
 from magical_mj.evaluation import evaluate
-from magical_mj.leaderboard import submit
+from magical_mj.leaderboard import submit, verify
 from magical_mj.learners import TrainingSettings, checkpoint, clone, load_policy, train
 from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.encoder import Encoder, load_encoder, save_encoder
+from magical_mj.learners.encoder import Encoder, save_encoder
 from magical_mj.learners.networks import Torso
 from magical_mj.learners.policy import export_policy
 from magical_mj.utils.errors import SettingsError, TrainingError
@@ -24,7 +24,7 @@ from tests.helpers.learners import EXPORTS, TINY, check_resumes, compare_exporte
 PREFIX = "torso.convolutions."
 
 
-def random_encoder(path: Path, played_in: str = "Demo", seed: int = 7, **facts: Any) -> Encoder:
+def random_encoder(path: Path, played_in: str = "Demo", seed: int = 7, task: str = "MoveToRegion") -> Encoder:
     """Random convolutions, with averages of batch norm that a batch would not have."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -34,7 +34,7 @@ def random_encoder(path: Path, played_in: str = "Demo", seed: int = 7, **facts: 
                 values.uniform_(-0.3, 0.3)
             if name.endswith("running_var"):
                 values.uniform_(0.1, 0.3)
-    encoder = Encoder(layers.state_dict(), played_in, **facts)
+    encoder = Encoder(layers.state_dict(), (task,), played_in)
     save_encoder(path, encoder, overwrite=True)
     return encoder
 
@@ -132,6 +132,55 @@ def test_policies_declare_the_scenes_of_their_encoder(tmp_path: Path) -> None:
         assert entry.played_in == ["All", "Layout"]
 
 
+@pytest.mark.parametrize(("encoder", "training"), [(1, 2), (2, 1)])
+def test_encoders_of_another_set_are_refused(encoder: int, training: int, tmp_path: Path) -> None:
+    """Also in the folder of a training. An encoder that learnt from none of the sets fits all trainings."""
+    file = tmp_path / "encoder.safetensors"
+    found = random_encoder(file)._replace(demonstration_set=encoder)
+    save_encoder(file, found, overwrite=True)
+    sets: list[dict[str, Any]] = [{"demos.set": encoder}, {"demos.set": training}]
+    train(using(file, **sets[0]), tmp_path / "run")
+    for path in (file, tmp_path / "run"):
+        problem = rf"learnt with demos\.set={encoder}, and this training would with demos\.set={training}: use one"
+        with pytest.raises(SettingsError, match=problem):
+            train(using(path, **sets[1]), tmp_path / "new")
+    save_encoder(file, found._replace(demonstration_set=0), overwrite=True)
+    assert clone(using(file, **sets[1])).demonstration_set == training
+
+
+@EXPORTS
+def test_entries_name_the_other_tasks_of_an_encoder(tmp_path: Path) -> None:
+    """Also those of the encoder's own encoder, of exported policies, and in entries whose card is changed later."""
+    random_encoder(tmp_path / "encoder.safetensors", task="FindDupe")
+    settings = using(tmp_path / "encoder.safetensors", tasks="FixColour")
+    assert clone(settings, out=tmp_path / "first").other_tasks == ("FindDupe",)
+    train(using(tmp_path / "first"), tmp_path / "second")
+    assert load_policy(tmp_path / "second").other_tasks == ("FixColour", "FindDupe")
+    export_policy(tmp_path / "second", tmp_path / "second.onnx")
+    card, entry = tmp_path / "entry" / "card.toml", tmp_path / "entry" / "bc.json.xz"
+    card.parent.mkdir()
+    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
+    for name in ("second", "second.onnx"):
+        evaluate({"BC": tmp_path / name}, out=tmp_path / f"scores of {name}", **where)
+        for stated in ("", '[demonstrations]\nother = "an encoder of FixColour"'):
+            card.write_text(f'method = "BC"\nprivileges = []\n{stated}')
+            problem = "BC has an encoder or a reward of .*FindDupe.*: name them in the card's .demonstrations. other"
+            with pytest.raises(SettingsError, match=problem):
+                submit([tmp_path / f"scores of {name}"], entry, card=card)
+        card.write_text(f'{card.read_text()[:-1]} and FindDupe"')
+        assert submit([tmp_path / f"scores of {name}"], entry, card=card).other_tasks == ["FindDupe", "FixColour"]
+        assert not verify(card.parent, jobs=1).unfit
+        card.write_text('method = "BC"\nprivileges = []')
+        assert "reward of FindDupe, FixColour: name them" in verify(card.parent, jobs=1).unfit[0]
+        entry.unlink()
+
+
+def test_a_missing_encoder_is_reported_at_once(shell: Shell) -> None:
+    error = shell.fails(2, "train", "bc", "--tasks", "FixColour", "--set", "bc.encoder=none.safetensors", "--out", "x")
+    assert error.startswith("magical-mj: bc.encoder=")
+    assert "does not exist" in error
+
+
 def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
     file, run = tmp_path / "encoder.safetensors", tmp_path / "run"
 
@@ -140,31 +189,30 @@ def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
             train(using(path, **changes), tmp_path / "new")
         assert not (tmp_path / "new").exists()
 
-    refused("cannot read", TrainingError)
+    refused("does not exist: give the folder of a training, or")
     weights = random_encoder(file).weights
     refused("bc.encoder is for pictures", preset="State")
     larger: dict[str, Any] = {"network.first_channels": 8}
     refused("encoder.* has 0.weight of shape .*, not .*--quick in both trainings or in none", **larger)
-    incomplete = Encoder({name: values for name, values in weights.items() if name != "1.running_mean"})
+    tasks = ("MoveToRegion",)
+    incomplete = Encoder({name: values for name, values in weights.items() if name != "1.running_mean"}, tasks)
     with pytest.raises(TrainingError, match="exists already"):
         save_encoder(file, incomplete)
     save_encoder(file, incomplete, overwrite=True)
     refused("lacks 1.running_mean: give the folder of a training of bc, or")
-    save_encoder(file, Encoder({**weights, "15.weight": torch.zeros(1)}), overwrite=True)
+    save_encoder(file, Encoder({**weights, "15.weight": torch.zeros(1)}, tasks), overwrite=True)
     refused("has 15.weight, which this network does not have")
-    save_encoder(file, Encoder({**weights, "0.weight": weights["0.weight"] * torch.nan}), overwrite=True)
+    save_encoder(file, Encoder({**weights, "0.weight": weights["0.weight"] * torch.nan}, tasks), overwrite=True)
     refused("numbers in 0.weight that are not real and finite")
-    save_encoder(file, Encoder(weights, demonstration_set=2), overwrite=True)
-    refused(r"demonstrations of set 2: add --set demos\.set=2")
-    two: dict[str, Any] = {"demos.set": 2}
-    assert load_encoder(using(file, **two)) is not None
     with pytest.raises(SettingsError, match="played_in must be variants, separated by commas, not 'Elsewhere'"):
-        save_encoder(file, Encoder(weights, "Elsewhere"))
-    for damage in (0, "1", None):
-        checkpoint.write(file, {"encoder": {**Encoder(dict(weights))._asdict(), "demonstration_set": damage}})
+        save_encoder(file, Encoder(weights, tasks, "Elsewhere"))
+    with pytest.raises(SettingsError, match="tasks must be a list of tasks, not 'FixColour'"):
+        save_encoder(file, Encoder(weights, "FixColour"))
+    for damage in (-1, "1", None):
+        checkpoint.write(file, {"encoder": {**Encoder(dict(weights), tasks)._asdict(), "demonstration_set": damage}})
         refused("demonstration_set in .* must be a number of a set")
     checkpoint.write(file, {"weights": dict(weights)})
-    refused("was not written by save_encoder, so the variants of its training are unknown")
+    refused("was not written by save_encoder of this version, so the tasks and variants of its training are unknown")
     save_file({name: values.contiguous() for name, values in weights.items()}, file)
     refused("cannot read .*; give the folder of a training, or a file written by save_encoder", TrainingError)
     train(playing("gail"), run)

@@ -59,6 +59,7 @@ def test_an_encoder_of_inverse_dynamics_declares_its_scenes_and_is_used(shell: S
     settings = [load_settings("bc", "FixColour", quick=True, **{"bc.encoder": f"{n}.safetensors"}) for n in (0, 2)]
     random, learnt = (cast("Encoder", load_encoder(one)) for one in settings)
     assert learnt.played_in == random.played_in == "Demo,Layout"
+    assert (learnt.tasks, learnt.demonstration_set) == (["MoveToRegion"], 0)
     assert not torch.equal(learnt.weights["0.weight"], random.weights["0.weight"])
     averages = [values for name, values in random.weights.items() if name.endswith("running_mean")]
     assert all(values.any() for values in averages)

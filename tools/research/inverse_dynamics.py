@@ -69,9 +69,9 @@ def learnt(episodes: Mapping[str, Sequence[Demonstration]], batches: int, seed: 
     if batches:
         print(metrics.tail(max(1, batches // 10)).mean().round(3).to_dict())
     learner.recalibrate()
-    played = {demo.variant for found in episodes.values() for demo in found}
+    played = ",".join(sorted({demo.variant for found in episodes.values() for demo in found}, key=list(VARIANTS).index))
     weights = cast("Torso", learner.actor.torso).convolutions.state_dict()
-    return Encoder(weights, ",".join(variant for variant in VARIANTS if variant in played))
+    return Encoder(weights, tuple(episodes), played, demonstration_set=0)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

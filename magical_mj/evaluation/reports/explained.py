@@ -176,7 +176,7 @@ def _lost(results: Sequence[LastSolvable]) -> Table:
 
 
 def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
-    """The table and the pictures of one policy and task."""
+    """The table and the pictures of one policy and task. A sentence instead of a table if the task has no rivals."""
     task, policy = group[0].episode.task, group[0].episode.policy
     variants = _grouped(group, "variant")
     rows, pictures = list[tuple[str, ...]](), list[str]()
@@ -199,10 +199,12 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
     notes = ["Shares: an episode counts once, shared among the rivals that it reached with weights 2^-bits."]
     left = [result.remaining for result in group if not result.rivals]
     if left:
+        which = "episodes without a reached rival" if task_rivals(task) else "unsolved episodes"
         notes.append(
-            "In episodes without a reached rival, the moves that the task's plan still has are "
-            f"{np.mean(left):.2f} world units long (mean)."
+            f"In {which}, the moves that the task's plan still has are {np.mean(left):.2f} world units long (mean)."
         )
+    if not task_rivals(task):
+        return [f"This task has no rivals. {notes[-1]}", *pictures]
     return [markdown(Table("rivals", caption, header, (("", tuple(rows)),), tuple(notes))), *pictures]
 
 
@@ -317,7 +319,7 @@ def _mean_share(results: Sequence[Attribution], rivals: Sequence[int]) -> float:
 def _sentence(task: str, rivals: Sequence[int]) -> str:
     """The simplest of these rivals in English, and the number of others. Without `rivals`: that none was reached."""
     if not rivals:
-        return "None of the rivals." if task_rivals(task) else "This task has no rivals."
+        return "None of the rivals." if task_rivals(task) else "Unsolved episodes."
     others = counted(len(rivals) - 1, "other")
     alike = f" (and {others}, reached by the same episodes)" if len(rivals) > 1 else ""
     return f"{task_rivals(task)[rivals[0]].sentence[:-1]}{alike}."
