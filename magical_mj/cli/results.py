@@ -64,7 +64,8 @@ def make_report(
     ] = 0,
     jobs: option.Jobs = None,
     rules: Annotated[
-        Rules | None, Option(help="Score all episodes by these rules; those scored by other rules are replayed.")
+        Rules | None,
+        Option(help="Score all episodes by these rules; those scored by others are replayed, which can take minutes."),
     ] = None,
     trusted: option.Trusted = "",
 ) -> None:
@@ -72,10 +73,12 @@ def make_report(
     if out is None and (len(folders) > 1 or is_entry(folders[0])):
         raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")
-    check_fits(context, explain, "with --explain", "last_solvable", "jobs")
+    check_fits(context, explain, "with --explain", "last_solvable")
+    check_fits(context, explain or rules is not None, "with --explain or --rules", "jobs")
     screen = console()
     may_name = trusted.split(",")
-    data = results(folders, published, mixed_presets, rules, may_name)  # raises errors before anything is written
+    with counting(screen, "replaying episodes") as watch:  # raises errors before anything is written
+        data = results(folders, published, mixed_presets, rules, may_name, jobs=jobs, watch=watch)
     episodes = []
     if videos:
         check_extra("videos", "video")

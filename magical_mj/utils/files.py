@@ -186,6 +186,7 @@ def _held(path: Path, timeout: float = -1) -> Iterator[None]:
     It is removed while the lock is held: `FileLock` creates a new one if its locked file is gone. Windows cannot remove
     an open file. There, `FileLock` removes it.
     """
+    path.touch()  # raises an error where no file can be created, such as in /proc; FileLock would wait for ever
     with FileLock(path, timeout=timeout):
         try:
             yield

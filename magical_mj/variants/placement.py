@@ -160,7 +160,7 @@ def with_room(scene: Scene) -> Scene:
     """
     if contact(scene) is None:
         return scene
-    areas = [region_solid(region) for region in scene.regions if not region.is_zone]
+    areas = list(map(region_solid, scene.regions))
     others = list(solids(scene).values())[1:]
     rng = np.random.Generator(np.random.PCG64(0))
     try:

@@ -28,6 +28,7 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError
+from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, example, write
 
 GOLDEN: Final = Path(__file__).parents[1] / "data" / "evaluation"
@@ -301,15 +302,23 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
     assert "`LoRes4E`, `LoRes4A`" in report([scores, presets], tmp_path / "out", mixed_presets=True).read_text()
 
 
-def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path) -> None:
+def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path, shell: Shell) -> None:
     """The scores are those of an evaluation by the other rules, after fewer steps if these end earlier."""
     settings = {"tasks": "ClusterShape,MoveToCorner", "variants": "Demo,Layout", "episodes": 2, "jobs": 1}
     for rules in ("paper", "released"):
         magical_mj.evaluate("noop,random", out=tmp_path / rules, rules=rules, **settings)
-    rescored, played = (results.gather([tmp_path / name], rules="released") for name in ("paper", "released"))
+    done = list[tuple[int, int]]()
+    rescored, played = (
+        results.gather([tmp_path / name], rules="released", jobs=1, watch=lambda *numbers: done.append(numbers))
+        for name in ("paper", "released")
+    )
+    assert done == [(number, 12) for number in range(1, 13)]  # of the first folder only
     assert rescored.drop(columns="folder").equals(played.drop(columns="folder"))
     assert not rescored["score"].equals(results.gather([tmp_path / "paper"])["score"])
-    page = report([tmp_path / "paper"], tmp_path / "out", rules="released").read_text()
+    folder = tmp_path / "paper"
+    assert shell("report", folder, "--rules", "released", "--jobs", 1, "--out", tmp_path / "out")[0] == 0
+    assert "--jobs has an effect only with --explain or --rules" in shell.fails(2, "report", folder, "--jobs", 1)
+    page = (tmp_path / "out" / "report.md").read_text()
     assert "scores by the rules `released`" in page
     path = tmp_path / "paper" / SCORES
     path.write_text(path.read_text().replace('"score": 0.25', '"score": 0.75'))

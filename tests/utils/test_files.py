@@ -244,6 +244,15 @@ def test_a_process_that_died_costs_no_folder(left: list[str], there: list[str], 
     assert list(tmp_path.iterdir()) == [path] * len(there)
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="only Linux has /proc")
+def test_where_no_file_can_be_created_nothing_waits() -> None:
+    for make in (files.new_file, files.new_folder):
+        with pytest.raises(FileNotFoundError, match="No such file"), make(Path("/proc/new")):
+            pytest.fail("nothing can be written here")
+    with pytest.raises(FileNotFoundError), files.locked(Path("/proc")):
+        pytest.fail("the lock was not created")
+
+
 def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -> None:
     """Although a child that was forked meanwhile lives on, and holds the same descriptor."""
     (tmp_path / "a.txt").write_text("text")

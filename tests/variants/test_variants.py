@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical_mj.scene import Dynamics, Scene
+from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import check_scene, inside_walls, region_solid, solids, touch
 from magical_mj.tasks.registry import (
@@ -162,3 +162,13 @@ def test_scenes_that_a_task_does_not_accept_are_drawn_again() -> None:
 def test_a_task_that_accepts_no_scene_is_an_error() -> None:
     with pytest.raises(PlacementError, match="none of 300 scenes of MoveToRegion-Jitter with seed 4"):
         vary(replace(task_spec("MoveToRegion"), accepts=lambda _: False), "Jitter", 4)
+
+
+@pytest.mark.parametrize("border", ["solid", "dashed"])
+def test_a_longer_body_is_moved_out_of_regions_and_zones(border: Any) -> None:
+    robot, block = Robot(0, 0, 0, body="longstick"), Block("square", "red", -0.3, 0, 0)
+    region = GoalRegion("red", 0.18, -1, 1, 1, border)
+    moved = placement.with_room(Scene(robot, (block,), (region,)))
+    assert moved.robot != robot
+    assert not any(touch(solids(moved)["robot"], other) for other in (solids(moved)["block 0"], region_solid(region)))
+    assert placement.contact(moved) is None

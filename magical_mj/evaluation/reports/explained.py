@@ -83,7 +83,7 @@ def explain(
     found, episodes = Explanation(), list[EpisodeResult]()
     for folder in folders:
         recorded = recorded_settings(folder)
-        for episode in episodes_of(folder, rules, trusted):
+        for episode in episodes_of(folder, rules, trusted, jobs=jobs, watch=watch):
             if problem := unfit(episode, recorded, trusted):
                 found.problems[problem] += 1
             else:

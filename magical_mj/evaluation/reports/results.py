@@ -6,7 +6,7 @@ Scores are read line by line into columns, so that a million episodes fit into m
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from operator import attrgetter
@@ -106,9 +106,15 @@ class Results:
 
 
 def gather(
-    folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None, trusted: Collection[str] = ()
+    folders: Sequence[Path],
+    mixed_presets: bool = False,
+    rules: Rules | None = None,
+    trusted: Collection[str] = (),
+    **replaying: Any,
 ) -> pd.DataFrame:
     """The scores of all folders, a row for each episode, in a fixed order. Arguments are those of `report`.
+
+    `replaying` are the arguments `jobs` and `watch` of `episodes_of`.
 
     Returns:
         A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, `other_score`, and `actions` (a checksum).
@@ -122,7 +128,7 @@ def gather(
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
     check_trainings(map(recorded_settings, folders))
-    scores = _read(folders, rules, trusted)
+    scores = _read(folders, rules, trusted, replaying)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes
     twice = scores[scores.duplicated(KEY, keep=False)]
@@ -138,8 +144,19 @@ def gather(
     return scores.reset_index(drop=True)
 
 
-def episodes_of(folder: Path, rules: Rules | None, trusted: Collection[str] = ()) -> Iterator[EpisodeResult]:
-    """The episodes of an evaluation or an entry, scored by these rules; for `trusted`, see `replay`."""
+def episodes_of(
+    folder: Path,
+    rules: Rules | None,
+    trusted: Collection[str] = (),
+    *,
+    jobs: int | None = None,
+    watch: Callable[[int, int], object] = lambda _done, _total: None,
+) -> Iterator[EpisodeResult]:
+    """The episodes of an evaluation or an entry, scored by these rules. Those scored by others are replayed.
+
+    `watch` is called with the number of replayed episodes, and their total number. For `trusted` and `jobs`, see
+    `replay`.
+    """
     if is_entry(folder):
         entry = read_entry(folder)
         played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
@@ -158,13 +175,16 @@ def episodes_of(folder: Path, rules: Rules | None, trusted: Collection[str] = ()
             raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {episode.title}: {problem}")
         else:
             others.append(("", episode))
-    for _, episode, problem in replay(others, rules=rules, trusted=trusted):
+    for done, (_, episode, problem) in enumerate(replay(others, rules=rules, jobs=jobs, trusted=trusted), start=1):
+        watch(done, len(others))
         if problem is not None:
             raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {problem}")
         yield episode
 
 
-def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collection[str] = ()) -> pd.DataFrame:
+def _read(
+    folders: Sequence[Path], rules: Rules | None, trusted: Collection[str], replaying: Mapping[str, Any]
+) -> pd.DataFrame:
     import pandas as pd
 
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
@@ -174,7 +194,7 @@ def _read(folders: Sequence[Path], rules: Rules | None = None, trusted: Collecti
     texts_of = attrgetter(*("method" if name == "policy" else name for name in NAMES))
     columns_of_texts = [(known, codes[name].append) for name, known in categories.items()]
     for index, folder in enumerate(folders):
-        for score in episodes_of(folder, rules, trusted):
+        for score in episodes_of(folder, rules, trusted, **replaying):
             for text, (known, append) in zip(texts_of(score), columns_of_texts, strict=True):
                 append(known.setdefault(text, len(known) - 1))
             numbers["actions"].append(crc32(score.actions.encode()))
@@ -221,6 +241,7 @@ def results(
     mixed_presets: bool = False,
     rules: Rules | None = None,
     trusted: Collection[str] = (),
+    **replaying: Any,
 ) -> Results:
     """The data of a report on these folders. Arguments and errors are those of `gather`.
 
@@ -228,7 +249,7 @@ def results(
     """
     import pandas as pd
 
-    scores = gather(folders, mixed_presets, rules, trusted)
+    scores = gather(folders, mixed_presets, rules, trusted, **replaying)
     plain = scores[scores["shift"] == ""]
     if plain.empty:
         raise EvaluationError("all episodes are shifted: evaluate --resume plays those without shifts")
