@@ -22,18 +22,18 @@ class RelationalSettings(Settings, part="relational"):
     """Behavioural cloning under assumptions that the demo score tests. It is not in the paper."""
 
     assumptions: Annotated[Names, Meta(description="assumptions to try, together or in this order")] = ASSUMPTIONS
-    hidden: Count = 64
+    hidden: Annotated[Count, Meta(description="size of the networks' layers")] = 64
     networks: Annotated[int, Meta(ge=1, le=100, description="number of networks whose probabilities are averaged")] = 2
     trial: Annotated[Count, Meta(description="updates of a trial, of 16 batches each")] = 200
-    batch_size: Count = 64
+    batch_size: Annotated[Count, Meta(description="samples in a batch")] = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
     rollouts: Annotated[Count, Meta(description="episodes of the demo scene that evaluate a trial")] = 80
     loss: Annotated[
         Share,
         Meta(description="loss of demo score at which assumptions are still kept (1: all are kept)"),
     ] = 0.15
-    ways: Annotated[Count, Meta(description="samples from hindsight")] = 30_000
-    grips: Annotated[Count, Meta(description="samples of gripping a block from nearby")] = 5_000
+    ways: Annotated[Count, Meta(description="samples of reaching a pose: the assumption `hindsight`")] = 30_000
+    grips: Annotated[Count, Meta(description="samples of gripping a block: the assumption `grips`")] = 5_000
     plays: Annotated[Count, Meta(description="plays in each demo scene without a block, and with each moved block")] = 8
     sharpness: Annotated[Positive, Meta(description="exponent of the policy's probabilities")] = 2.0
 
