@@ -50,6 +50,7 @@ from magical_mj.utils.errors import (
     PhysicsError,
     PlacementError,
     SettingsError,
+    StateError,
     TaskError,
 )
 
@@ -173,7 +174,8 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
     """Plays one episode. If the policy fails, its score is 0.
 
     A policy fails if it raises an error, makes the simulation unstable, or has not finished within `seconds`. The time
-    is checked after each action. A policy that uses the simulation receives the engine as `Episode.env`.
+    is checked after each action. A policy that uses the simulation receives the engine as `Episode.env`. It fails if it
+    changes the engine's state, since its actions alone would not lead to the same score.
 
     Raises:
         RenderingError: if no pictures can be drawn on this machine.
@@ -182,14 +184,15 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
         Exception: any other error of the environment.
     """
     engine, over = engine_of(env), False
+    given = engine if uses_simulation(policy) else None
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
         other = episode.instruction
-        with policy_errors():
+        with policy_errors(), _unchanged(given):
             episode = replace(episode, instruction=_sentence(policy, episode, other or engine.instruction))
-            begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
+            begin(policy, replace(episode, env=given))
         while not over:
-            with policy_errors():
+            with policy_errors(), _unchanged(given):
                 action = action_number(policy(_reading(observation, other)))
             check_time()
             result = env.step(action)
@@ -255,6 +258,19 @@ def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
         return worlds.get_attr("instruction")
     except AttributeError:
         raise EvaluationError(NO_SCORE) from None
+
+
+@contextmanager
+def _unchanged(engine: Engine | None) -> Iterator[None]:
+    """A context for calls of a policy that has this engine. Raises a `StateError` if they change its episode."""
+    if engine is None:
+        yield
+        return
+    limit, state = engine.limit, engine.get_state()
+    yield
+    if (engine.limit, engine.get_state()) != (limit, state):
+        engine.limit = limit  # of later episodes as well
+        raise StateError("the policy changed the episode in episode.env: let it try actions in episode.env.clone()")
 
 
 def late(seconds: float) -> str:

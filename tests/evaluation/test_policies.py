@@ -6,7 +6,7 @@ import multiprocessing
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -411,3 +411,40 @@ def test_a_missing_package_is_no_failure() -> None:
 def test_actions_that_are_arrays_get_a_hint(action: Any, hint: str) -> None:
     with pytest.raises(InvalidActionError, match=hint):
         action_number(action)
+
+
+def _meddlers() -> dict[str, Callable[[Any], object]]:
+    return {
+        "steps": lambda env: env.step(4),
+        "starts again": lambda env: env.reset(seed=1),
+        "moves": lambda env: env.data.qpos.__iadd__(0.01),
+        "ends later": lambda env: setattr(env, "limit", 100),
+        "restores": lambda env: env.set_state(env.clone().get_state()) or env.step(4),
+    }
+
+
+@pytest.mark.parametrize("meddle", _meddlers())
+def test_a_policy_with_the_simulation_must_not_change_the_episode(meddle: str) -> None:
+    """Its actions would not lead to the recorded score. In copies it may do anything."""
+
+    class Planner:
+        uses_simulation = True
+
+        def reset(self, episode: Episode) -> None:
+            self.env, self.calls = episode.env, 0
+
+        def __call__(self, _: Any) -> int:
+            self.calls += 1
+            assert self.env is not None
+            seed = self.env.seed
+            _meddlers()[meddle](self.env if seed == 1 and self.calls == 3 else self.env.clone())
+            return 4
+
+    rows = magical_mj.evaluate(Planner(), tasks="MoveToRegion", variants="Jitter", episodes=3, jobs=1)
+    plain = magical_mj.evaluate(lambda _: 4, tasks="MoveToRegion", variants="Jitter", episodes=3, jobs=1)
+    assert rows["failure"].isna().tolist() == [True, False, True]
+    assert (
+        "the policy changed the episode in episode.env: let it try actions in episode.env.clone()" in rows["failure"][1]
+    )
+    for column in ("score", "actions"):
+        assert rows[column][[0, 2]].tolist() == plain[column][[0, 2]].tolist()
