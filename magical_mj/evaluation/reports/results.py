@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
 
@@ -183,7 +184,10 @@ def episodes_of(
 
 
 def _read(
-    folders: Sequence[Path], rules: Rules | None, trusted: Collection[str], replaying: Mapping[str, Any]
+    folders: Sequence[Path],
+    rules: Rules | None = None,
+    trusted: Collection[str] = (),
+    replaying: Mapping[str, Any] = MappingProxyType({}),
 ) -> pd.DataFrame:
     import pandas as pd
 
