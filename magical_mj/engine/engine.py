@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.engine.episode import Setup, State, check_state
-from magical_mj.engine.simulation import Simulation
+from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
 from magical_mj.scene import Scene
@@ -290,16 +290,39 @@ class Engine:
         self._broken = False
 
     def clone(self) -> Engine:
-        """A copy in the same state, with the same future. Takes as long as making a new engine."""
-        return restored(*self.__reduce__()[1])
+        """A copy in the same state, with the same future. Takes as long as making a new engine.
+
+        Raises:
+            StateError: if `model` was changed by hand, since the copy would not have these changes.
+        """
+        copied = restored(*self._parts())
+        try:
+            self._check_model(copied.model)
+        except StateError:
+            copied.close()
+            raise
+        return copied
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Engine:
         return self.clone()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For copying and pickling: the arguments of `restored`."""
+        """For pickling. Raises a `StateError` if `model` was changed by hand."""
+        self._check_model(Simulation.of(self.initial_scene, None, EpisodeShifts(self.draws), self.setup).model)
+        return restored, self._parts()
+
+    def _parts(self) -> tuple[Any, ...]:
+        """The arguments of `restored` for a copy."""
         episode = self.seed, self.get_state(), self._broken, self.limit
-        return restored, (self.setup, self.shifts, *episode, self.simulation.renderer)
+        return self.setup, self.shifts, *episode, self.simulation.renderer
+
+    def _check_model(self, expected: mujoco.MjModel) -> None:
+        """Raises a `StateError` if the model differs from that of an unchanged engine in this episode."""
+        if changes := different_numbers(self.model, expected):
+            raise StateError(
+                f"the engine's model was changed by hand ({', '.join(changes[:5])}), and a copy would lack that: "
+                "change it in a shift of your own (docs/adding-a-shift.md), which copies have as well"
+            )
 
     def close(self) -> None:
         """Frees the simulation. Can be called more than once.
@@ -321,7 +344,7 @@ def restored(
     limit: int | None,
     renderer: str | None,
 ) -> Engine:
-    """A copy of an engine, made from the values that `Engine.__reduce__` returns."""
+    """A copy of an engine, made from the values of `Engine._parts`."""
     engine = Engine.__new__(Engine)
     engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)

@@ -30,6 +30,7 @@ from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.assets.style import MATERIALS, rgba
 from magical_mj.engine.engine import Engine
+from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import body_named
@@ -58,6 +59,8 @@ NUMERIC: Final = ("protocol", "substeps", "horizon")
 LINE_BREAKS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|pebbles)")')
 """Positions of line breaks in the JSON of a scene: one line for each object."""
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
+PICTURES: Final = "cam_", "geom_rgba", "skin_rgba"
+"""The beginnings of the names of a model's arrays that only pictures depend on."""
 SENSORS: Final = "For plots: positions and velocities, in world coordinates"
 
 
@@ -81,8 +84,9 @@ def export_mjcf(source: Any, path: str | os.PathLike[str], *, overwrite: bool = 
 
     Raises:
         InvalidSceneError: if the scene is illegal, or the source has another type.
-        SettingsError: if users have changed the model of a composer environment (dm_control can export its tree), or
-            if a vector environment has no environment with this index.
+        SettingsError: if users have changed the model of a composer environment (dm_control can export its tree); if
+            the physics of the model was changed by hand, or by the method `model` of a shift, which files cannot
+            contain; or if a vector environment has no environment with this index.
         ClosedError: if the engine or environment is closed.
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if the file cannot be written.
@@ -104,6 +108,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
 
     Raises:
         InvalidSceneError: if the scene is illegal.
+        SettingsError: if the physics of the engine's model was changed.
         ClosedError: if the engine is closed.
     """
     about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
@@ -112,6 +117,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(scene_mjcf(source)))
     else:
         scene, data = source.initial_scene, source.data
+        _check_physics(source)
         about |= {
             "task": source.task,
             "variant": None if source.seed is None else source.variant,  # a user's scene may belong to none
@@ -122,6 +128,16 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
         }
         about = {name: value for name, value in about.items() if value is not None}
     return _header(about, 2 * scene.half_width) + _indented(_model(scene, about, data, rounded=rounded))
+
+
+def _check_physics(engine: Engine) -> None:
+    """Raises a `SettingsError` if the model's physics is not that of the scene."""
+    differing = different_numbers(engine.model, Simulation.of(engine.initial_scene, setup=engine.setup).model)
+    if changes := [name for name in differing if not name.startswith(PICTURES)]:
+        raise SettingsError(
+            f"the engine's model was changed ({', '.join(changes[:5])}), by a shift or by hand, and a file would "
+            "contain only the scene"
+        )
 
 
 def _scene_or_engine(source: Any, index: int) -> Scene | Engine:

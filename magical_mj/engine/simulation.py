@@ -317,10 +317,19 @@ def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
 
 def different_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
     """The arrays and options that differ between two models, such as "geom_rgba". Names of objects are ignored."""
+    if np.array_equal(_content(model), _content(other)):  # much faster
+        return []
     arrays, options = _fields()
     pairs = {name: (getattr(model, name), getattr(other, name)) for name in arrays if not name.startswith("name")}
     pairs |= {name: (getattr(model.opt, name), getattr(other.opt, name)) for name in options}
     return [name for name, values in pairs.items() if not np.array_equal(*values, equal_nan=True)]
+
+
+def _content(model: mujoco.MjModel) -> NDArray[np.uint8]:
+    """All bytes of a model."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content
 
 
 @cache

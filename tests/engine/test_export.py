@@ -27,7 +27,8 @@ from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES
 from magical_mj.scene.constants import SHAPES
-from magical_mj.utils.errors import InvalidSceneError
+from magical_mj.shifts import Factor, Shift
+from magical_mj.utils.errors import InvalidSceneError, SettingsError
 from tests.helpers.environments import TWO_EACH
 
 PAGE = Path(__file__).parents[2] / "docs" / "exported-model.md"
@@ -460,3 +461,23 @@ def test_numbers_below_the_smallest_are_written_as_zero(tmp_path: Path) -> None:
         model = mujoco.MjModel.from_xml_path(str(path))
         numbers = np.concatenate([model.key_qpos.ravel(), model.key_qvel.ravel(), model.key_act.ravel()])
         assert (np.abs(numbers[numbers != 0]) > 1e-300).all()
+
+
+class Heavy(Shift):
+    name, summary = "heavy", "more mass"
+    factors = (Factor("mass", "added share", (1.0, 1.0, 1.0, 1.0, 1.0), "exact"),)
+
+    def model(self, model: Any) -> None:
+        model.body_mass[:] *= 1 + self.values["mass"]
+
+
+def test_physics_that_a_file_would_lack_is_refused(tmp_path: Path) -> None:
+    """Changes of pictures are not part of the file, and no reason."""
+    engine = magical_mj.Engine("FixColour", seed=0, shifts="camera:3+palette:3+texture:2+friction:2")
+    magical_mj.export_mjcf(engine, tmp_path / "a.xml")
+    engine.model.geom_friction[:] *= 2
+    heavy = magical_mj.Engine("FixColour", shifts=f"{__name__}:Heavy:1")
+    for changed, what in ((engine, "geom_friction"), (heavy, "body_mass")):
+        with pytest.raises(SettingsError, match=rf"model was changed \(.*{what}.*\), by a shift or by hand"):
+            magical_mj.export_mjcf(changed, tmp_path / "b.xml")
+    assert not (tmp_path / "b.xml").exists()

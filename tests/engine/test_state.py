@@ -213,6 +213,29 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
             use()
 
 
+@pytest.mark.parametrize("change", ["body_mass", "timestep"])
+def test_what_a_copy_would_lack_is_refused(change: str) -> None:
+    """A model that was changed by hand: the copy would have another future. Resets and shifts are no such changes."""
+    engine = magical_mj.Engine("ClusterShape", "All", seed=0, shifts="camera:3+palette:2+friction:1")
+    for seed in range(1, 5):  # also of other structures
+        engine.reset(seed=seed)
+        engine.step(4)
+        assert engine.clone().get_state() == pickle.loads(pickle.dumps(engine)).get_state() == engine.get_state()
+    if change == "body_mass":
+        engine.model.body_mass[:] *= 2
+    else:
+        engine.model.opt.timestep /= 2
+    env = gymnasium.make("magical_mj/FixColour-Demo-State-v0").unwrapped
+    env.reset(seed=0)
+    env.engine.model.geom_friction[:] *= 2  # type: ignore[attr-defined]
+    for changed in (engine, env):
+        for make in (copy.copy, copy.deepcopy, pickle.dumps, lambda source: source.clone()):
+            with pytest.raises(
+                StateError, match=r"model was changed by hand \((body_mass|timestep|geom_friction)\), and"
+            ):
+                make(changed)
+
+
 def test_a_closed_engine_has_no_episode() -> None:
     """All that describes the episode raises the same error; all that describes the engine is still known."""
     engines = (
