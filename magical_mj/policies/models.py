@@ -309,8 +309,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
             f"{path} has an input of shape {entry.shape}. The first axis must be a batch of any size: export it "
             'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/evaluation.md'
         )
-    if len(output.shape) == 2 and isinstance(output.shape[1], int) and output.shape[1] not in (1, len(ACTIONS)):
-        raise SettingsError(f"{path} outputs {output.shape[1]} values, but there are {len(ACTIONS)} actions")
+    if len(output.shape) == 2 and isinstance(output.shape[1], int):
+        _check_output(path, output.shape[1:])
     kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
     kind = kinds.get(entry.type, np.float32)
 
@@ -324,6 +324,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
                 raise
             raise MemoryError(f"{path} needs more than the {MOST_MEMORY:,} bytes that networks may use") from error
         _check_numbers(values)
+        _check_output(path, values.shape[1:])  # often not known before
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
     shape = tuple(size if isinstance(size, int) else None for size in entry.shape[1:])
@@ -338,6 +339,15 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         check_variants(model.played_in, f"played_in in {path}")
         model.other_tasks = check_tasks(known.get("other_tasks", "").splitlines(), f"other_tasks in {path}")
     return model
+
+
+def _check_output(path: Path, shape: Sequence[int]) -> None:
+    """Raises a `SettingsError` unless this is the shape of one action, or of a value for each action."""
+    if tuple(shape) not in ((), (1,), (len(ACTIONS),)):
+        raise SettingsError(
+            f"{path} outputs {' x '.join(map(str, shape))} values for an observation, but there are {len(ACTIONS)} "
+            "actions: it must output an action, or a value for each"
+        )
 
 
 def check_set(value: object, where: str) -> int:

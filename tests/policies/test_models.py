@@ -23,7 +23,7 @@ from gymnasium import spaces
 import magical_mj
 from magical_mj.policies import models
 from magical_mj.policies.models import load_onnx, load_sb3
-from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
+from magical_mj.utils.errors import EvaluationError, EvaluationError, MissingExtraError, SettingsError
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 
@@ -245,8 +245,8 @@ def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         load_sb3(tmp_path / "model.zip")
 
 
-def linear(path: Path, outputs: int) -> np.ndarray:
-    """Writes an ONNX file: the state times a matrix, which is returned."""
+def linear(path: Path, outputs: int, *, declared: bool = True) -> np.ndarray:
+    """Writes an ONNX file: the state times a matrix, which is returned. It need not declare the number of outputs."""
     onnx = pytest.importorskip("onnx")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     size = gymnasium.make(STATE).observation_space.shape[0]
@@ -255,7 +255,7 @@ def linear(path: Path, outputs: int) -> np.ndarray:
         [helper.make_node("MatMul", ["seen", "matrix"], ["values"])],
         "linear",
         [helper.make_tensor_value_info("seen", kind, [None, size])],
-        [helper.make_tensor_value_info("values", kind, [None, outputs])],
+        [helper.make_tensor_value_info("values", kind, [None, outputs if declared else "values"])],
         [onnx.numpy_helper.from_array(matrix, "matrix")],
     )
     onnx.save(helper.make_model(graph, ir_version=10, opset_imports=[helper.make_opsetid("", 18)]), path)
@@ -275,8 +275,12 @@ def test_onnx_file_acts_by_the_best_value(tmp_path: Path) -> None:
 def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     linear(tmp_path / "model.onnx", 4)
-    with pytest.raises(SettingsError, match="outputs 4 values, but there are 18 actions"):
+    with pytest.raises(SettingsError, match="outputs 4 values for an observation, but there are 18 actions"):
         magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
+    for outputs in (3, 17, 19):  # such as a vector of a continuous action, whose largest entry is no action
+        linear(tmp_path / "model.onnx", outputs, declared=False)
+        with pytest.raises(EvaluationError, match=rf"outputs {outputs} values for an observation, but there are 18"):
+            magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
     linear(tmp_path / "state.onnx", 18)
     with pytest.raises(SettingsError, match=r"takes observations of shape .* give --preset State"):
         magical_mj.evaluate(str(tmp_path / "state.onnx"), preset="LoRes4E", **SMALL)
