@@ -23,7 +23,7 @@ from gymnasium import spaces
 import magical_mj
 from magical_mj.policies import models
 from magical_mj.policies.models import load_onnx, load_sb3
-from magical_mj.utils.errors import EvaluationError, EvaluationError, MissingExtraError, SettingsError
+from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 
