@@ -246,17 +246,20 @@ def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def linear(path: Path, outputs: int, *, declared: bool = True) -> np.ndarray:
-    """Writes an ONNX file: the state times a matrix, which is returned. It need not declare the number of outputs."""
+    """Writes an ONNX file: the state times a matrix, which is returned. Its number of outputs need not be declared."""
     onnx = pytest.importorskip("onnx")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     size = gymnasium.make(STATE).observation_space.shape[0]
     matrix = np.random.default_rng(0).normal(size=(size, outputs)).astype(np.float32)
     graph = helper.make_graph(
-        [helper.make_node("MatMul", ["seen", "matrix"], ["values"])],
+        [
+            helper.make_node("MatMul", ["seen", "matrix"], ["values" if declared else "product"]),
+            *([] if declared else [helper.make_node("Compress", ["product", "all"], ["values"], axis=1)]),
+        ],
         "linear",
         [helper.make_tensor_value_info("seen", kind, [None, size])],
         [helper.make_tensor_value_info("values", kind, [None, outputs if declared else "values"])],
-        [onnx.numpy_helper.from_array(matrix, "matrix")],
+        [onnx.numpy_helper.from_array(matrix, "matrix"), onnx.numpy_helper.from_array(np.ones(outputs, bool), "all")],
     )
     onnx.save(helper.make_model(graph, ir_version=10, opset_imports=[helper.make_opsetid("", 18)]), path)
     return matrix
