@@ -136,6 +136,13 @@ def _episode(
             f"a demonstration of {task} for the preset {settings.preset} needs the observation before each action, "
             f"{needed}, but it has observations {observations.shape} and actions {actions.shape}"
         )
+    if settings.states and not (observations.dtype.kind == "f" and np.isfinite(observations).all()):
+        raise DemonstrationError(f"states must be finite floats; a demonstration of {task} contains others")
+    if not settings.states and observations.dtype != np.uint8:
+        raise DemonstrationError(
+            f"pictures must be uint8, from 0 to 255, as environments return them; a demonstration of {task} has "
+            f"{observations.dtype}"
+        )
     if actions.dtype.kind not in "iu" or not np.isin(actions, range(len(ACTIONS))).all():
         raise DemonstrationError(
             f"actions must be integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} contains others"

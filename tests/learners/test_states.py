@@ -205,6 +205,10 @@ STEPS = len(EPISODE.actions)
             {"MoveToRegion": [EPISODE._replace(observations=np.zeros((STEPS, 4, 7)))] * 2},
             "needs the observation before",
         ),
+        (
+            {"MoveToRegion": [EPISODE._replace(observations=np.full_like(EPISODE.observations, np.nan))] * 2},
+            "states must be finite floats",
+        ),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions + 18)] * 2}, "integers from 0 to 17"),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 1.0)] * 2}, "integers from 0 to 17"),
         ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 0)] * 2}, "no actions except no-ops"),
@@ -217,6 +221,14 @@ STEPS = len(EPISODE.actions)
 def test_demonstrations_that_do_not_fit_are_explained(given: Any, problem: str) -> None:
     with pytest.raises(DemonstrationError, match=problem):
         clone(tiny(preset="State", demonstrations=2), given)
+
+
+def test_pictures_of_another_type_are_refused() -> None:
+    """Values in [0, 1] would be divided by 255, and the policy would learn nothing."""
+    pictures = demos.transitions(demos.load("MoveToRegion")[:1], drop_noop=False, renderer="software")
+    for other in ((pictures.observations / 255).astype(np.float32), pictures.observations.astype(np.int8)):
+        with pytest.raises(DemonstrationError, match=rf"pictures must be uint8.* MoveToRegion has {other.dtype}"):
+            clone(tiny(), {"MoveToRegion": [pictures._replace(observations=other)]})
 
 
 def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) -> None:
