@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final, cast
 import torch
 from torch import Tensor, nn
 
+from magical_mj.demos import Demonstration
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Batch, Dataset, Demonstrations, shares
 from magical_mj.learners.encoder import Frozen, load_encoder
@@ -19,6 +20,7 @@ from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.actions import NOOP
+from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
@@ -42,6 +44,8 @@ class BehaviouralCloning(Learner):
         super().__init__(settings)
         self.updates = settings.bc.batches
         self._data = self.dataset(demonstrations)
+        given = [] if demonstrations is None else [demo for task in settings.tasks for demo in demonstrations[task]]
+        self._variants = {demo.variant for demo in given if isinstance(demo, Demonstration)} or {"Demo"}
         self._draw = torch.Generator().manual_seed(settings.seed)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)
@@ -84,8 +88,9 @@ class BehaviouralCloning(Learner):
 
     @property
     def played_in(self) -> str:
-        """The variants of the scenes in the encoder's training."""
-        return super().played_in if self._encoder is None else self._encoder.played_in
+        """The variants of the given demonstrations, as far as they are known, and of the encoder's training."""
+        encoder = set() if self._encoder is None else set(self._encoder.played_in.split(","))
+        return ",".join(variant for variant in EVERY_VARIANT if variant in self._variants | encoder)
 
     @property
     def other_tasks(self) -> tuple[str, ...]:

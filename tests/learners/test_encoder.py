@@ -97,7 +97,7 @@ def test_a_trainings_own_encoder_is_used_again(shell: Shell, tmp_path: Path) -> 
     assert code == 0, error
     second = convolutions_of(Path("second"))
     assert all(torch.equal(values, second[name]) for name, values in convolutions_of(tmp_path / "first").items())
-    assert load_policy("second").played_in == "Layout,All"
+    assert load_policy("second").played_in == "Demo,Layout,All"
 
 
 def test_a_training_with_an_encoder_resumes(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.demos.recording import demonstrate
+from magical_mj.leaderboard import submit
 from magical_mj.learners import load_policy, load_settings, train
 from magical_mj.learners.augmentation import (
     PAST_NOISE,
@@ -223,12 +225,24 @@ def test_demonstrations_that_do_not_fit_are_explained(given: Any, problem: str) 
         clone(tiny(preset="State", demonstrations=2), given)
 
 
+def test_cloning_records_the_variants_of_given_demonstrations(tmp_path: Path) -> None:
+    """An entry must declare them."""
+    given = [demonstrate("MoveToRegion", variant, 10_000_000) for variant in ("Demo", "Jitter", "All")]
+    policy = clone(tiny(preset="State"), {"MoveToRegion": given}, out=tmp_path / "run")
+    assert policy.played_in == load_policy(tmp_path / "run").played_in == "Demo,Jitter,All"
+    magical_mj.evaluate(
+        {"BC": policy}, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, out=tmp_path / "scores"
+    )
+    with pytest.raises(SettingsError, match='BC learnt in scenes of All, Jitter: add "other scenes"'):
+        submit([tmp_path / "scores"], tmp_path / "entry.json.xz")
+
+
 def test_pictures_of_another_type_are_refused() -> None:
     """Values in [0, 1] would be divided by 255, and the policy would learn nothing."""
     pictures = demos.transitions(demos.load("MoveToRegion")[:1], drop_noop=False, renderer="software")
     for other in ((pictures.observations / 255).astype(np.float32), pictures.observations.astype(np.int8)):
         with pytest.raises(DemonstrationError, match=rf"pictures must be uint8.* MoveToRegion has {other.dtype}"):
-            clone(tiny(), {"MoveToRegion": [pictures._replace(observations=other)]})
+            clone(tiny(demonstrations=1), {"MoveToRegion": [pictures._replace(observations=other)]})
 
 
 def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) -> None:
