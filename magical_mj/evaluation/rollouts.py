@@ -328,9 +328,27 @@ def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
 
 def _reset(env: Env | Envs, seed: Any) -> Any:
     try:
-        return env.reset(seed=seed)
+        result = env.reset(seed=seed)
     except (InvalidSceneError, PlacementError) as error:
         raise TaskError(f"no episode can start in the scene of seed {seed}: {error}") from error
+    _check_seed(env, seed)
+    return result
+
+
+def _check_seed(env: Env | Envs, seed: Any) -> None:
+    """Raises an `EvaluationError` if a wrapper has not passed the seed, or the list of seeds, on."""
+    inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else None
+    if isinstance(inside, gymnasium.Env):
+        got = inside.np_random_seed
+    elif hasattr(inside, "get_attr"):
+        got = list(inside.get_attr("np_random_seed"))
+    else:
+        return
+    if got != seed:
+        raise EvaluationError(
+            f"a wrapper did not pass the seed {seed} on, so that the episode started in another scene: its reset must "
+            "call super().reset(seed=seed, options=options)"
+        )
 
 
 def _observation(result: Any) -> Any:

@@ -453,3 +453,30 @@ def test_a_policy_with_the_simulation_must_not_change_the_episode(meddle: str) -
     )
     for column in ("score", "actions"):
         assert rows[column][[0, 2]].tolist() == plain[column][[0, 2]].tolist()
+
+
+class Forgetful(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Does not pass the seed on."""
+
+    def reset(self, **_: Any) -> Any:
+        return super().reset()
+
+
+class Stuck(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Passes another seed on."""
+
+    def reset(self, **_: Any) -> Any:
+        return super().reset(seed=0)
+
+
+@pytest.mark.parametrize("wrapper", [Forgetful, Stuck])
+def test_a_wrapper_must_pass_the_seed_on(wrapper: type[gymnasium.Wrapper[Any, Any, Any, Any]]) -> None:
+    """Otherwise the episodes of all seeds would be of other scenes than recorded."""
+    problem = r"a wrapper did not pass the seed .* on, so that the episode started in another scene"
+    with pytest.raises(EvaluationError, match=problem):
+        evaluate(lambda _: 0, variants="Jitter", wrap=f"{__name__}:{wrapper.__name__}", **STATE)
+    one = wrapper(gymnasium.make("magical_mj/MoveToRegion-TestJitter-State-v0"))
+    several = SyncVectorEnv([lambda: wrapper(gymnasium.make("magical_mj/MoveToRegion-TestJitter-State-v0"))] * 2)
+    for env in (one, several):
+        with pytest.raises(EvaluationError, match=problem):
+            list(rollouts(env, lambda _: 0, [Episode("MoveToRegion", "Jitter", seed) for seed in range(2)]))
