@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, nullcontext
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +21,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
 from magical_mj.policies.interface import reason
-from magical_mj.policies.loading import playable
+from magical_mj.policies.loading import Source, playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_here, map_unordered
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 STEPS_PER_WORKER: Final = 2000
 """The smallest number of actions per process. Starting a process takes longer than playing fewer."""
+CHECKED: Final = 3
+"""The number of finished episodes that a policy that is a Python object must repeat to be recognised, at most."""
 FIRST_EPISODES: Final = 10
 """If the first planned episodes of a policy, this many, fail with the same type of error, the evaluation stops."""
 
@@ -134,6 +137,7 @@ class Evaluation:
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""
+        self._check_objects()  # before anything is written
         with self._folder.open() if self._folder else nullcontext() as file:
             self.units = self._remaining()
             for results in self._trusted_results():
@@ -142,6 +146,26 @@ class Evaluation:
                     append(file, results)
                 self.scores += results
                 yield from results
+
+    def _check_objects(self) -> None:
+        """Raises a `SettingsError` if a policy that is a Python object acts differently in all of some known episodes.
+
+        Files and modules have hashes, but an object may have changed since an earlier part of the evaluation. Several
+        episodes are played, because rounding errors of a network depend on how many episodes are played in one batch.
+        """
+        for source in self._sources:
+            own = [result for result in self.scores if (result.policy, result.run) == (source.name, source.run)]
+            known = [result for result in own if result.failure is None]
+            if isinstance(source.origin, str) or not known:
+                continue
+            with closing(Player([_copied(source)], self.settings)) as player:
+                if any(map(partial(_repeats, player), known[:: -(-len(known) // CHECKED)])):
+                    continue
+            raise SettingsError(
+                f"{self.settings.out} holds episodes of another policy named {source.name}: this one acts differently, "
+                f"such as in {known[0].title}. Evaluate it in another folder. If it is the same policy, it is random: "
+                "draw its random numbers from episode.rng(), or give it as module:object"
+            )
 
     def _remaining(self) -> list[Unit]:
         """The units that must still be played. Sets `scores` to the finished episodes."""
@@ -209,6 +233,21 @@ class Evaluation:
             except Exception as error:  # noqa: BLE001 a policy's objects may raise anything
                 return f"{source.name} cannot be sent to other processes ({reason(error)})"
         return None
+
+
+def _copied(source: Source) -> Source:
+    """A copy of the source of a policy, so that playing it does not change the original; itself if it has no copy."""
+    try:
+        return cloudpickle.loads(cloudpickle.dumps(source))
+    except Exception:  # noqa: BLE001 a policy's objects may raise anything
+        return source
+
+
+def _repeats(player: Player, known: EpisodeResult) -> bool:
+    """Whether a known episode has the same actions if it is played again."""
+    unit = Unit(known.policy, known.run, known.task, known.variant, (known.seed,), known.shift, known.retry)
+    (again,) = player.play(unit)
+    return again.actions == known.actions
 
 
 def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:

@@ -8,11 +8,13 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -341,3 +343,36 @@ def test_killed_runs_end_with_the_same_rows(tmp_path: Path) -> None:
     resumed = killed_and_resumed(tmp_path / "killed")
     assert len(resumed) == len(whole) == 120
     assert resumed == rows(tmp_path / "whole")
+
+
+class Drawn:
+    """A policy whose actions are random, and that cannot be copied."""
+
+    def __init__(self, offset: int) -> None:
+        self.offset, self.lock = offset, threading.Lock()
+
+    def reset(self, episode: Episode) -> None:
+        self.rng = episode.rng()
+
+    def __call__(self, _: Any) -> int:
+        return (int(self.rng.integers(18)) + self.offset) % 18
+
+
+def test_an_object_continues_only_the_evaluation_of_an_equal_one(tmp_path: Path) -> None:
+    """Otherwise one name would have the scores of two policies; or, if nothing is left to play, those of the other."""
+    few: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Jitter", "out": tmp_path, "jobs": 1}
+    first = magical_mj.evaluate(Drawn(0), episodes=2, **few)
+    for episodes in (2, 3):
+        with pytest.raises(
+            SettingsError, match="holds episodes of another policy named Drawn: this one acts"
+        ):
+            magical_mj.evaluate(Drawn(1), episodes=episodes, resume=True, **few)
+    assert len(read(tmp_path)) == 4
+    assert magical_mj.evaluate(Drawn(0), episodes=2, resume=True, **few).equals(first)
+    assert len(magical_mj.evaluate(Drawn(0), episodes=3, resume=True, **few)) == 6
+    plain: Any = lambda _: 4  # noqa: E731
+    magical_mj.evaluate({"A": plain}, episodes=1, **{**few, "out": tmp_path / "plain"})
+    others: list[Any] = [lambda _: 5, lambda _: int(np.random.default_rng().integers(18))]
+    for other in others:
+        with pytest.raises(SettingsError, match="another policy named A"):
+            magical_mj.evaluate({"A": other}, episodes=1, resume=True, **{**few, "out": tmp_path / "plain"})
