@@ -19,7 +19,7 @@ from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import check_body_name
-from magical_mj.shifts.registry import SHIFT_PROTOCOL, named_in, split_body
+from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, code_digests, named_in, shift_label, split_body
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import check_rules, code_digest, task_spec
 from magical_mj.tasks.spec import Rules
@@ -68,9 +68,11 @@ def obstacle(
         check_rules(episode.rules)
         task_spec(episode.task)
         check_body_name(split_body(episode.shift, episode.task, episode.body)[1])
-        code = recorded.get(f"code of {episode.task}")
-        if episode.task not in KNOWN and code not in (None, code_digest(episode.task)):
-            return f"the code of {episode.task} has changed since it was played"
+        own = {} if episode.task in KNOWN else {episode.task: code_digest(episode.task)}
+        own |= code_digests(f"{episode.shift}+{shift_label({BODY: episode.body})}")
+        for name, digest in own.items():
+            if recorded.get(f"code of {name}") not in (None, digest):
+                return f"the code of {name} has changed since it was played"
     except (MagicalError, ImportError) as error:
         return str(error)
     return None

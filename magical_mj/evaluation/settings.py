@@ -18,7 +18,7 @@ from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts import expand_shifts, shift_label
-from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed
+from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed, code_digests
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec
 from magical_mj.tasks.spec import Rules
@@ -251,6 +251,10 @@ class EvaluationSettings(Settings):
         for policy, facts in zip(policies, played, strict=True):
             if given := self.given(policy):
                 facts["given"] = given
+        shifts = dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task, policies))
+        own = {task: code_digest(task) for task in others}
+        for label in (*shifts, shift_label({BODY: self.body})):
+            own |= code_digests(label)
         return {
             **({"policies": played} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
@@ -264,12 +268,10 @@ class EvaluationSettings(Settings):
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": drawn_by(self.renderer),
-            "shifts": list(
-                dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task, policies))
-            ),
+            "shifts": list(shifts),
             "wrap": self.wrap,
             "like": self.like,
             "body": self.body,
-            **{f"code of {task}": code_digest(task) for task in others},
+            **{f"code of {name}": digest for name, digest in own.items()},
             **({f"code of {self.wrap}": source_digest(self.wrap)} if self.wrap else {}),
         }

@@ -16,7 +16,15 @@ from magical_mj.shifts.shift import STRENGTHS, Factor, Shift, overrides
 from magical_mj.shifts.words import Words
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, ShiftError, as_integer, short_repr, unknown_name
-from magical_mj.utils.imports import announced, imported, is_reference, reference_in_folder, reference_of
+from magical_mj.utils.imports import (
+    announced,
+    imported,
+    is_reference,
+    reference_in_folder,
+    reference_of,
+    resolve,
+    source_digest,
+)
 
 SHIFT_PROTOCOL: Final = 1
 """The version of the built-in shifts. A change of their names, ranges or random draws requires the next number."""
@@ -254,6 +262,16 @@ def named_in(part: str) -> str:
     """The name of the body or shift in one part of a label, such as "camera:3"."""
     name, level = _split(part)
     return level if name == BODY else name
+
+
+def code_digests(label: str) -> dict[str, str]:
+    """Name -> hash of its module, for the shifts and bodies in a label that do not belong to the benchmark."""
+    names = [
+        name for name in map(named_in, filter(None, label.split("+"))) if name not in SHIFTS and name not in BODIES
+    ]
+    for name in filter(is_reference, names):
+        resolve(name)  # imports its module
+    return {name: source_digest(name if is_reference(name) else shift_class(name).__module__) for name in names}
 
 
 def _range(part: str) -> tuple[str, int, int]:

@@ -21,6 +21,7 @@ import pytest
 import magical_mj
 from magical_mj.evaluation import Episode, EpisodeResult
 from magical_mj.evaluation.folder import SETTINGS, read_settings
+from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, open_scores, read
 from magical_mj.evaluation.settings import EvaluationSettings
@@ -92,6 +93,30 @@ def test_a_task_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypatc
     Path("short_task.py").write_text(Path("short_task.py").read_text().replace("steps=4", "steps=5"))
     with pytest.raises(SettingsError, match=r'code of short_task:SPEC was "\w+" and is "\w+"'):
         magical_mj.evaluate("noop", resume=True, **chosen)
+
+
+@pytest.mark.parametrize(("setting", "name"), [("shifts", "own_parts:Heavy"), ("body", "own_parts:DISC")])
+def test_a_shift_or_a_body_whose_code_has_changed_is_another_one(
+    setting: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is neither continued nor replayed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("own_parts.py").write_text(
+        "from magical_mj.scene.bodies import Body\nfrom magical_mj.shifts import Shift\nDISC = Body(mass=0.5)\n"
+        "class Heavy(Shift):\n    name = 'heavy'\n    def model(self, model):\n        model.body_mass[:] *= 2\n"
+    )
+    chosen: dict[str, Any] = {**SMALL, "out": "scores", setting: f"{name}:1" if setting == "shifts" else name}
+    magical_mj.evaluate("noop", **chosen)
+    *_, last = read(Path("scores"))
+    assert obstacle(last, read_settings(Path("scores")), [name]) is None
+    assert len(magical_mj.evaluate("noop", **{**chosen, "resume": True})) == len(read(Path("scores")))
+    Path("own_parts.py").write_text(Path("own_parts.py").read_text() + "# changed\n")
+    with pytest.raises(SettingsError, match=rf'code of {name} was "\w+" and is "\w+"'):
+        magical_mj.evaluate("noop", **{**chosen, "resume": True})
+    assert (
+        obstacle(last, read_settings(Path("scores")), [name]) == f"the code of {name} has changed since it was played"
+    )
 
 
 def miss_a_file(episode: Episode) -> None:
@@ -363,9 +388,7 @@ def test_an_object_continues_only_the_evaluation_of_an_equal_one(tmp_path: Path)
     few: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Jitter", "out": tmp_path, "jobs": 1}
     first = magical_mj.evaluate(Drawn(0), episodes=2, **few)
     for episodes in (2, 3):
-        with pytest.raises(
-            SettingsError, match="holds episodes of another policy named Drawn: this one acts"
-        ):
+        with pytest.raises(SettingsError, match="holds episodes of another policy named Drawn: this one acts"):
             magical_mj.evaluate(Drawn(1), episodes=episodes, resume=True, **few)
     assert len(read(tmp_path)) == 4
     assert magical_mj.evaluate(Drawn(0), episodes=2, resume=True, **few).equals(first)
