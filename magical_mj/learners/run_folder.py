@@ -9,7 +9,7 @@ import json
 import platform
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,12 +31,16 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import CONFIG, LEARNT, loader_in, sources
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks import KNOWN
+from magical_mj.tasks.registry import code_digest
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.settings import check_unchanged
 
 CHECKPOINT: Final = "checkpoint.safetensors"
+CODE: Final = "code"
+"""The name of the hash of the modules that define tasks outside the benchmark."""
 METRICS: Final = "metrics.csv"
 TENSORBOARD: Final = "tensorboard"
 MOST_THREADS: Final = 1024
@@ -175,7 +179,7 @@ class RunFolder:
                     f"{number}: continue with magical_mj {start.get('magical_mj')}, or train in another folder"
                 )
         for name, (what, now) in _sources(self._settings).items():
-            if start.get(name, "") != now:
+            if start.get(name, now if name == CODE else "") != now:  # older versions did not write the code
                 raise TrainingError(
                     f"{what} changed since {self.path} was begun: restore the files, or train in another folder"
                 )
@@ -270,13 +274,21 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 
 def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
     """The training's external inputs: name -> the beginning of an error message, and the SHA-256 ("" if not used)."""
+    own = [task for task in settings.tasks if task not in KNOWN]
     reward = Path(settings.reward.run) / CHECKPOINT
     learnt = hashlib.sha256(reward.read_bytes()).hexdigest() if settings.reward.run and reward.exists() else ""
     return {
         "recordings": (f"the demonstrations in {settings.recordings} have", digest(settings)),
         "reward": (f"the reward in {settings.reward.run} has", learnt),
         "encoder": (f"the encoder in {settings.bc.encoder} has", encoder_digest(settings)),
+        CODE: (f"the code of {', '.join(own)} has", _joined(map(code_digest, own))),
     }
+
+
+def _joined(digests: Iterable[str]) -> str:
+    """One hash of several; empty without any."""
+    text = "".join(digests)
+    return hashlib.sha256(text.encode()).hexdigest() if text else ""
 
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:

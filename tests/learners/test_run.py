@@ -20,6 +20,8 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import magical_mj
+from magical_mj import demos
+from magical_mj.demos.recording import demonstrate
 from magical_mj.learners import METHODS, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION, BehaviouralCloning
 from magical_mj.learners.config import from_toml, recorded
@@ -421,3 +423,25 @@ def test_a_training_goes_on_whatever_stood_in_its_command(tmp_path: Path, monkey
     train(from_states(), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
     assert "\U0001f389" in read_toml(tmp_path / "run" / CONFIG)["made"]["command"]
+
+
+def test_a_training_does_not_continue_in_a_task_whose_code_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trainings by earlier versions, which did not record the code, continue."""
+    monkeypatch.syspath_prepend(tmp_path)
+    module = tmp_path / "trained_task.py"
+    module.write_text(
+        "from dataclasses import replace\nfrom magical_mj.tasks.move_to_region import SPEC as OLD\n"
+        'SPEC = replace(OLD, name="Trained", demonstrations="none")\n'
+    )
+    task = "trained_task:SPEC"
+    demos.keep(demonstrate(task, "Demo", 0), tmp_path / "shown")
+    settings = from_states(tasks=task, recordings=tmp_path / "shown", demonstrations=1)
+    stopped(tmp_path / "run", settings)
+    module.write_text(f"{module.read_text()}# changed\n")
+    with pytest.raises(TrainingError, match=rf"the code of {task} has changed since .*run was begun"):
+        train(settings, tmp_path / "run", resume=True)
+    config = tmp_path / "run" / CONFIG
+    config.write_text(re.sub(r"\ncode = .*", "", config.read_text()))
+    train(settings, tmp_path / "run", resume=True)
