@@ -17,7 +17,7 @@ from magical_mj.evaluation import evaluate
 from magical_mj.leaderboard import check_entries, read_entry, submit, verify
 from magical_mj.learners import train
 from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.policy import export_policy
+from magical_mj.learners.policy import export_policy, load_policy
 from magical_mj.learners.rewards import (
     KINDS,
     OnLearntReward,
@@ -186,6 +186,12 @@ def test_ppo_records_the_demonstrations_of_its_reward(tmp_path: Path) -> None:
     train(from_states(method="iq-learn", **{"demos.set": 2}), tmp_path / "iq")
     with pytest.raises(SettingsError, match=r"was learnt from demonstrations of set 2: add --set demos\.set=2"):
         train(playing("ppo", preset="State", **{"reward.run": tmp_path / "iq"}), tmp_path / "ppo")
+
+
+def test_ppo_records_the_other_tasks_of_its_reward(tmp_path: Path) -> None:
+    train(from_states(method="iq-learn", tasks="FixColour,MoveToRegion"), tmp_path / "iq")
+    train(playing("ppo", preset="State", **{"reward.run": str(tmp_path / "iq")}), tmp_path / "ppo")
+    assert load_policy(tmp_path / "ppo").other_tasks == ("FixColour",)
 
 
 def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:
