@@ -72,6 +72,22 @@ def test_rollouts_of_a_policy_are_episodes_in_scenes_of_no_test_which_exports_ta
     assert "by actions drawn independently and uniformly" in card
 
 
+def test_rollouts_of_another_policy_with_the_same_name_are_not_added(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a data set would mix two policies, or the command would do nothing."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, action in (("one_driver", 4), ("other_driver", 5)):
+        (tmp_path / f"{name}.py").write_text(f"def policy(_):\n    return {action}\n")
+    command = ("rollouts", "--tasks", "MoveToRegion", "--variants", "Demo", "--out", "made", "--jobs", 1)
+    said(shell, *command, "--policy", "one_driver:policy", "--steps", 41)
+    assert "2 of 3 exist already" in said(shell, *command, "--policy", "one_driver:policy", "--steps", 81)
+    for steps in (81, 121):
+        refusal = said(shell, *command, "--policy", "other_driver:policy", "--steps", steps, code=2)
+        assert "MoveToRegion-Demo-policy-10000000.npz is by another policy with the same name" in refusal
+    assert {tuple(demos.read(path).actions) for path in demos.files_in("made")} == {(4,) * 40}
+
+
 def test_generate_takes_what_another_process_was_faster_to_make(demo: Demonstration, tmp_path: Path) -> None:
     demos.write(demo, tmp_path / "demo.npz")
     before = (tmp_path / "demo.npz").read_bytes()
