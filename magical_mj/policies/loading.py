@@ -205,7 +205,8 @@ def playable(
 ) -> list[Source]:
     """Loads each policy of `sources` once to check it. Later, `Source.load` raises an error if its file has changed.
 
-    Warns if the folder of a stable-baselines3 archive contains statistics of VecNormalize, which are not used.
+    Warns if the folder of a stable-baselines3 archive contains statistics of VecNormalize, which are not used, and if
+    the preset is chosen among several with the observation shape of a policy.
 
     Args:
         policies: see `sources`.
@@ -222,6 +223,7 @@ def playable(
         SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or does not fit: see `check_fit`.
     """
     loaded = [(source, source.load()) for source in sources(policies, first_run, trust)]
+    is_chosen = preset is None
     if preset is None:
         named = (policy for _, policy in loaded if hasattr(policy, "preset") or not uses_simulation(policy))
         known = {_own_preset(policy) for policy in named}
@@ -231,6 +233,12 @@ def playable(
         check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
+        if is_chosen and (others := _also_fitting(policy, preset)):
+            warnings.warn(
+                f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the same "
+                "shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
+                stacklevel=4,  # the call of `evaluate`
+            )
         if statistics := statistics_of(source.origin):
             warnings.warn(
                 f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
@@ -288,6 +296,14 @@ def _own_preset(policy: object) -> str:
     fitting = [] if shapes is None else _fitting(list(shapes))
     by_shape = fitting[0] if len(fitting) == 1 else DEFAULT_PRESET
     return getattr(policy, "preset", by_shape)
+
+
+def _also_fitting(policy: object, preset: str) -> list[str]:
+    """The other presets with observations of a policy's shapes, if it does not say which it was trained with."""
+    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
+    if shapes is None or hasattr(policy, "preset"):
+        return []
+    return [name for name in _fitting(list(shapes)) if name not in ("", preset)]
 
 
 def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:

@@ -61,7 +61,9 @@ def test_a_network_is_evaluated_as_the_page_says(example: Callable[[str], None])
     with pytest.raises(SettingsError, match=r"bc.pt contains the weights of a network.*mine:Policy.*torch.onnx.export"):
         magical_mj.evaluate("bc.pt", **SMALL)
     exec(compile(EXAMPLES["export"], "export.py", "exec"), {"__name__": "export"})
-    by_class, by_file = (magical_mj.evaluate(policy, **SMALL) for policy in ("mine:Policy", "bc.onnx"))
+    by_class, by_file = (magical_mj.evaluate(name, preset="LoRes4E", **SMALL) for name in ("mine:Policy", "bc.onnx"))
+    with pytest.warns(UserWarning, match="bc .* preset LoRes4E, but observations of LoRes4A, LoRes3EA have the same"):
+        assert list(magical_mj.evaluate("bc.onnx", **SMALL)["actions"]) == list(by_file["actions"])
     assert by_class["failure"].isna().all()
     assert by_class["actions"].nunique() > 1
     assert list(by_file["actions"]) == list(by_class["actions"])
