@@ -235,8 +235,8 @@ def playable(
             raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
         if is_chosen and (others := _also_fitting(policy, preset)):
             warnings.warn(
-                f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the same "
-                "shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
+                f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
+                "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
                 stacklevel=4,  # the call of `evaluate`
             )
         if statistics := statistics_of(source.origin):
