@@ -168,7 +168,13 @@ def make_missing(
     make_writable_folder(out)
     screen = console()
     read = partial(magical_mj.demos.read, trusted=[body])
-    there = {key for key, path in paths.items() if path.exists() and read(path, key[0])}
+    there = {key for key, path in paths.items() if path.exists()}
+    for key in there:
+        if not read(paths[key], key[0]).is_current:
+            raise SettingsError(
+                f"{paths[key]} does not start in the scene of its variant and seed any more, since the task has "
+                "changed: give another folder"
+            )
     if there:
         screen.print(f"{len(there)} of {len(paths)} exist already")
     order = {pair: number for number, pair in enumerate(dict.fromkeys(key[:2] for key in paths))}

@@ -33,7 +33,14 @@ from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
 from magical_mj.tasks.languages import in_language
-from magical_mj.tasks.registry import announced_name, environment_axes, score_trajectory, task_spec, variant_name
+from magical_mj.tasks.registry import (
+    announced_name,
+    environment_axes,
+    sample_scene,
+    score_trajectory,
+    task_spec,
+    variant_name,
+)
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedNameError, short_repr
 from magical_mj.utils.imports import check_named
@@ -95,6 +102,15 @@ class Demonstration:
     def acts(self) -> NDArray[np.bool_]:
         """Whether each action is not the no-op. For speeds, whether it drives or turns. Shape (steps,)."""
         return np.asarray(self.actions != NOOP if self.actions.ndim == 1 else self.actions[:, :2].any(axis=1))
+
+    @property
+    def is_current(self) -> bool:
+        """Whether it starts in the scene of its variant and seed. If not, the task has changed since it was made.
+
+        True with shifts, which `verify` checks.
+        """
+        drawn = (self.task, self.variant, self.scene_seed, self.scene.robot.body)
+        return bool(self.shifts) or self.scene == sample_scene(*drawn)
 
     def scenes(self) -> list[Scene]:
         """The scenes before the first and after each action."""

@@ -64,12 +64,17 @@ def shipped(task: str, which: int = 1) -> list[Demonstration]:
 
 
 def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
-    """The demonstrations of the demo scene without shifts. Raises a `DemonstrationError` if none is."""
+    """The demonstrations of the demo scene without shifts. Raises a `DemonstrationError` if none is, or one is old."""
     fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
     if not fitting:
         raise DemonstrationError(
             f"policies learn from the demo scene, but all demonstrations {origin} are of other scenes: "
             f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
+        )
+    if old := [str(demo.scene_seed) for demo in fitting if not demo.is_current]:
+        raise DemonstrationError(
+            f"the demo scene has changed since demonstrations {origin} were made (seed {', '.join(old[:5])}): make "
+            "them again"
         )
     return fitting
 

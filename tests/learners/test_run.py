@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,9 @@ from magical_mj.learners.policy import POLICY, TrainedPolicy
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
 from magical_mj.learners.training import Progress
 from magical_mj.protocol import PROTOCOL
-from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
+from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.utils.files import read_toml
+from tests.helpers.commands import Shell
 from tests.helpers.learners import from_states, is_done, playing, stopped, tiny
 
 ROOT = str(Path(__file__).parents[2])
@@ -445,3 +447,25 @@ def test_a_training_does_not_continue_in_a_task_whose_code_has_changed(
     config = tmp_path / "run" / CONFIG
     config.write_text(re.sub(r"\ncode = .*", "", config.read_text()))
     train(settings, tmp_path / "run", resume=True)
+
+
+def test_demonstrations_of_a_demo_scene_that_has_changed_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
+) -> None:
+    """By trainings, and by the command that would add new ones."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "moved_task.py").write_text(
+        "from dataclasses import replace\nfrom magical_mj.tasks.move_to_region import SPEC as OLD\n"
+        'SPEC = replace(OLD, name="Moved", demo=OLD.demo.moved(robot=(0.6, 0.6, 0.0)), demonstrations="none")\n'
+    )
+    current = demonstrate("moved_task:SPEC", "Demo", 0)
+    made = tmp_path / "made" / "Moved-Demo-000.npz"
+    made.parent.mkdir()
+    demos.write(replace(current, scene=magical_mj.sample_scene("MoveToRegion", "Demo", 0)), made)
+    assert current.is_current
+    assert not demos.read(made, "moved_task:SPEC").is_current
+    settings = from_states(tasks="moved_task:SPEC", recordings=made.parent, demonstrations=1)
+    with pytest.raises(DemonstrationError, match=r"the demo scene has changed since demonstrations .*made were made"):
+        train(settings, tmp_path / "run")
+    command = ("demos", "generate", "--tasks", "moved_task:SPEC", "--count", 2, "--jobs", 1, "--out", made.parent)
+    assert "Moved-Demo-000.npz does not start in the scene of its variant and seed any more" in shell.fails(2, *command)
