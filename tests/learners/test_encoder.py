@@ -111,9 +111,9 @@ def test_a_training_with_an_encoder_resumes(tmp_path: Path) -> None:
 
 
 @EXPORTS
-def test_policies_declare_the_scenes_of_their_encoder(tmp_path: Path) -> None:
+def test_policies_declare_the_scenes_and_tasks_of_their_encoder(tmp_path: Path) -> None:
     """Those in memory, in a run's folder, and exported; an entry that does not declare them is refused."""
-    random_encoder(tmp_path / "encoder.safetensors", "Demo,Layout,All")
+    random_encoder(tmp_path / "encoder.safetensors", "Demo,Layout,All", task="FindDupe")
     settings = using(tmp_path / "encoder.safetensors")
     assert clone(settings, out=tmp_path / "run").played_in == "Demo,Layout,All"
     (tmp_path / "encoder.safetensors").unlink()  # the run's folder is enough
@@ -128,8 +128,11 @@ def test_policies_declare_the_scenes_of_their_encoder(tmp_path: Path) -> None:
         with pytest.raises(SettingsError, match=r'BC learnt in scenes of All, Layout: add "other scenes" to'):
             submit([tmp_path / f"scores of {name}"], tmp_path / "entry.json.xz", card=card)
         card.write_text('privileges = ["other scenes"]')
+        with pytest.raises(SettingsError, match="BC has an encoder or a reward of FindDupe: name them in the card's"):
+            submit([tmp_path / f"scores of {name}"], tmp_path / "entry.json.xz", card=card)
+        card.write_text('privileges = ["other scenes"]\n[demonstrations]\nother = "an encoder of FindDupe"')
         entry = submit([tmp_path / f"scores of {name}"], tmp_path / f"{name}.json.xz", card=card)
-        assert entry.played_in == ["All", "Layout"]
+        assert (entry.played_in, entry.other_tasks) == (["All", "Layout"], ["FindDupe"])
 
 
 @pytest.mark.parametrize(("encoder", "training"), [(1, 2), (2, 1)])
@@ -148,31 +151,26 @@ def test_encoders_of_another_set_are_refused(encoder: int, training: int, tmp_pa
     assert clone(using(file, **sets[1])).demonstration_set == training
 
 
-@EXPORTS
 def test_entries_name_the_other_tasks_of_an_encoder(tmp_path: Path) -> None:
-    """Also those of the encoder's own encoder, of exported policies, and in entries whose card is changed later."""
+    """Also those of the encoder's own encoder, and in entries whose card is changed later."""
     random_encoder(tmp_path / "encoder.safetensors", task="FindDupe")
-    settings = using(tmp_path / "encoder.safetensors", tasks="FixColour")
-    assert clone(settings, out=tmp_path / "first").other_tasks == ("FindDupe",)
-    train(using(tmp_path / "first"), tmp_path / "second")
-    assert load_policy(tmp_path / "second").other_tasks == ("FixColour", "FindDupe")
-    export_policy(tmp_path / "second", tmp_path / "second.onnx")
+    assert clone(using(tmp_path / "encoder.safetensors"), out=tmp_path / "first").other_tasks == ("FindDupe",)
+    random_encoder(tmp_path / "encoder.safetensors", task="MakeLine")
+    settings = using(tmp_path / "first", tasks="FixColour")
+    assert clone(settings, out=tmp_path / "second").other_tasks == ("MoveToRegion", "FindDupe")
+    where = {"tasks": "FixColour", "variants": "Demo", "episodes": 1, "jobs": 1}
+    evaluate({"BC": tmp_path / "second"}, out=tmp_path / "scores", **where)
     card, entry = tmp_path / "entry" / "card.toml", tmp_path / "entry" / "bc.json.xz"
     card.parent.mkdir()
-    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
-    for name in ("second", "second.onnx"):
-        evaluate({"BC": tmp_path / name}, out=tmp_path / f"scores of {name}", **where)
-        for stated in ("", '[demonstrations]\nother = "an encoder of FixColour"'):
-            card.write_text(f'method = "BC"\nprivileges = []\n{stated}')
-            problem = "BC has an encoder or a reward of .*FindDupe.*: name them in the card's .demonstrations. other"
-            with pytest.raises(SettingsError, match=problem):
-                submit([tmp_path / f"scores of {name}"], entry, card=card)
-        card.write_text(f'{card.read_text()[:-1]} and FindDupe"')
-        assert submit([tmp_path / f"scores of {name}"], entry, card=card).other_tasks == ["FindDupe", "FixColour"]
-        assert not verify(card.parent, jobs=1).unfit
-        card.write_text('method = "BC"\nprivileges = []')
-        assert "reward of FindDupe, FixColour: name them" in verify(card.parent, jobs=1).unfit[0]
-        entry.unlink()
+    lacking = 'method = "BC"\nprivileges = []\n[demonstrations]\nother = "an encoder of MoveToRegion"'
+    card.write_text(lacking)
+    with pytest.raises(SettingsError, match="BC has an encoder or a reward of FindDupe: name them in the card's"):
+        submit([tmp_path / "scores"], entry, card=card)
+    card.write_text(f'{lacking[:-1]}, whose encoder learnt FindDupe"')
+    assert submit([tmp_path / "scores"], entry, card=card).other_tasks == ["FindDupe", "MoveToRegion"]
+    assert not verify(card.parent, jobs=1).unfit
+    card.write_text(lacking)
+    assert "reward of FindDupe: name them" in verify(card.parent, jobs=1).unfit[0]
 
 
 def test_a_missing_encoder_is_reported_at_once(shell: Shell) -> None:
