@@ -118,6 +118,12 @@ def _given(
         raise DemonstrationError(
             f"give a list of demonstrations for each task, as in {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
         )
+    varied = any(isinstance(demo, Demonstration) and demo.demonstrator == "diverse" for demo in listed)
+    if varied and settings.demos.set != 2:
+        raise DemonstrationError(
+            f"demonstrations given for {task} are of set 2: give settings with demos.set=2, so that evaluations of the "
+            "policy record it"
+        )
     count = settings.demonstrations or len(listed)
     return [listed[number] for number in drawn(task, settings.seed, count, len(listed))]
 

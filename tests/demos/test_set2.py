@@ -17,7 +17,7 @@ from magical_mj.evaluation import evaluate
 from magical_mj.evaluation.entry import Demonstrations, read_entry
 from magical_mj.leaderboard import submit, verify
 from magical_mj.leaderboard.standings import gaps
-from magical_mj.learners import train
+from magical_mj.learners import clone, train
 from magical_mj.learners.data import chosen
 from magical_mj.learners.policy import export_policy, load_policy
 from magical_mj.policies.interface import actions_of
@@ -90,6 +90,15 @@ def test_they_are_shown_and_exported(shell: Shell) -> None:
     with np.load("MoveToRegion-Demo-set2-State.npz") as archive:
         assert set(archive["demonstrators"]) == {"diverse"}
     assert "leave out the files" in shell.fails(2, "demos", "info", "datasets", "--set", "2")
+
+
+def test_cloning_them_needs_the_set_in_the_settings() -> None:
+    given = {"MoveToRegion": magical_mj.demos.load("MoveToRegion", set=2)[:2]}
+    with pytest.raises(
+        DemonstrationError, match=r"MoveToRegion are of set 2: give settings with demos\.set=2"
+    ):
+        clone(from_states(), given)
+    assert clone(from_states(**{"demos.set": 2}), given).demonstration_set == 2
 
 
 @EXPORTS
