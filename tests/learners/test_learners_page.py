@@ -51,8 +51,10 @@ def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
     text = " ".join((DOCS / "learners.md").read_text().split())
     found = learnt_rewards.means()
     assert found[["Layout", "All"]].to_numpy().max() < found[["Demo", "Colour"]].to_numpy().min()
-    chosen = pd.read_csv(learnt_rewards.FILE).query("method == 'wgail-gp' and task == 'MatchRegions'")
-    assert f"WGAIL-GP's AUC is {chosen.set_index('variant')['auc']['Layout']:.2f}." in text
+    rows = pd.read_csv(learnt_rewards.FILE).set_index(["method", "task", "variant"])
+    assert f"WGAIL-GP's AUC is {rows['auc']['wgail-gp', 'MatchRegions', 'Layout']:.2f}." in text
+    same = rows["others"][:, "MoveToCorner", "All"]
+    assert f"the correlations in All are {same.min():.2f} to {same.max():.2f}." in text
 
 
 def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
