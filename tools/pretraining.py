@@ -14,7 +14,7 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,37 +25,52 @@ from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, table
 
 FILE: Final = ROOT / "docs" / "pretraining.csv"
-BUDGET: Final = ("scenes", "pretraining", "batches", "variants", "episodes")
+BUDGET: Final = ("preset", "scenes", "variants", "episodes")
+COLUMNS: Final = ("preset", "start", "tasks", "pretraining", "batches", "held_out", "seed", "learnt")
 Floats = NDArray[np.float64]
-Scores = Mapping[tuple[int, str, str], Sequence[Floats]]
-"""Number of tasks in the pretraining, held-out task, variant -> for each run the scores of its episodes."""
 
 
-def collect(folder: Path, file: Path = FILE) -> None:
-    """Writes the file from a folder of tools.research.pretraining."""
-    runs = [json.loads(line) for line in (folder / "scores.jsonl").read_text("utf-8").splitlines()]
-    if len({tuple(run[name] for name in BUDGET) for run in runs}) > 1:
-        raise ValueError(f"{folder} has runs with several budgets, which one table cannot show")
-    if len({(run["held_out"], run["tasks"], run["seed"]) for run in runs}) < len(runs):
-        raise ValueError(f"{folder} has a run twice")
+class Start(NamedTuple):
+    """A row of the table: a kind of pretraining. Its fields are explained in tools.research.pretraining."""
+
+    preset: str
+    start: str
+    tasks: int
+    batches: int
+    """On the held-out task. A larger number than in other rows makes up for the batches of their pretraining."""
+
+
+Scores = Mapping[Start, Mapping[tuple[str, str], Sequence[Floats]]]
+"""Start -> held-out task, variant -> for each run the scores of its episodes."""
+
+
+def collect(folders: Sequence[Path], file: Path = FILE) -> None:
+    """Writes the file from folders of tools.research.pretraining."""
+    paths = [folder / "scores.jsonl" for folder in folders]
+    runs = [json.loads(line) for path in paths for line in path.read_text("utf-8").splitlines()]
+    if len({tuple(run[name] for name in BUDGET) for run in runs}) > len({run["preset"] for run in runs}):
+        raise ValueError("runs have several numbers of scenes or episodes, which one table cannot show")
+    keys = [(*(run[name] for name in Start._fields), run["held_out"], run["seed"]) for run in runs]
+    if len(set(keys)) < len(keys):
+        raise ValueError("a run occurs twice")
     rows = [
         {
-            **{name: run[name] for name in ("held_out", "tasks", "seed")},
+            **{name: run[name] for name in COLUMNS},
             "variant": variant,
             "scores": " ".join(f"{score:g}" for score in scores),
         }
         for run in runs
         for variant, scores in run["scores"].items()
     ]
-    pd.DataFrame(rows).sort_values(["held_out", "tasks", "seed"], kind="stable").to_csv(file, index=False)
+    pd.DataFrame(rows).sort_values([*COLUMNS[:-1]], kind="stable").to_csv(file, index=False)
 
 
 def stored(file: Path = FILE) -> Scores:
     """The scores in the file."""
-    found: dict[tuple[int, str, str], list[Floats]] = {}
-    for row in pd.read_csv(file).itertuples():
-        key = int(str(row.tasks)), str(row.held_out), str(row.variant)
-        found.setdefault(key, []).append(np.array(str(row.scores).split(), float))
+    found: dict[Start, dict[tuple[str, str], list[Floats]]] = {}
+    for row in pd.read_csv(file).to_dict("records"):
+        runs = found.setdefault(Start(*(row[name] for name in Start._fields)), {})
+        runs.setdefault((row["held_out"], row["variant"]), []).append(np.array(str(row["scores"]).split(), float))
     return found
 
 

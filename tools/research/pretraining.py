@@ -1,28 +1,33 @@
-"""Does variation in other tasks teach a policy what to ignore? Pretraining on k tasks, then BC on another one.
+"""Does variation in other tasks teach a policy what to ignore? Pretraining on other tasks, then BC on another one.
 
-    python -m tools.research.pretraining --out runs/pretraining [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 2]
-    python -m tools.pretraining runs/pretraining    # stores the scores for the table of docs/learners.md
+    python -m tools.research.pretraining --out runs/states [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 2]
+    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1
+    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1 --encoder runs/inverse.safetensors
+    python -m tools.pretraining runs/states runs/pictures    # stores the scores for the table of docs/learners.md
 
 For each held-out task, number k of other tasks and seed:
 
-1. a policy with a head for each of k random other tasks clones the expert from states, in all variants of these tasks.
-   Its demonstrations start in scenes of the dev split, and are cached for all runs;
+1. a policy with a head for each of k random other tasks clones the expert, in all variants of these tasks. Its
+   demonstrations start in scenes of the dev split, and are cached for all runs;
 2. a policy for the held-out task starts with the layers below the head, and clones 10 demonstrations of the demo scene;
 3. it plays the test scenes of the held-out task.
 
-With k = 0, step 1 is left out. Each result is a line of OUT/scores.jsonl. Called again, the command continues, and
+With k = 0, step 1 is left out, and there is a control with as many batches on the held-out task as both steps have
+together. With an encoder of tools.research.encoders, only step 2 is made, on its frozen convolutions. From pictures,
+networks are those of `--quick`. Each result is a line of OUT/scores.jsonl. Called again, the command continues, and
 prints the means so far.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,12 +38,29 @@ from magical_mj.demos import Demonstration, stored
 from magical_mj.evaluation import evaluate
 from magical_mj.learners import load_settings
 from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.settings import LEARNABLE, STATE, TrainingSettings
 from magical_mj.tasks.registry import SPLITS
 from magical_mj.variants import VARIANTS
 from tools.pretraining import BUDGET
+from tools.research.encoders import description
 
 TRAINED_IN: Final = 1_000
 """The first dev scene of the pretraining. Earlier ones serve other purposes."""
+
+
+class Run(NamedTuple):
+    """A policy for a held-out task."""
+
+    held_out: str
+    start: str
+    """"scratch", "cloning" of other tasks, or the name that tools.research.encoders gives an encoder."""
+    tasks: int
+    """The number of other tasks in the pretraining."""
+    pretraining: int
+    """The number of batches on them."""
+    batches: int
+    """The number of batches on the held-out task."""
+    seed: int
 
 
 def others(held_out: str, count: int, seed: int) -> tuple[str, ...]:
@@ -56,66 +78,101 @@ def demonstrations(task: str, scenes: int, path: Path) -> Sequence[Demonstration
     return [stored.replay(one, path) for one in stored.complete(keys, path, jobs=1)]
 
 
-def trained(learner: BehaviouralCloning) -> BehaviouralCloning:
-    """The learner after all its updates."""
-    for _ in range(learner.updates):
-        learner.update()
-    return learner
+def trained(learner: BehaviouralCloning) -> float:
+    """Makes all updates of the learner. Returns its accuracy in the last tenth of them."""
+    found = [learner.update()["accuracy"] for _ in range(learner.updates)]
+    learner.recalibrate()
+    return float(np.mean(found[-max(1, len(found) // 10) :]))
 
 
-def result(held_out: str, count: int, seed: int, options: argparse.Namespace) -> dict[str, list[float]]:
-    """The score of each episode in each variant of the held-out task, in the order of the scenes."""
-    learner = BehaviouralCloning(
-        load_settings("bc", held_out, preset="State", seed=seed, device="cpu", **{"bc.batches": options.batches})
-    )
-    if count:
-        known = others(held_out, count, seed)
-        settings = load_settings(
-            "bc", known, preset="State", seed=seed, device="cpu", **{"bc.batches": options.pretraining}
-        )
-        path = options.out / "experts.jsonl"
-        before = BehaviouralCloning(settings, {task: demonstrations(task, options.scenes, path) for task in known})
-        learner.actor.torso.load_state_dict(trained(before).actor.torso.state_dict())
-    policy = trained(learner).policy()
-    played = {"tasks": held_out, "variants": options.variants, "episodes": options.episodes}
-    frame = evaluate(policy, preset="State", jobs=1, **played).sort_values("seed")
-    return {str(variant): scores.tolist() for variant, scores in frame.groupby("variant")["score"]}
+def settings_for(
+    tasks: str | tuple[str, ...], batches: int, seed: int, preset: str, encoder: Path | None = None
+) -> TrainingSettings:
+    """The settings of BC."""
+    changes = {"bc.batches": batches, **({"bc.encoder": encoder} if encoder else {})}
+    return load_settings("bc", tasks, quick=preset != STATE, preset=preset, seed=seed, device="cpu", **changes)
+
+
+def result(run: Run, options: argparse.Namespace) -> dict[str, Any]:
+    """The score of each episode in each variant, in the order of the scenes, and how well the pretraining learnt."""
+    preset: str = options.preset
+    learner = BehaviouralCloning(settings_for(run.held_out, run.batches, run.seed, preset, options.encoder))
+    learnt: float | None = None
+    if run.start == "cloning":
+        known, path = others(run.held_out, run.tasks, run.seed), options.out / "experts.jsonl"
+        found = {task: demonstrations(task, options.scenes, path) for task in known}
+        before = BehaviouralCloning(settings_for(known, run.pretraining, run.seed, preset), found)
+        learnt = round(trained(before), 4)
+        learner.actor.torso.load_state_dict(before.actor.torso.state_dict())
+        del before  # and its pictures
+    elif options.encoder:
+        facts = description(options.encoder)
+        learnt = facts.get("explained", facts.get("accuracy"))
+    trained(learner)
+    played = {"tasks": run.held_out, "variants": options.variants, "episodes": options.episodes}
+    how = {"preset": preset, "renderer": learner.settings.renderer, "jobs": 1}
+    frame = evaluate(learner.policy(), **how, **played).sort_values("seed")
+    return {
+        "learnt": learnt,
+        "scores": {str(variant): scores.tolist() for variant, scores in frame.groupby("variant")["score"]},
+    }
+
+
+def planned(options: argparse.Namespace) -> Iterator[Run]:
+    """The runs of the command."""
+    facts = description(options.encoder) if options.encoder else {}
+    counts = [] if facts else [int(text) for text in options.tasks.split(",")]
+    for seed, task in itertools.product(range(options.seeds), options.held_out.split(",")):
+        if facts:
+            yield Run(task, facts["start"], len(facts["tasks"]), facts["batches"], options.batches, seed)
+        for count in counts:
+            if count:
+                yield Run(task, "cloning", count, options.pretraining, options.batches, seed)
+            else:
+                yield Run(task, "scratch", 0, 0, options.batches, seed)
+                yield Run(task, "scratch", 0, 0, options.pretraining + options.batches, seed)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Computes what is missing, and prints the means. By default, the arguments are those of the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--preset", choices=LEARNABLE, default=STATE, help="the observations")
     parser.add_argument("--held-out", default="FixColour,MatchRegions")
     parser.add_argument("--tasks", default="0,1,3,7", help="the numbers k")
+    parser.add_argument("--encoder", type=Path, help="a file by tools.research.encoders, instead of --tasks")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--scenes", type=int, default=4, help="demonstrations of each variant of the other tasks")
-    parser.add_argument("--pretraining", type=int, default=6_000, help="batches on the other tasks")
-    parser.add_argument("--batches", type=int, default=3_000, help="batches on the held-out task")
+    parser.add_argument("--pretraining", type=int, help="batches on the other tasks; by default twice --batches")
+    parser.add_argument(
+        "--batches", type=int, help="batches on the held-out task; by default 3,000 from states, 1,000 from pictures"
+    )
     parser.add_argument("--variants", default="Demo,Layout,Colour,All", help="variants of the held-out task")
     parser.add_argument("--episodes", type=int, default=30)
     options = parser.parse_args(arguments)
+    options.batches = options.batches or (3_000 if options.preset == STATE else 1_000)
+    options.pretraining = options.pretraining or 2 * options.batches
+    if not {*options.tasks.split(",")} <= {str(count) for count in range(len(TASKS))}:
+        parser.error(f"--tasks must be numbers from 0 to {len(TASKS) - 1}, separated by commas, not {options.tasks}")
+    learnt_from = description(options.encoder)["tasks"] if options.encoder else []
+    if seen := [task for task in options.held_out.split(",") if task in learnt_from]:
+        parser.error(f"{options.encoder} learnt from episodes of {', '.join(seen)}: give another one, or --held-out")
     options.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     path = options.out / "scores.jsonl"
     budget = {name: getattr(options, name) for name in BUDGET}
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    numbers = [int(text) for text in options.tasks.split(",")]
-    if not set(numbers) <= set(range(len(TASKS))):
-        parser.error(f"--tasks must be numbers from 0 to {len(TASKS) - 1}, separated by commas, not {options.tasks}")
-    tasks: list[str] = options.held_out.split(",")
-    for seed, held_out, count in [(s, task, k) for s in range(options.seeds) for task in tasks for k in numbers]:
-        key: dict[str, Any] = {"held_out": held_out, "tasks": count, "seed": seed, **budget}
-        if not any(key.items() <= row.items() for row in done):
-            done.append({**key, "scores": result(held_out, count, seed, options)})
+    rows: list[dict[str, Any]] = []
+    for run in planned(options):
+        key = {**run._asdict(), **budget}
+        found = next((row for row in done if key.items() <= row.items()), None)
+        if found is None:
+            found = {**key, **result(run, options)}
             with path.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-    rows = [
-        {"tasks": row["tasks"], **{variant: np.mean(scores) for variant, scores in row["scores"].items()}}
-        for row in done
-        if budget.items() <= row.items() and row["tasks"] in numbers
-    ]
-    frame = pd.DataFrame(rows).groupby("tasks").mean()
+                file.write(json.dumps(found) + "\n")
+        means = {variant: np.mean(scores) for variant, scores in found["scores"].items()}
+        rows.append({**run._asdict(), **means})
+    frame = pd.DataFrame(rows).groupby(["start", "tasks", "pretraining", "batches"]).mean(numeric_only=True)
     print(frame.reindex(columns=[variant for variant in VARIANTS if variant in frame]).round(2))
 
 
