@@ -1,24 +1,26 @@
 """Encoders that learn from episodes of any policy how actions change observations.
 
     magical-mj demos rollouts --policy random --variants all --steps 240 --out runs/episodes
-    python -m tools.research.encoders runs/episodes --without FixColour --objective inverse --out runs/encoder.safetensors
-    magical-mj train bc --tasks FixColour --quick --set bc.encoder=runs/encoder.safetensors --out runs/fixed
+    python -m tools.research.encoders runs/episodes --without FixColour --objective next --out runs/next.safetensors
+    magical-mj train bc --tasks FixColour --quick --set bc.encoder=runs/next.safetensors --out runs/fixed
 
 The objectives:
 
 - inverse: the action between two observations. Its logits are linear in the difference of their features;
-- next: the change of the newest frame, averaged to 24 x 24 pixels. It is linear in the product of the observation's
-  features with a vector of the action (after Oh et al. 2015, arXiv:1507.08750). The accuracy says how often the action
-  that was taken predicts the change best, and `explained` which part of the squared change is predicted.
+- next: the next frame, averaged to 24 x 24 pixels. It is decoded from the product of the convolutions' output with a
+  vector of the action (after Oh et al. 2015, arXiv:1507.08750). The accuracy says how often the prediction for the
+  action that was taken is the best of all actions', and `explained` which part of the frame's change is predicted: 0
+  for the last frame as the prediction, 1 without error.
 
 All frames have the same augmentation. With `--batches 0`, the encoder is random apart from batch norm's averages. The
-pictures of 1,000 steps take 110 MB of memory. A file encoder.json next to the encoder describes its training.
+pictures of 1,000 steps take 110 MB of memory. A file next to the encoder, here runs/next.json, describes its training.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
@@ -43,6 +45,8 @@ FRAME: Final = 3
 """The number of channels of a frame."""
 POOLED: Final = 24
 """The side of the pictures that "next" predicts, in pixels."""
+COMPARED: Final = 4
+"""The number of samples in a batch for which "next" compares the actions."""
 
 
 class InverseDynamics(BehaviouralCloning):
@@ -59,7 +63,7 @@ class InverseDynamics(BehaviouralCloning):
         return nn.functional.cross_entropy(logits, actions), logits, actions, {}
 
     def drawn(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Augmented stacks with one more frame (n, 3k + 3, 96, 96), the actions before this frame (n,), and tasks (n,)."""
+        """Augmented stacks and their next frame (n, 3k + 3, 96, 96), the actions before it (n,), and the tasks (n,)."""
         numbers = [usable(self._data, task) for task in range(len(self.settings.tasks))]
         batch, following = successive(self._data, numbers, self.settings.bc.batch_size, self._draw)
         frames = self._augmented(torch.cat([batch.observations, following[..., -FRAME:]], 3), self._noise)
@@ -67,29 +71,41 @@ class InverseDynamics(BehaviouralCloning):
 
 
 class NextFrame(InverseDynamics):
-    """Predicts the change of the newest frame from the observation and the action."""
+    """Predicts the next frame from the observation and the action."""
 
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings, demonstrations)
-        features = self._actor.torso.features
+        channels, flat = settings.network.channels, cast("Torso", self._actor.torso).flat
         with seeded(settings.seed):
-            self.embedding = nn.Embedding(len(ACTIONS), features)
-            self.decoder = nn.Linear(features, FRAME * POOLED**2)
+            self.embedding = nn.Embedding(len(ACTIONS), flat)
+            nn.init.normal_(self.embedding.weight, 1, 0.3)
+            self.decoder = decoder(channels, math.isqrt(flat // channels))
         for layer in (self.embedding, self.decoder):
             self._optimizer.add_param_group({"params": layer.to(self.device).parameters()})
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also returns the explained part of the change. The logits are the negative errors for each action."""
+        """The loss relative to the frames' variance, and negative errors for all actions of the first samples."""
         frames, actions, _ = self.drawn()
-        features = self._actor.torso(frames[:, :-FRAME])
-        newest = frames[:, -2 * FRAME :]
-        before, after = nn.functional.adaptive_avg_pool2d(newest, POOLED).flatten(2).chunk(2, 1)
-        change = (after - before).flatten(1)
-        loss = (self.decoder(features * self.embedding(actions)) - change).square().mean()
+        maps = cast("Torso", self._actor.torso).convolutions(frames[:, :-FRAME]).flatten(1)
+        before, after = nn.functional.adaptive_avg_pool2d(frames[:, -2 * FRAME :], POOLED).chunk(2, 1)
+        mean, still = after.mean(0), (after - before).square().mean()
+        loss = (self.decoder(maps * self.embedding(actions)) + mean - after).square().mean()
         with torch.no_grad():
-            every = self.decoder(features[:, None] * self.embedding.weight)
-            errors = (every - change[:, None]).square().mean(2)
-        return loss, -errors, actions, {"explained": 1 - loss.item() / change.square().mean().item()}
+            every = maps[:COMPARED, None] * self.embedding.weight
+            pictures = self.decoder(every.flatten(0, 1)).unflatten(0, every.shape[:2]) + mean
+            errors = (pictures - after[:COMPARED, None]).square().flatten(2).mean(2)
+        variance = (after - mean).square().mean()
+        return loss / variance, -errors, actions[:COMPARED], {"explained": 1 - (loss / still).item()}
+
+
+def decoder(channels: int, side: int) -> nn.Sequential:
+    """Maps the flat output of convolutions, (n, channels * side * side), to pictures (n, 3, POOLED, POOLED)."""
+    doublings = int(math.log2(POOLED / side))
+    layers: list[nn.Module] = [nn.Unflatten(1, (channels, side, side)), nn.Upsample(size=POOLED >> doublings)]
+    layers += [nn.Conv2d(channels, channels, 3, padding=1), nn.ReLU()]
+    for _ in range(doublings - 1):
+        layers += [nn.ConvTranspose2d(channels, channels, 4, 2, 1), nn.ReLU()]
+    return nn.Sequential(*layers, nn.ConvTranspose2d(channels, FRAME, 4, 2, 1))
 
 
 OBJECTIVES: Final = {"inverse": InverseDynamics, "next": NextFrame}
@@ -139,7 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--objective", choices=list(OBJECTIVES), default="inverse")
     parser.add_argument("--without", default="", help="tasks whose episodes are left out, separated by commas")
-    parser.add_argument("--batches", type=int, default=4_000)
+    parser.add_argument("--batches", type=int, default=3_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--paper", action="store_true", help="the paper's network instead of the quick one")
     options = parser.parse_args(arguments)

@@ -1,8 +1,7 @@
 """Does variation in other tasks teach a policy what to ignore? Pretraining on other tasks, then BC on another one.
 
     python -m tools.research.pretraining --out runs/states [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 2]
-    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1
-    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1 --encoder runs/inverse.safetensors
+    python -m tools.research.pretraining --out runs/pictures --seeds 1 --preset LoRes4E [--encoder runs/next.safetensors]
     python -m tools.pretraining runs/states runs/pictures    # stores the scores for the table of docs/learners.md
 
 For each held-out task, number k of other tasks and seed:
