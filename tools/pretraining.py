@@ -1,11 +1,12 @@
 """What policies of one task learn from others: the table of docs/learners.md.
 
-    python -m tools.research.pretraining --out runs/pretraining
-    python -m tools.pretraining runs/pretraining
+    python -m tools.research.pretraining --out runs/states
+    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1
+    python -m tools.pretraining runs/states runs/pictures
     python -m tools.tables
 
-The first command takes about an hour on one core that is half busy with other work. The second writes
-docs/pretraining.csv from its scores.
+The first two commands take about an hour of a core each. The rows of encoders need further commands, which are in the
+descriptions of tools.research.encoders and tools.research.pretraining. The third writes docs/pretraining.csv.
 """
 
 from __future__ import annotations
@@ -21,12 +22,21 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from magical_mj.evaluation.reports.statistics import percentile_interval, resample
+from magical_mj.learners.settings import STATE
 from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, table
 
 FILE: Final = ROOT / "docs" / "pretraining.csv"
 BUDGET: Final = ("preset", "scenes", "variants", "episodes")
 COLUMNS: Final = ("preset", "start", "tasks", "pretraining", "batches", "held_out", "seed", "learnt")
+NAMES: Final = {
+    "scratch": "new",
+    "cloning": "other tasks: {}",
+    "untrained": "frozen: random weights",
+    "inverse-random": "frozen: inverse dynamics",
+    "next-random": "frozen: next frame",
+}
+"""Start -> its name in the table. Those of encoders end with the policy whose episodes they learnt from."""
 Floats = NDArray[np.float64]
 
 
@@ -74,35 +84,43 @@ def stored(file: Path = FILE) -> Scores:
     return found
 
 
-def mean_and_draws(scores: Scores, count: int, variant: str) -> tuple[float, Floats]:
+def mean_and_draws(scores: Scores, start: Start, variant: str) -> tuple[float, Floats]:
     """The mean over the held-out tasks that have the variant, and its bootstrap draws."""
-    runs = [found for (tasks, _, name), found in scores.items() if (tasks, name) == (count, variant)]
+    runs = [found for (_, name), found in scores[start].items() if name == variant]
     return float(np.mean([np.mean([one.mean() for one in task]) for task in runs])), resample(runs).mean(axis=0)
 
 
-def gain(count: int, variant: str) -> tuple[float, float, float]:
-    """How much better policies are with this number of tasks than from scratch, with its 95 % interval."""
+def gain(start: Start, before: Start, variant: str) -> tuple[float, float, float]:
+    """How much better policies are than with another start, with its 95 % interval."""
     scores = stored()
-    (mean, draws), (before, draws_before) = (mean_and_draws(scores, tasks, variant) for tasks in (count, 0))
-    return mean - before, *percentile_interval(draws - draws_before)
+    (mean, draws), (mean_before, draws_before) = (mean_and_draws(scores, one, variant) for one in (start, before))
+    return mean - mean_before, *percentile_interval(draws - draws_before)
+
+
+def learnt(start: str, file: Path = FILE) -> float:
+    """How well a pretraining learnt, as the mean of its runs: the accuracy, or for "next" the explained part."""
+    frame = pd.read_csv(file)
+    return float(frame[frame["start"] == start]["learnt"].mean())
 
 
 def tables() -> dict[str, str]:
     """The table by name."""
     scores = stored()
-    variants = [variant for variant in VARIANTS if any(name == variant for _, _, name in scores)]
-    rows = []
-    for count in sorted({tasks for tasks, _, _ in scores}):
+    known = {variant for runs in scores.values() for _, variant in runs}
+    variants = [variant for variant in VARIANTS if variant in known]
+    names, rows = list(NAMES), []
+    for start in sorted(scores, key=lambda one: (one.preset != STATE, names.index(one.start), one.tasks, one.batches)):
         cells = []
         for variant in variants:
-            mean, draws = mean_and_draws(scores, count, variant)
+            mean, draws = mean_and_draws(scores, start, variant)
             low, high = percentile_interval(draws)
             cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
-        rows.append((str(count), *cells))
-    return {"pretraining": table(("Other tasks", *variants), rows)}
+        observations = "states" if start.preset == STATE else "pictures"
+        rows.append((observations, NAMES[start.start].format(start.tasks), f"{start.batches:,}", *cells))
+    return {"pretraining": table(("From", "Start", "Batches", *variants), rows)}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    collect(parser.parse_args().folder)
+    parser.add_argument("folders", type=Path, nargs="+")
+    collect(parser.parse_args().folders)

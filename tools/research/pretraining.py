@@ -1,7 +1,8 @@
 """Does variation in other tasks teach a policy what to ignore? Pretraining on other tasks, then BC on another one.
 
     python -m tools.research.pretraining --out runs/states [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 2]
-    python -m tools.research.pretraining --out runs/pictures --seeds 1 --preset LoRes4E [--encoder runs/next.safetensors]
+    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1
+    python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1 --encoder runs/next.safetensors
     python -m tools.pretraining runs/states runs/pictures    # stores the scores for the table of docs/learners.md
 
 For each held-out task, number k of other tasks and seed:
@@ -80,7 +81,6 @@ def demonstrations(task: str, scenes: int, path: Path) -> Sequence[Demonstration
 def trained(learner: BehaviouralCloning) -> float:
     """Makes all updates of the learner. Returns its accuracy in the last tenth of them."""
     found = [learner.update()["accuracy"] for _ in range(learner.updates)]
-    learner.recalibrate()
     return float(np.mean(found[-max(1, len(found) // 10) :]))
 
 
@@ -92,29 +92,33 @@ def settings_for(
     return load_settings("bc", tasks, quick=preset != STATE, preset=preset, seed=seed, device="cpu", **changes)
 
 
-def result(run: Run, options: argparse.Namespace) -> dict[str, Any]:
-    """The score of each episode in each variant, in the order of the scenes, and how well the pretraining learnt."""
+def started(run: Run, options: argparse.Namespace) -> tuple[BehaviouralCloning, float | None]:
+    """The learner of the held-out task before its first batch, and how well the pretraining learnt."""
     preset: str = options.preset
     learner = BehaviouralCloning(settings_for(run.held_out, run.batches, run.seed, preset, options.encoder))
-    learnt: float | None = None
-    if run.start == "cloning":
-        known, path = others(run.held_out, run.tasks, run.seed), options.out / "experts.jsonl"
-        found = {task: demonstrations(task, options.scenes, path) for task in known}
-        before = BehaviouralCloning(settings_for(known, run.pretraining, run.seed, preset), found)
-        learnt = round(trained(before), 4)
-        learner.actor.torso.load_state_dict(before.actor.torso.state_dict())
-        del before  # and its pictures
-    elif options.encoder:
+    if options.encoder:
         facts = description(options.encoder)
-        learnt = facts.get("explained", facts.get("accuracy"))
+        return learner, facts.get("explained", facts.get("accuracy"))
+    if run.start == "scratch":
+        return learner, None
+    known, path = others(run.held_out, run.tasks, run.seed), options.out / "experts.jsonl"
+    found = {task: demonstrations(task, options.scenes, path) for task in known}
+    before = BehaviouralCloning(settings_for(known, run.pretraining, run.seed, preset), found)
+    accuracy = trained(before)
+    learner.actor.torso.load_state_dict(before.actor.torso.state_dict())
+    return learner, round(accuracy, 4)
+
+
+def result(run: Run, options: argparse.Namespace) -> dict[str, Any]:
+    """The score of each episode in each variant, in the order of the scenes, and how well the pretraining learnt."""
+    learner, learnt = started(run, options)
     trained(learner)
+    learner.recalibrate()
     played = {"tasks": run.held_out, "variants": options.variants, "episodes": options.episodes}
-    how = {"preset": preset, "renderer": learner.settings.renderer, "jobs": 1}
+    how = {"preset": options.preset, "renderer": learner.settings.renderer, "jobs": 1}
     frame = evaluate(learner.policy(), **how, **played).sort_values("seed")
-    return {
-        "learnt": learnt,
-        "scores": {str(variant): scores.tolist() for variant, scores in frame.groupby("variant")["score"]},
-    }
+    scores = {str(variant): scores.tolist() for variant, scores in frame.groupby("variant")["score"]}
+    return {"learnt": learnt, "scores": scores}
 
 
 def planned(options: argparse.Namespace) -> Iterator[Run]:
