@@ -46,7 +46,7 @@ FRAME: Final = 3
 POOLED: Final = 24
 """The side of the pictures that "next" predicts, in pixels."""
 COMPARED: Final = 4
-"""The number of samples in a batch for which "next" compares the actions."""
+"""For the accuracy, "next" predicts the frames after all 18 actions for this number of samples of each batch."""
 
 
 class InverseDynamics(BehaviouralCloning):

@@ -21,7 +21,6 @@ prints the means so far.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import zlib
 from collections.abc import Iterator, Sequence
@@ -125,7 +124,8 @@ def planned(options: argparse.Namespace) -> Iterator[Run]:
     """The runs of the command."""
     facts = description(options.encoder) if options.encoder else {}
     counts = [] if facts else [int(text) for text in options.tasks.split(",")]
-    for seed, task in itertools.product(range(options.seeds), options.held_out.split(",")):
+    held_out: list[str] = options.held_out.split(",")
+    for seed, task in [(seed, task) for seed in range(options.seeds) for task in held_out]:
         if facts:
             yield Run(task, facts["start"], len(facts["tasks"]), facts["batches"], options.batches, seed)
         for count in counts:
