@@ -60,9 +60,15 @@ def collect(folders: Sequence[Path], file: Path = FILE) -> None:
     runs = [json.loads(line) for path in paths for line in path.read_text("utf-8").splitlines()]
     if len({tuple(run[name] for name in BUDGET) for run in runs}) > len({run["preset"] for run in runs}):
         raise ValueError("runs have several numbers of scenes or episodes, which one table cannot show")
-    keys = [(*(run[name] for name in Start._fields), run["held_out"], run["seed"]) for run in runs]
-    if len(set(keys)) < len(keys):
-        raise ValueError("a run occurs twice")
+    made: dict[Start, list[tuple[str, int]]] = {}
+    for run in runs:
+        made.setdefault(Start(*(run[name] for name in Start._fields)), []).append((run["held_out"], run["seed"]))
+    for start, found in made.items():
+        if len(set(found)) < len(found):
+            raise ValueError(f"{start} has a run twice")
+        others = {task for other, tasks in made.items() if other.preset == start.preset for task in tasks}
+        if missing := sorted(others - {*found}):
+            raise ValueError(f"{start} lacks the runs {missing}: start its command again, or leave out its other runs")
     rows = [
         {
             **{name: run[name] for name in COLUMNS},

@@ -46,8 +46,11 @@ def test_pretraining_goes_on_and_its_scores_are_kept(tmp_path: Path, capsys: pyt
     assert len(kept) == 3
     start = pretraining.Start("State", "cloning", 1, 3)
     assert np.array_equal(kept[start]["MoveToRegion", "Layout"], [rows[2]["scores"]["Layout"]])
-    with pytest.raises(ValueError, match="a run occurs twice"):
+    with pytest.raises(ValueError, match="has a run twice"):
         pretraining.collect([tmp_path, tmp_path], tmp_path / "again.csv")
+    scores.write_text("".join([*first, last.replace('"seed": 0', '"seed": 1')]))
+    with pytest.raises(ValueError, match="lacks the runs"):
+        pretraining.collect([tmp_path], tmp_path / "again.csv")
 
 
 def test_pretraining_sees_every_variant_of_other_tasks_in_dev_scenes_only(tmp_path: Path) -> None:
