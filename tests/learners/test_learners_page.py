@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
-from magical_mj.evaluation.entry import read_entry
 from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
-from tools import demonstration_sets, learnt_rewards, pretraining
+from tools import learnt_rewards, pretraining
+from tools.pretraining import Start
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLE = DOCS.parent / "examples" / "own_learner.py"
@@ -59,12 +58,34 @@ def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
 
 def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
     text = " ".join((DOCS / "learners.md").read_text().split())
-    found = ", ".join(
-        f"{mean:+.2f} [{low:+.2f}, {high:+.2f}] in {variant}"
+    starts = pretraining.stored()
+    # As many batches on the held-out task as those of both steps together.
+    control = {
+        preset: Start(preset, "scratch", 0, batches) for preset, batches in (("State", 9_000), ("LoRes4E", 3_000))
+    }
+    gains = {
+        (start, variant): pretraining.gain(start, control[start.preset], variant)
+        for start in starts
+        if start.start != "scratch"
         for variant in ("Demo", "Layout", "Colour", "All")
-        for mean, low, high in [pretraining.gain(7, variant)]
+    }
+    better = {(start.preset, start.tasks, variant) for (start, variant), (_, low, _) in gains.items() if low > 0}
+    assert better == {("State", 7, "Colour")}
+    found = [
+        [
+            f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
+            for variant in ("Demo", "Colour")
+            for mean, low, high in [gains[start, variant]]
+        ]
+        for start in (Start("State", "cloning", 7, 3_000), Start("LoRes4E", "cloning", 7, 1_000))
+    ]
+    assert f"from states by {found[0][0]} in Demo and {found[0][1]} in Colour" in text
+    assert f"from pictures by {found[1][0]} and {found[1][1]}" in text
+    inverse, explained = (pretraining.learnt(f"{objective}-random") for objective in ("inverse", "next"))
+    assert f"inverse dynamics recognises {inverse:.0%} of the actions".replace("%", " %") in text
+    assert f"predicts {explained:.0%} of the next frame's change".replace("%", " %") in text
+    own, *frozen = (
+        pretraining.mean_and_draws(starts, Start("LoRes4E", *row, 1_000), "Demo")[0]
+        for row in (("scratch", 0), ("inverse-random", 6), ("next-random", 6))
     )
-    assert f"seven other tasks change the mean score by {found}" in text.replace(" and ", ", ")
-    longer = demonstration_sets.scores_of(read_entry(DOCS.parent / "results" / "state-bc").episodes)
-    means = [np.mean([run.mean() for run in longer[task, "Demo"].values()]) for task in ("FixColour", "MatchRegions")]
-    assert f"6,000 batches score {np.mean(means):.2f} in Demo." in text
+    assert f"score {frozen[0]:.2f} and {frozen[1]:.2f} in Demo, and {own:.2f} with their own" in text

@@ -139,7 +139,9 @@ def learnt(
     learner.recalibrate()
     played = {demo.variant for found in episodes.values() for demo in found}
     weights = cast("Torso", learner.actor.torso).convolutions.state_dict()
-    encoder = Encoder(weights, ",".join(variant for variant in VARIANTS if variant in played))
+    variants = ",".join(variant for variant in VARIANTS if variant in played)
+    # Number 0: episodes that are not the package's demonstrations.
+    encoder = Encoder(weights, tuple(episodes), variants, demonstration_set=0)
     return encoder, metrics.tail(max(1, batches // 10)).mean().round(4).to_dict()
 
 
