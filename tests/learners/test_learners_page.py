@@ -86,6 +86,7 @@ def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
     assert f"predicts {explained:.0%} of the next frame's change".replace("%", " %") in text
     own, *frozen = (
         pretraining.mean_and_draws(starts, Start("LoRes4E", *row, 1_000), "Demo")[0]
-        for row in (("scratch", 0), ("inverse-random", 6), ("next-random", 6))
+        for row in (("scratch", 0), ("inverse-random", 6), ("next-random", 6), ("untrained", 6))
     )
-    assert f"score {frozen[0]:.2f} and {frozen[1]:.2f} in Demo, and {own:.2f} with their own" in text
+    shown = [f"{mean:.2f}" for mean in (*frozen, own)]
+    assert "score {} and {} in Demo, with random convolutions {}, and with their own ones {}.".format(*shown) in text
