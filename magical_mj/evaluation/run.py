@@ -148,23 +148,25 @@ class Evaluation:
                 yield from results
 
     def _check_objects(self) -> None:
-        """Raises a `SettingsError` if a policy that is a Python object acts differently in all of some known episodes.
+        """Raises a `SettingsError` if a policy that is a Python object does not repeat most of some known episodes.
 
-        Files and modules have hashes, but an object may have changed since an earlier part of the evaluation. Several
-        episodes are played, because rounding errors of a network depend on how many episodes are played in one batch.
+        Files and modules have hashes, but an object may have changed since an earlier part of the evaluation. One
+        episode of three may differ: rounding errors of a network depend on how many episodes are in one batch.
         """
         for source in self._sources:
             own = [result for result in self.scores if (result.policy, result.run) == (source.name, source.run)]
             known = [result for result in own if result.failure is None]
             if isinstance(source.origin, str) or not known:
                 continue
+            tried = known[:: -(-len(known) // CHECKED)]
             with closing(Player([_copied(source)], self.settings)) as player:
-                if any(map(partial(_repeats, player), known[:: -(-len(known) // CHECKED)])):
-                    continue
+                repeated = sum(map(partial(_repeats, player), tried))
+            if 2 * repeated > len(tried):
+                continue
             raise SettingsError(
-                f"{self.settings.out} holds episodes of another policy named {source.name}: this one acts differently, "
-                f"such as in {known[0].title}. Evaluate it in another folder. If it is the same policy, it is random: "
-                "draw its random numbers from episode.rng(), or give it as module:object"
+                f"{self.settings.out} holds episodes of another policy named {source.name}: this one acts differently "
+                f"in {len(tried) - repeated} of {len(tried)} of them. Evaluate it in another folder. If it is the same "
+                "policy, it is random: draw its random numbers from episode.rng(), or give it as module:object"
             )
 
     def _remaining(self) -> list[Unit]:

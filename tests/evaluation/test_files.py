@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -373,11 +374,11 @@ def test_killed_runs_end_with_the_same_rows(tmp_path: Path) -> None:
 class Drawn:
     """A policy whose actions are random, and that cannot be copied."""
 
-    def __init__(self, offset: int) -> None:
-        self.offset, self.lock = offset, threading.Lock()
+    def __init__(self, **offsets: int) -> None:
+        self.offsets, self.lock = offsets, threading.Lock()
 
     def reset(self, episode: Episode) -> None:
-        self.rng = episode.rng()
+        self.rng, self.offset = episode.rng(), self.offsets.get(episode.variant, 0)
 
     def __call__(self, _: Any) -> int:
         return (int(self.rng.integers(18)) + self.offset) % 18
@@ -386,13 +387,13 @@ class Drawn:
 def test_an_object_continues_only_the_evaluation_of_an_equal_one(tmp_path: Path) -> None:
     """Otherwise one name would have the scores of two policies; or, if nothing is left to play, those of the other."""
     few: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Jitter", "out": tmp_path, "jobs": 1}
-    first = magical_mj.evaluate(Drawn(0), episodes=2, **few)
-    for episodes in (2, 3):
+    first = magical_mj.evaluate(Drawn(), episodes=2, **few)
+    for other, episodes in product((Drawn(Demo=1, Jitter=1), Drawn(Jitter=1)), (2, 3)):
         with pytest.raises(SettingsError, match="holds episodes of another policy named Drawn: this one acts"):
-            magical_mj.evaluate(Drawn(1), episodes=episodes, resume=True, **few)
+            magical_mj.evaluate(other, episodes=episodes, resume=True, **few)
     assert len(read(tmp_path)) == 4
-    assert magical_mj.evaluate(Drawn(0), episodes=2, resume=True, **few).equals(first)
-    assert len(magical_mj.evaluate(Drawn(0), episodes=3, resume=True, **few)) == 6
+    assert magical_mj.evaluate(Drawn(), episodes=2, resume=True, **few).equals(first)
+    assert len(magical_mj.evaluate(Drawn(), episodes=3, resume=True, **few)) == 6
     plain: Any = lambda _: 4  # noqa: E731
     magical_mj.evaluate({"A": plain}, episodes=1, **{**few, "out": tmp_path / "plain"})
     others: list[Any] = [lambda _: 5, lambda _: int(np.random.default_rng().integers(18))]

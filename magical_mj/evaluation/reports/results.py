@@ -6,12 +6,11 @@ Scores are read line by line into columns, so that a million episodes fit into m
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
 
@@ -129,7 +128,7 @@ def gather(
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
     check_trainings(map(recorded_settings, folders))
-    scores = _read(folders, rules, trusted, replaying)
+    scores = _read(folders, rules, trusted, **replaying)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes
     twice = scores[scores.duplicated(KEY, keep=False)]
@@ -187,7 +186,7 @@ def _read(
     folders: Sequence[Path],
     rules: Rules | None = None,
     trusted: Collection[str] = (),
-    replaying: Mapping[str, Any] = MappingProxyType({}),
+    **replaying: Any,
 ) -> pd.DataFrame:
     import pandas as pd
 

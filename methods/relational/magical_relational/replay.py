@@ -43,8 +43,6 @@ OPENING: Final = 3
 """The number of steps for opening the fingers. Later actions without effect are left out."""
 PATH_POINTS: Final = 16
 """The number of points that describe the robot's path ahead."""
-
-
 CLOSING: Final = Action(Gripper.CLOSE).number
 """This action and all with larger numbers close the fingers."""
 

@@ -47,6 +47,8 @@ FACING: Final = (0.4, 1.3, 0.4)
 """Blocks in front of the robot: the smallest and the largest distance (units), and the bearing's deviation (rad)."""
 EMPTY: Final = 0.5
 """The fingers are empty if all blocks are farther (units) than this from the robot's centre."""
+CLOSED: Final = 0.3
+"""The share of closed fingers among samples with empty fingers whose action opens them."""
 OPENED: Final = torch.tensor([math.pi / 8, -math.pi / 8])
 """The angles (rad) of open fingers."""
 ATTEMPTS: Final = 6
@@ -172,7 +174,7 @@ def close(samples: Samples, generator: torch.Generator) -> None:
     states, blocks = samples.states, blocks_of(samples.states)
     apart = (blocks[..., 1:3] - states[:, None, :2]).norm(dim=2) + 10.0 * (blocks[..., 0] < 0.5)
     chosen = (samples.actions < CLOSING) & (apart.amin(1) > EMPTY)
-    chosen &= torch.rand(len(states), generator=generator) < 0.3
+    chosen &= torch.rand(len(states), generator=generator) < CLOSED
     share = (2 * torch.rand((len(states), 1), generator=generator) - 1).clamp(min=0)
     states[:, FINGERS] = torch.where(chosen[:, None], share * OPENED, states[:, FINGERS])
 
