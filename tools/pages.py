@@ -28,4 +28,4 @@ def filled(text: str, tables: Mapping[str, str], command: str = "make docs") -> 
 
 def number(value: float) -> str:
     """A score with two decimals; empty if it is NaN."""
-    return "" if value != value else f"{value:.2f}"
+    return "" if value != value else f"{round(value, 2) + 0.0:.2f}"  # 0.00 instead of -0.00

@@ -1,6 +1,6 @@
 """SAC and PPO of Stable-Baselines3 from states, with dense rewards and with the score: the curves in docs/rewards.md.
 
-    nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000]
+    nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000] [--variant Demo]
     python -m tools.research.dense_rewards --out FOLDER --plot    # docs/rewards.png
 
 Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
@@ -59,7 +59,7 @@ class Scores(BaseCallback):
         return True
 
 
-def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> None:
+def train(learner: str, task: str, variant: str, reward: str, steps: int, folder: Path) -> None:
     """Trains one policy, or the rest of it, and adds a line to the curve after every part of the steps."""
     folder.mkdir(parents=True, exist_ok=True)
     curve, saved, buffer = (folder / name for name in ("curve.csv", "model.zip", "buffer.pkl"))
@@ -67,7 +67,7 @@ def train(learner: str, task: str, reward: str, steps: int, folder: Path) -> Non
     action = "speeds" if learner == "sac" else "discrete"
 
     def make() -> gymnasium.Env[Any, Any]:
-        return gymnasium.make(magical_mj.env_id(task, "Demo", "State"), reward=reward, action=action)
+        return gymnasium.make(magical_mj.env_id(task, variant, "State"), reward=reward, action=action)
 
     worlds = make_vec_env(make, count, seed=0)
     if saved.exists():
@@ -127,6 +127,7 @@ def main() -> None:
     parser.add_argument("--sac", type=int, default=8_000)
     parser.add_argument("--ppo", type=int, default=30_000)
     parser.add_argument("--tasks", default=",".join(TASKS))
+    parser.add_argument("--variant", default="Demo")
     parser.add_argument("--plot", action="store_true")
     options = parser.parse_args()
     if options.plot:
@@ -135,8 +136,9 @@ def main() -> None:
     torch.set_num_threads(1)
     for task in options.tasks.split(","):
         for learner in ("ppo", "sac"):
-            for reward in REWARDS:
-                train(learner, task, reward, getattr(options, learner), options.out / f"{learner}-{task}-{reward}")
+            steps = getattr(options, learner)
+            for reward in REWARDS if steps else ():
+                train(learner, task, options.variant, reward, steps, options.out / f"{learner}-{task}-{reward}")
 
 
 if __name__ == "__main__":
