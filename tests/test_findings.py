@@ -104,6 +104,11 @@ def statements() -> list[str]:
             "(the entry pixels-bc) differs from quick by up to # in the 14 environments.",
             max(abs(float(runs.mean() - methods()[PIXELS].means[pair].mean())) for pair, runs in full.items()),
         ),
+        (
+            "In Demo, two runs with 80,000 steps score #, and one policy for all tasks, with 240,000 steps, #.",
+            mean("pixels-gail-quick", "Demo"),
+            mean("pixels-gail-multi-quick", "Demo"),
+        ),
         ("the best from pictures has #,", max(map(score, imitating("pictures")))),
         ("the best from states # (AIRL, not in the table).", max(map(score, imitating("states")))),
         ("The paper's best, GAIL, has # by its own rules of scores.", score(GAIL)),
