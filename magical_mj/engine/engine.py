@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.episode import Setup, State, check_state
+from magical_mj.engine.episode import Setup, State
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
@@ -82,7 +82,7 @@ class Engine:
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
-        self._begin(setup, *setup.begin(strengths, seed, scene), renderer, strengths)
+        self._construct(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
         self.seed = seed
 
     @classmethod
@@ -90,22 +90,24 @@ class Engine:
         """An engine for a plain scene, without score and horizon. Raises `InvalidSceneError` if it is illegal."""
         engine, setup = cls.__new__(cls), Setup(None)
         setup.check(scene)
-        engine._begin(setup, scene, EpisodeShifts(), renderer, {})
+        engine._construct(setup, scene, EpisodeShifts(), renderer, {})
         return engine
 
-    def _begin(
+    def _construct(
         self,
         setup: Setup,
         scene: Scene,
-        shifts: EpisodeShifts,
+        episode_shifts: EpisodeShifts,
         renderer: str | None,
         strengths: dict[str, int],
     ) -> None:
+        """Initialises the engine at the start of an episode with this scene and these shifts."""
         check_renderer(renderer)
-        self.setup, self.task, self.variant = setup, setup.task, setup.variant
+        self.setup = setup
+        self.task, self.variant = setup.task, setup.variant
         self.rules: Rules = setup.rules
         self.horizon = self.limit = setup.horizon
-        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, setup)
+        self._simulation: Simulation | None = Simulation.of(scene, renderer, episode_shifts, setup)
         self.shifts = strengths
         self.seed: int | None = None
         self._broken = False
@@ -189,7 +191,7 @@ class Engine:
             seed = check_seed(seed)
         elif scene is None:
             scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
-        start = self.setup.begin(self.shifts, seed, scene, draws)
+        start = self.setup.scene_and_shifts(self.shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
         simulation.start(*start)
         self.seed, self._broken = seed, False
@@ -279,10 +281,9 @@ class Engine:
             InvalidSceneError: if the state's scene does not belong to this task.
         """
         simulation = self.simulation
-        check_state(state)
-        self.setup.trajectory_of(state)  # raises an error before anything is changed
+        self.setup.check_state(state)  # before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
-            start = self.setup.begin({}, scene=state.scene, draws=state.draws)
+            start = self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
             simulation.start(*start)
             self.seed = None
@@ -346,7 +347,7 @@ def restored(
 ) -> Engine:
     """A copy of an engine, made from the values of `Engine._parts`."""
     engine = Engine.__new__(Engine)
-    engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
+    engine._construct(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
     engine.seed, engine._broken, engine.limit = seed, broken, limit
     return engine

@@ -63,24 +63,6 @@ class State:
         return self.scene, self.steps, self.simulation.tobytes(), *shifts, self.trajectory
 
 
-def check_state(state: object) -> None:
-    """Raises `StateError` unless it is a `State` with fields of the right types. `restore` checks the simulation."""
-    if not (
-        isinstance(state, State)
-        and isinstance(state.scene, Scene)
-        and as_integer(state.steps) is not None
-        and isinstance(state.frames, Mapping)
-        and isinstance(state.draws, Mapping)
-        and isinstance(state.commands, Mapping)
-        and isinstance(state.trajectory, tuple)
-        and all(isinstance(scene, Scene) for scene in state.trajectory)
-    ):
-        raise StateError(
-            "a state must be a result of get_state(): a scene, the number of steps (0 or more), the simulation's "
-            f"numbers, and frames by name; not {short_repr(state)}"
-        )
-
-
 @dataclass(frozen=True)
 class Setup:
     """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
@@ -110,7 +92,7 @@ class Setup:
         return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
 
     @property
-    def trajectory(self) -> bool:
+    def keeps_trajectory(self) -> bool:
         """Whether the score depends on the scenes of all steps."""
         return self.task is not None and task_spec(self.task).trajectory
 
@@ -133,7 +115,7 @@ class Setup:
             raise SettingsError("a plain scene has no seeds: give a scene or a state")
         return sample_scene(self.task, self.variant, seed, self.body)
 
-    def begin(
+    def scene_and_shifts(
         self,
         shifts: Mapping[str, int],
         seed: int | None = None,
@@ -186,24 +168,35 @@ class Setup:
         if len(names) > 1:
             raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
         if state is not None:
-            check_state(state)
+            self.check_state(state)
             if limit is not None and state.steps >= limit:
                 raise StateError(
                     f"the episode of this state has ended, after {state.steps} steps: give a state with fewer than "
                     f"{limit}"
                 )
-            self.trajectory_of(state)
 
-    def trajectory_of(self, state: State) -> list[Scene]:
-        """The scenes of a state's episode so far if the score depends on all of them; otherwise empty.
+    def check_state(self, state: object) -> None:
+        """Raises a `StateError` unless it is a `State` with fields of the right types, as episodes of the task save it.
 
-        Raises a `StateError` if the state lacks them, because it comes from another task or a plain scene.
+        `Simulation.restore` checks the simulation's numbers.
         """
-        if not self.trajectory:
-            return []
-        if len(state.trajectory) != state.steps + 1 or state.trajectory[0] != state.scene:
+        if not (
+            isinstance(state, State)
+            and isinstance(state.scene, Scene)
+            and as_integer(state.steps) is not None
+            and isinstance(state.frames, Mapping)
+            and isinstance(state.draws, Mapping)
+            and isinstance(state.commands, Mapping)
+            and isinstance(state.trajectory, tuple)
+            and all(isinstance(scene, Scene) for scene in state.trajectory)
+        ):
+            raise StateError(
+                "a state must be a result of get_state(): a scene, the number of steps (0 or more), the simulation's "
+                f"numbers, and frames by name; not {short_repr(state)}"
+            )
+        first, number = state.trajectory[:1], len(state.trajectory)
+        if self.keeps_trajectory and (first != (state.scene,) or number != state.steps + 1):
             raise StateError(
                 f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
                 f"give a state from get_state() of an environment of {self.task}"
             )
-        return list(state.trajectory)

@@ -61,10 +61,12 @@ class Simulation:
         renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        self.setup, self.scene_model, self.model, self.data = setup, scene_model, model, data or mujoco.MjData(model)
+        self.setup, self.scene_model = setup, scene_model
+        self.model, self.data = model, data or mujoco.MjData(model)
         self.renderer, self._cameras = renderer, cameras
-        self.shifts, self.steps, self.trajectory = EpisodeShifts(), 0, list[Scene]()
-        self._measured: tuple[Any, float] = None, 0.0
+        self.shifts = EpisodeShifts()
+        self.steps, self.trajectory = 0, list[Scene]()
+        self._last_remaining: tuple[Any, float] = None, 0.0  # for which steps and positions, and its value
         self._views: Views | None = None
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
@@ -80,8 +82,9 @@ class Simulation:
         scene_model = SceneModel(scene)
         model = copy(compiled_model(scene_model.structure))
         simulation = cls(setup or Setup(None), scene_model, model, renderer=renderer)
-        simulation.shifts = shifts or simulation.shifts
-        simulation._begin()
+        if shifts is not None:
+            simulation.shifts = shifts
+        simulation._write_scene()
         return simulation
 
     @property
@@ -94,8 +97,8 @@ class Simulation:
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
-        changed, self.shifts = self.shifts.changes_model, shifts or EpisodeShifts()
-        before = self.scene_model.structure
+        changed, before = self.shifts.changes_model, self.scene_model.structure
+        self.shifts = shifts or EpisodeShifts()
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
@@ -103,9 +106,9 @@ class Simulation:
             self.data = mujoco.MjData(self.model)
         elif changed:
             write_numbers(self.model, compiled_model(before))
-        self._begin()
+        self._write_scene()
 
-    def _begin(self) -> None:
+    def _write_scene(self) -> None:
         """Writes the scene into the model and computes the initial state.
 
         `mj_forward` is called twice. Its solver starts from the previous solution, so the second call changes the
@@ -121,12 +124,13 @@ class Simulation:
             mujoco.mj_forward(model, data)
         finally:
             model.opt.disableflags = enabled
-        self.start_counting()
+        self.clear_records()
 
-    def start_counting(self) -> None:
-        """Starts the records of a new episode."""
-        self.steps, self.trajectory = 0, [self.scene_model.scene] if self.setup.trajectory else []
-        self._measured = None, 0.0
+    def clear_records(self) -> None:
+        """Sets the number of steps to 0, and the trajectory to the initial scene if the score depends on it."""
+        self.steps = 0
+        self.trajectory = [self.scene_model.scene] if self.setup.keeps_trajectory else []
+        self._last_remaining = None, 0.0
 
     def copy(self) -> Simulation:
         """A copy of the model and data. It has no shifts and no records, and executes actions as commanded."""
@@ -153,8 +157,8 @@ class Simulation:
         if self.setup.speeds:
             self._command_speeds(action)
             return
-        number, scene = self.shifts.action(action_number(action)), self.scene_model.scene
-        controls = control_signal(number, scene.robot.body, scene.dynamics.veer)
+        scene = self.scene_model.scene
+        controls = control_signal(self.shifts.action(action_number(action)), scene.robot.body, scene.dynamics.veer)
         self.data.ctrl[self.scene_model.coordinates.ctrl] = controls
 
     def _command_speeds(self, action: Any) -> None:
@@ -239,22 +243,28 @@ class Simulation:
 
     def remaining(self) -> float:
         """The remaining distance; see `magical_mj.Engine.remaining`."""
-        state = self.steps, self.data.qpos.tobytes()
-        if self._measured[0] != state:  # dense rewards ask before and after each step
-            self._measured = state, self.setup.remaining(self.scored_scenes)
-        return self._measured[1]
+        now = self.steps, self.data.qpos.tobytes()
+        if self._last_remaining[0] != now:  # dense rewards ask before and after each step
+            self._last_remaining = now, self.setup.remaining(self.scored_scenes)
+        return self._last_remaining[1]
 
     def state(self) -> State:
         """The current state of the episode."""
-        draws, commands = self.shifts.draws, {name: tuple(last) for name, last in self.shifts.commands.items()}
-        scene, saved, trajectory = self.scene_model.scene, self.save(), tuple(self.trajectory)
-        return State(scene, self.steps, saved, draws=draws, commands=commands, trajectory=trajectory)
+        return State(
+            self.scene_model.scene,
+            self.steps,
+            self.save(),
+            draws=self.shifts.draws,
+            commands={name: tuple(last) for name, last in self.shifts.commands.items()},
+            trajectory=tuple(self.trajectory),
+        )
 
     def resume(self, state: State) -> None:
         """Continues from a state of an episode with the same initial scene and the same values of shifts."""
-        trajectory = self.setup.trajectory_of(state)
         self.restore(state.simulation)
-        self.steps, self.trajectory, self._measured = int(state.steps), trajectory, (None, 0.0)
+        self.steps = int(state.steps)
+        self.trajectory = list(state.trajectory) if self.setup.keeps_trajectory else []
+        self._last_remaining = None, 0.0
         self.shifts.resume(self.steps, state.commands)
 
     def save(self) -> NDArray[np.float64]:

@@ -354,7 +354,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not isinstance(variation, Mapping):
             return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
         seed = check_seed(variation.get("seed", seed))
-        scene, shifts = engine.setup.begin(engine.shifts, seed)
+        scene, shifts = engine.setup.scene_and_shifts(engine.shifts, seed)
         values = space.values_of(scene, shifts.draws, seed % MAX_SEED)
         for name, part in variation.items():
             check_name("key of a variation", name, space.spaces)
@@ -369,14 +369,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if isinstance(scene, Scene) and self._preset.layout == "state":
             StateEncoder(scene)
 
-    def state(self) -> NDArray[np.float32]:
-        """The state vector."""
+    def state_vector(self) -> NDArray[np.float32]:
+        """The state vector; see `magical_mj.Engine.state_vector`."""
         return self.engine.state_vector()
 
     def observe(self, out: Observation | None = None) -> Observation:
         """The current observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
-            return _put(self.engine.state_vector(start=True) if self._preset.start else self.state(), out)
+            return _put(self.engine.state_vector(start=True) if self._preset.start else self.state_vector(), out)
         parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
             return _put(next(iter(parts.values())), out)

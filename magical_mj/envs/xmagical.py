@@ -156,7 +156,7 @@ class XMagicalEnv(SpeedsEnv):
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND
-            self.observation_space = spaces.Box(-bound, bound, self.state().shape, np.float32)
+            self.observation_space = spaces.Box(-bound, bound, self.state_vector().shape, np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -186,7 +186,7 @@ class XMagicalEnv(SpeedsEnv):
         reward = float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
         return reward, False, last, info
 
-    def state(self) -> NDArray[np.float32]:
+    def state_vector(self) -> NDArray[np.float32]:
         """x-magical's state vector."""
         return state_vector(self.scene)
 

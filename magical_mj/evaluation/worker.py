@@ -280,7 +280,7 @@ def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> s
     from magical_mj.engine.episode import Setup  # imported late: it loads the simulator
 
     strengths, body = split_body(shift, task, body)
-    return Setup(task, variant, body=body).begin(strengths, seed)[0].digest()
+    return Setup(task, variant, body=body).scene_and_shifts(strengths, seed)[0].digest()
 
 
 def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:

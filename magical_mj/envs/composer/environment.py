@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, restored
-from magical_mj.engine.episode import Setup, check_state
+from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
@@ -147,7 +147,7 @@ class Environment(composer.Environment):
         self.task.setup.check_start(seed=seed, scene=scene, state=state, limit=self.horizon)
         setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
-            return self._start(*setup.begin({}, scene=state.scene, draws=state.draws), state=state)
+            return self._start(*setup.scene_and_shifts({}, scene=state.scene, draws=state.draws), state=state)
         if seed is not None and self._fixed:
             raise SettingsError(
                 "every episode of load_scene starts in the same scene, whatever the seed: give a scene instead"
@@ -155,12 +155,12 @@ class Environment(composer.Environment):
         if scene is None and self._fixed:
             scene = self.initial_scene
         if scene is not None:
-            return self._start(*setup.begin(strengths, scene=scene))
+            return self._start(*setup.scene_and_shifts(strengths, scene=scene))
         if seed is None:
             seed = self._first_seed
         if seed is None:
             seed = int(self.random_state.randint(2**63 - 1, dtype=np.int64))
-        return self._start(*setup.begin(strengths, check_seed(seed)), seed=seed)
+        return self._start(*setup.scene_and_shifts(strengths, check_seed(seed)), seed=seed)
 
     def _start(
         self, scene: Scene, shifts: EpisodeShifts, seed: int | None = None, state: State | None = None
@@ -212,11 +212,10 @@ class Environment(composer.Environment):
         Takes as long as a reset, and calls the hooks of a reset. The errors are those of `magical_mj.Engine.set_state`.
         """
         physics = self._opened()
-        check_state(state)
-        self.task.setup.trajectory_of(state)
+        self.task.setup.check_state(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises errors before anything is changed
-        self._start(*self.task.setup.begin({}, scene=state.scene, draws=state.draws), state=state)
+        self._start(*self.task.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws), state=state)
 
     def to_engine(self) -> Engine:
         """A new engine in the same state of the same episode, for exports and for the scripted expert.
@@ -426,5 +425,5 @@ def load_scene(
 
 def _loaded(settings: Settings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
     seed = None if seed is None else check_seed(seed)
-    first = settings.setup.begin(settings.strengths, seed or 0, scene)
+    first = settings.setup.scene_and_shifts(settings.strengths, seed or 0, scene)
     return Environment(SceneTask(settings, *first), seed, fixed=scene is not None, recompile=recompile)

@@ -220,7 +220,7 @@ class SceneTask(composer.Task):
         self.scene_model.rewrite(model, data, nested=True, change=self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
-        self.simulation(physics).start_counting()
+        self.simulation(physics).clear_records()
         if self._state is not None:
             self.simulation(physics).resume(self._state)
         for stack in self._stacks():

@@ -89,7 +89,7 @@ class Lookahead:
         self._world = engine.simulation.scene_model
         self._shifts = engine.simulation.shifts.copy()
         self._commands: list[int | None] = []
-        self._records = engine.setup.trajectory
+        self._records = engine.setup.keeps_trajectory
         self._scenes = list(engine.scored_scenes) if self._records else [engine.initial_scene]
         self.body = body_named(self._world.scene.robot.body)
         """The robot's body. Without fingers, it cannot grip blocks and pushes them."""

@@ -226,7 +226,7 @@ class Expert(PlanFollower):
         spec.check_plan()
         spec.check_expert_body(env.initial_scene.robot.body)
         spec.check(env.initial_scene)
-        if spec.trajectory and not env.setup.trajectory:
+        if spec.trajectory and not env.setup.keeps_trajectory:
             raise SettingsError(f"the score of {task} depends on the scenes of all steps: use an engine of this task")
         seed = check_seed(seed)
 
