@@ -50,19 +50,18 @@ def demonstrations_given(
 
     wrong, number = settings.control == "wrong-demonstrations", settings.number_given
     tasks = list(dict.fromkeys(task for task, _ in settings.environments))
-    shown = {task: other_tasks(task)[0] if wrong else task for task in tasks}
-    names = {
-        task: with_scenes(other, settings.scenes, contrasting=settings.contrasting)
-        for task, other in shown.items()
-        if other.startswith(PREFIX)
+    demonstrated = {task: other_tasks(task)[0] if wrong else task for task in tasks}
+    intents = {
+        task: with_scenes(name, settings.scenes, contrasting=settings.contrasting)
+        for task, name in demonstrated.items()
+        if name.startswith(PREFIX)
     }
-    keys = {task: [(name, "Demo", k) for k in range(number)] for task, name in names.items()}
-    every = [key for group in keys.values() for key in group]
+    keys = [(intent, "Demo", seed) for intent in intents.values() for seed in range(number)]
     path, known = stored.default_path(), stored.shipped()
-    made = iter(stored.complete(every, path, known=known, jobs=settings.jobs, watch=watch))
+    complete = iter(stored.complete(keys, path, known=known, jobs=settings.jobs, watch=watch))
     return {
-        task: tuple(itertools.islice(made, number)) if task in keys else _shipped(other, settings)
-        for task, other in shown.items()
+        task: tuple(itertools.islice(complete, number)) if task in intents else _shipped(name, settings)
+        for task, name in demonstrated.items()
     }
 
 
@@ -78,22 +77,22 @@ def _shipped(task: str, settings: EvaluationSettings) -> tuple[Demonstration, ..
     return tuple(known[: settings.number_given])
 
 
-def digest_of(shown: Sequence[Demonstration | Stored]) -> str:
+def digest_of(demonstrations: Sequence[Demonstration | Stored]) -> str:
     """The SHA-256 hash of the scenes and the actions of demonstrations."""
     digest = hashlib.sha256()
-    for demo in shown:
+    for demo in demonstrations:
         actions = demo.actions.encode() if isinstance(demo.actions, str) else demo.actions.tobytes()
         scene = demo.scene if isinstance(demo.scene, str) else demo.scene.digest()
         digest.update(f"{scene} {len(actions)} ".encode() + actions)
     return digest.hexdigest()
 
 
-def with_states(shown: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
+def with_states(demonstrations: Sequence[Demonstration | Stored]) -> tuple[Demonstration, ...]:
     """Demonstrations with their states. Stored actions are replayed; those of another version are an error."""
     from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
 
     path = stored.default_path()
-    return tuple(demo if isinstance(demo, Demonstration) else stored.replay(demo, path) for demo in shown)
+    return tuple(demo if isinstance(demo, Demonstration) else stored.replay(demo, path) for demo in demonstrations)
 
 
 def intent_of(task: str) -> Intent:

@@ -206,18 +206,11 @@ class Evaluation:
                 yield held.pop(policy)
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
-        jobs, backend, player = self.settings.jobs, self.settings.backend, self._player
-        here = backend == "local" and jobs == 1
-        problem = None if here else self._unsendable()
-        if backend == "local" and jobs is None:
-            jobs = min(cores(), self.steps // STEPS_PER_WORKER)
-            here = jobs == 0 or self.settings.batched or problem is not None  # processes do not share an accelerator
-        if here:
+        player, workers = self._player, self._workers()
+        if workers == 0:
             played = map_here(player, self.units)
-        elif problem is not None:
-            raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
         else:
-            played = map_unordered(player, self.units, jobs, backend, self.settings.address)
+            played = map_unordered(player, self.units, workers, self.settings.backend, self.settings.address)
         unit: Played
         try:
             with closing(played), closing(player):
@@ -226,6 +219,23 @@ class Evaluation:
                     yield unit.results
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
+
+    def _workers(self) -> int | None:
+        """The number of worker processes. 0: this process plays the episodes. None: as many as the cluster has.
+
+        Raises:
+            SettingsError: if the settings need worker processes, and a policy cannot be sent to them.
+        """
+        settings, local = self.settings, self.settings.backend == "local"
+        if local and settings.jobs == 1:
+            return 0
+        problem = self._unsendable()
+        if local and settings.jobs is None:
+            alone = settings.batched or problem is not None  # processes do not share an accelerator
+            return 0 if alone else min(cores(), self.steps // STEPS_PER_WORKER)
+        if problem is not None:
+            raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
+        return settings.jobs
 
     def _unsendable(self) -> str | None:
         """Why a policy cannot be sent to other processes. None if all can."""

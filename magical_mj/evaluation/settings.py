@@ -188,12 +188,14 @@ class EvaluationSettings(Settings):
             where = f" in {counted(self.scenes, kind)}"
         elif self.contrasting:
             where = f" in {kind}s"
-        parts = {
-            "wrong-demonstrations": f"{counted(self.number_given, 'demonstration')}{where}" if policy.shown else "",
-            "wrong-instruction": "" if "instruction" in policy.unnoticed else "instruction",
-        }
-        named = (f"another task's {part}" if name == self.control else part for name, part in parts.items() if part)
-        return " and ".join(named)
+        parts: list[str] = []
+        if policy.uses_demonstrations:
+            whose = "another task's " if self.control == "wrong-demonstrations" else ""
+            parts.append(f"{whose}{counted(self.number_given, 'demonstration')}{where}")
+        if "instruction" not in policy.unnoticed:
+            whose = "another task's " if self.control == "wrong-instruction" else ""
+            parts.append(f"{whose}instruction")
+        return " and ".join(parts)
 
     @cached_property
     def batched(self) -> bool:
@@ -233,8 +235,8 @@ class EvaluationSettings(Settings):
 
     def check_given(self, policies: Sequence[Source]) -> None:
         """Raises a `SettingsError` if no policy receives the demonstrations, or one does not fit the control."""
-        shown = [policy.name for policy in policies if policy.shown]
-        if not shown and (self.demonstrations or self.scenes or self.contrasting):
+        receive = any(policy.uses_demonstrations for policy in policies)
+        if not receive and (self.demonstrations or self.scenes or self.contrasting):
             raise SettingsError(
                 "demonstrations, scenes and contrasting are for policies with uses_demonstrations = True, and none of "
                 f"{', '.join(policy.name for policy in policies)} has it"
@@ -258,9 +260,12 @@ class EvaluationSettings(Settings):
         return {
             **({"policies": played} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
-            **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
+            "split": self.split,
+            "first_seed": self.first_seed,
+            "episodes": self.episodes,
             "preset": self.observed,
-            **{name: getattr(self, name) for name in ("rules", "time_limit")},
+            "rules": self.rules,
+            "time_limit": self.time_limit,
             "worlds": WORLDS[self.simulator],
             "protocol": PROTOCOL,
             "shift_protocol": SHIFT_PROTOCOL,

@@ -124,8 +124,8 @@ class Player:
         """Gets the demonstrations, if a policy uses some, with `watch` and the errors of `demonstrations_given`."""
         self.policies = {(policy.name, policy.run): policy for policy in policies}
         self.settings = settings
-        shown = any(policy.shown for policy in policies)
-        self.demonstrations = demonstrations_given(settings, watch) if shown else {}
+        receive = any(policy.uses_demonstrations for policy in policies)
+        self.demonstrations = demonstrations_given(settings, watch) if receive else {}
         self._kept: dict[str, tuple[Any, Any]] = {}
 
     @property
@@ -143,8 +143,9 @@ class Player:
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
         env, others = self._env(unit, source), self._others(unit)
         episodes, results = self._episodes(unit, source, policy, others), self._results(unit, source, policy, others)
-        limit, split = self.settings.time_limit, Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
-        several, seconds = len(unit.seeds) > 1, limit * len(unit.seeds)
+        split, several = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds]), len(unit.seeds) > 1
+        limit = self.settings.time_limit
+        seconds = limit * len(unit.seeds)
 
         def play() -> Played | Split[Unit]:
             if isinstance(env, VectorEnv):
@@ -169,12 +170,13 @@ class Player:
             self._drop(what)
 
     def _env(self, unit: Unit, source: Source) -> Env | VectorEnv[Any, Any, Any]:
-        settings, size, reads = self.settings, len(unit.seeds), "instruction" not in source.unnoticed
-        key = unit.task, unit.variant, unit.shift, reads
+        settings, size = self.settings, len(unit.seeds)
+        instruction = "instruction" not in source.unnoticed
+        key = unit.task, unit.variant, unit.shift, instruction
         if settings.batched or size > 1:
-            return self._keep("vector", (*key, size), lambda: _vector_env(unit, settings, reads))
-        observed = bool(settings.wrap) or not source.simulated
-        return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, reads))
+            return self._keep("vector", (*key, size), lambda: _vector_env(unit, settings, instruction))
+        observed = bool(settings.wrap) or not source.uses_simulation
+        return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, instruction))
 
     def _others(self, unit: Unit) -> list[str]:
         """For each episode, the other task of the control. Empty without a control."""
@@ -185,20 +187,21 @@ class Player:
 
     def _episodes(self, unit: Unit, source: Source, policy: Act, others: Sequence[str]) -> list[Episode]:
         """The information that the policy receives at the start of each episode. `others` is from `_others`."""
-        task, shown = policy_task(unit.task, policy, self.settings.like), self._shown(unit.task, source)
+        task = policy_task(unit.task, policy, self.settings.like)
+        demonstrations = self._received(unit.task, source)
         misled = self.settings.control == "wrong-instruction"
         sentences = [task_spec(other).summary if misled else "" for other in others]
         return [
-            Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=shown)
+            Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=demonstrations)
             for seed, sentence in zip(unit.seeds, sentences, strict=True)
         ]
 
-    def _shown(self, task: str, source: Source) -> tuple[Any, ...]:
+    def _received(self, task: str, source: Source) -> tuple[Any, ...]:
         """The demonstrations of a task in the form that the policy uses."""
-        if not source.shown:
+        if not source.uses_demonstrations:
             return ()
         demos, settings = self.demonstrations[task], self.settings
-        if source.simulated:
+        if source.uses_simulation:
             return self._keep("demonstrations", (task, ""), lambda: with_states(demos))
         key = task, settings.observed
         return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
@@ -211,13 +214,13 @@ class Player:
         facts: dict[str, Any] = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
-            "preset": getattr(policy, "preset", None) if source.simulated else settings.observed,
+            "preset": getattr(policy, "preset", None) if source.uses_simulation else settings.observed,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
             "retry": unit.retry,
             "given": settings.given(source),
-            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if source.shown else "",
+            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if source.uses_demonstrations else "",
         }
         results: list[Callable[[Outcome], EpisodeResult]] = []
         for seed, other in zip(unit.seeds, others, strict=True):
@@ -241,12 +244,12 @@ class Player:
 
 
 def _observed(
-    shown: Sequence[Demonstration | Stored], preset: str, renderer: RendererName | None
+    demonstrations: Sequence[Demonstration | Stored], preset: str, renderer: RendererName | None
 ) -> tuple[Transitions, ...]:
     """Demonstrations as observations and actions. The arrays are read-only, since all episodes share them."""
     from magical_mj.demos.learning import stream  # imported late: it loads the simulator
 
-    parts = tuple(stream(with_states(shown), preset, drop_noop=False, renderer=renderer))
+    parts = tuple(stream(with_states(demonstrations), preset, drop_noop=False, renderer=renderer))
     for part in parts:
         views = part.observations.values() if isinstance(part.observations, dict) else (part.observations,)
         for array in (*views, part.actions):

@@ -73,7 +73,7 @@ class Apprenticeship(RewardLearner):
         novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         # in random order, so that random samples are dropped
-        order = torch.randperm(novice.shape[1], generator=self._draw)
+        order = torch.randperm(novice.shape[1], generator=self._rng)
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
         difference = self._demonstrated - self._latest.mean(1)
         self._weights = best_weights(difference)
@@ -103,14 +103,14 @@ class Apprenticeship(RewardLearner):
         return sums / torch.tensor(self._expert.sizes, device=self.device)[:, None]
 
     def _reconstruct(self) -> float:
-        batch = self._expert.sample(self.settings.features.batch_size, self._draw)
+        batch = self._expert.sample(self.settings.features.batch_size, self._rng)
         observations, actions, _ = self.on_device(batch)
         loss = self._autoencoder.train().loss(observations, actions)
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
         if (self._batches + 1) % RESTART == 0 and self._batches + RESTART < self.settings.features.batches:
-            observations, actions, _ = self.on_device(self._expert.sample(512, self._draw))
+            observations, actions, _ = self.on_device(self._expert.sample(512, self._rng))
             with seeded(self.settings.seed + self._batches):
                 self._autoencoder.restart(self._autoencoder.features(observations, actions))
         return loss.item()

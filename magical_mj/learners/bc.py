@@ -46,8 +46,8 @@ class BehaviouralCloning(Learner):
         self._data = self.dataset(demonstrations)
         given = [] if demonstrations is None else [demo for task in settings.tasks for demo in demonstrations[task]]
         self._variants = {demo.variant for demo in given if isinstance(demo, Demonstration)} or {"Demo"}
-        self._draw = torch.Generator().manual_seed(settings.seed)
-        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        self._rng = torch.Generator().manual_seed(settings.seed)
+        self._noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)
         with seeded(settings.seed):
             self._actor = Actor(
@@ -71,8 +71,8 @@ class BehaviouralCloning(Learner):
             "actor": self._actor,
             "optimizer": self._optimizer,
             "rate": self._rate,
-            "draw": self._draw,
-            "noise": self._noise,
+            "draw": self._rng,
+            "noise": self._noise_rng,
         }
 
     @classmethod
@@ -114,8 +114,9 @@ class BehaviouralCloning(Learner):
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss of a new batch, the logits (n, 18), the demonstrator's actions (n,), and other metrics."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
-        actions, inputs = actions.to(self.device), self._augmented(observations, self._noise)
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._rng)
+        inputs = self._augmented(observations, self._noise_rng)
+        actions = actions.to(self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
             logits = self._actor(inputs, tasks.to(self.device))
         return nn.functional.cross_entropy(logits.float(), actions), logits, actions, {}
@@ -204,11 +205,10 @@ class IQLearn(BehaviouralCloning):
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """Also the mean reward in the batch."""
-        batch, following = successive(self._data, self._usable, self.settings.bc.batch_size, self._draw)
-        observations, (actions, tasks) = batch.observations, (values.to(self.device) for values in batch[1:])
-        logits, next_logits = (
-            self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
-        )
+        batch, following = successive(self._data, self._usable, self.settings.bc.batch_size, self._rng)
+        actions, tasks = batch.actions.to(self.device), batch.tasks.to(self.device)
+        logits = self._actor(self._augmented(batch.observations, self._noise_rng), tasks)
+        next_logits = self._actor(self._augmented(following, self._noise_rng), tasks)
         loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
         return loss, logits, actions, {"reward": rewards.mean().item()}
 
@@ -231,12 +231,12 @@ def usable(data: Dataset, task: int) -> Tensor:
     return (~data.last[task] & (data.actions[task] != NOOP)).nonzero()[:, 0]
 
 
-def successive(data: Dataset, numbers: Sequence[Tensor], size: int, generator: torch.Generator) -> tuple[Batch, Tensor]:
+def successive(data: Dataset, indices: Sequence[Tensor], size: int, generator: torch.Generator) -> tuple[Batch, Tensor]:
     """Draws a batch from the rows with these indices, given for each task. Also returns the following observations."""
-    counts = shares(size, len(numbers), generator)
+    counts = shares(size, len(indices), generator)
     rows = [
-        able[torch.randint(len(able), (count,), generator=generator)]
-        for able, count in zip(numbers, counts, strict=True)
+        usable_rows[torch.randint(len(usable_rows), (count,), generator=generator)]
+        for usable_rows, count in zip(indices, counts, strict=True)
     ]
     return data.rows(rows), data.rows([drawn + 1 for drawn in rows]).observations
 
@@ -281,12 +281,9 @@ class Point(BehaviouralCloning):
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """Also returns the penalty, without its weight."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
-        inputs, actions, tasks = (
-            self._augmented(observations, self._noise),
-            actions.to(self.device),
-            tasks.to(self.device),
-        )
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._rng)
+        inputs = self._augmented(observations, self._noise_rng)
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
         torso = cast("Torso", self._actor.torso)
         maps = torso.convolutions(inputs[:, -torso.channels :])
         features = torso.linear(maps.flatten(1))

@@ -213,12 +213,12 @@ class Dataset:
             for rows in torch.arange(total).split(size):
                 yield self.rows([rows if other == task else rows[:0] for other in range(len(self.sizes))])
 
-    def rows(self, numbers: Sequence[Tensor]) -> Batch:
+    def rows(self, indices: Sequence[Tensor]) -> Batch:
         """The rows with these indices, given for each task. The tasks follow one another."""
         return Batch(
-            torch.cat([values.index_select(0, rows) for values, rows in zip(self._observations, numbers, strict=True)]),
-            torch.cat([actions[rows] for actions, rows in zip(self.actions, numbers, strict=True)]),
-            torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
+            torch.cat([values.index_select(0, rows) for values, rows in zip(self._observations, indices, strict=True)]),
+            torch.cat([actions[rows] for actions, rows in zip(self.actions, indices, strict=True)]),
+            torch.cat([torch.full_like(rows, task) for task, rows in enumerate(indices)]),
         )
 
 
@@ -243,12 +243,12 @@ class Rollout(NamedTuple):
 
     def batches(self, size: int) -> Iterator[Batch]:
         """All samples in the order of the steps."""
-        for numbers in torch.arange(self.actions.numel()).split(size):
-            yield self._batch(numbers)
+        for indices in torch.arange(self.actions.numel()).split(size):
+            yield self._batch(indices)
 
-    def _batch(self, numbers: Tensor) -> Batch:
-        observations = self.observations.flatten(0, 1).index_select(0, numbers)  # faster than indexing
-        return Batch(observations, self.actions.flatten()[numbers], self.tasks[numbers % len(self.tasks)])
+    def _batch(self, indices: Tensor) -> Batch:
+        observations = self.observations.flatten(0, 1).index_select(0, indices)  # faster than indexing
+        return Batch(observations, self.actions.flatten()[indices], self.tasks[indices % len(self.tasks)])
 
 
 def joined(rollouts: Sequence[Rollout]) -> Rollout:

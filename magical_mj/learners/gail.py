@@ -43,13 +43,13 @@ class Adversarial(RewardLearner):
         self._augment = augmentation(settings)  # first, so that errors are raised before environments are made
         super().__init__(settings)
         self._latest: list[Rollout] = []
-        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        self._noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
             self._discriminator = self.discriminator().to(self.device)
         rate = settings.discriminator.learning_rate
         self._optimizer = torch.optim.Adam(self._discriminator.parameters(), rate, fused=True)
         self.stateful |= {"discriminator": self._discriminator, "discriminator optimizer": self._optimizer}
-        self.stateful |= {"noise": self._noise}
+        self.stateful |= {"noise": self._noise_rng}
 
     def discriminator(self) -> nn.Module:
         """A new discriminator, a `Samplewise`."""
@@ -82,10 +82,10 @@ class Adversarial(RewardLearner):
 
     def _step(self, rollout: Rollout) -> Mapping[str, float]:
         half = self.settings.discriminator.batch_size // 2
-        sides = [self.on_device(side.sample(half, self._draw)) for side in (rollout, self._expert)]
+        sides = [self.on_device(side.sample(half, self._rng)) for side in (rollout, self._expert)]
         observations, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
         self._discriminator.train()
-        loss, metrics = self.loss((self._augment(observations, self._noise), actions, tasks))
+        loss, metrics = self.loss((self._augment(observations, self._noise_rng), actions, tasks))
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
@@ -216,9 +216,9 @@ class Shaped(nn.Module):
 class Steps(Dataset):
     """Demonstrations whose rows also contain the following state."""
 
-    def rows(self, numbers: Sequence[Tensor]) -> Batch:
-        """The rows with these numbers, observations (n, HISTORY + 1, names)."""
-        batch = super().rows(numbers)
-        following = [rows + ~last[rows] for rows, last in zip(numbers, self.last, strict=True)]
+    def rows(self, indices: Sequence[Tensor]) -> Batch:
+        """The rows with these indices, observations (n, HISTORY + 1, names)."""
+        batch = super().rows(indices)
+        following = [rows + ~last[rows] for rows, last in zip(indices, self.last, strict=True)]
         after = super().rows(following).observations[:, -1:]
         return batch._replace(observations=torch.cat([batch.observations, after], 1))

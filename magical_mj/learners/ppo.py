@@ -243,7 +243,7 @@ class RewardLearner(Learner):
         settings.check_reinforcement()
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
-        self._draw = torch.Generator().manual_seed(settings.seed)
+        self._rng = torch.Generator().manual_seed(settings.seed)
         self._environments = training_envs(settings)
         tasks = len(settings.tasks)
         with seeded(settings.seed):
@@ -254,9 +254,9 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
-            self._ppo = PPO(settings, self._environments, actor, critic, self._draw)
+            self._ppo = PPO(settings, self._environments, actor, critic, self._rng)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
-        self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._draw}
+        self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._rng}
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
@@ -272,7 +272,7 @@ class RewardLearner(Learner):
 
     def update(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's update. Restores the global generators, which draw the actions."""
-        with seeded(int(torch.randint(2**62, (), generator=self._draw))):
+        with seeded(int(torch.randint(2**62, (), generator=self._rng))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
             with torch.no_grad():

@@ -80,8 +80,8 @@ class Source:
         batches: whether it acts in batches of observations. Set by `playable`, like the attributes below.
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
-        simulated: whether it uses the simulation instead of observations.
-        shown: whether it receives demonstrations.
+        uses_simulation: whether it uses the simulation instead of observations.
+        uses_demonstrations: whether it receives demonstrations.
         demonstration_set: the set of the package's demonstrations that it was trained on, if known.
         played_in: the variants of the scenes that it was trained in, if known, separated by commas.
         other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on, if known.
@@ -96,8 +96,8 @@ class Source:
     batches: bool = False
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
-    simulated: bool = False
-    shown: bool = False
+    uses_simulation: bool = False
+    uses_demonstrations: bool = False
     demonstration_set: int = 1
     played_in: str = "Demo"
     other_tasks: tuple[str, ...] = ()
@@ -252,8 +252,8 @@ def playable(
                 batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
                 preset=preset,
                 unnoticed=_unnoticed(policy, preset),
-                simulated=uses_simulation(policy),
-                shown=uses_demonstrations(policy),
+                uses_simulation=uses_simulation(policy),
+                uses_demonstrations=uses_demonstrations(policy),
                 needs_plan=getattr(policy, "needs_plan", False),
                 **learnt_from(source.origin, policy),
             )

@@ -117,11 +117,11 @@ def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     (region,) = final.regions
     (query,) = inside(initial.regions[0], initial.blocks)
     alike = _alike(final, query)
-    ways = {number: way_in(region, final.blocks[number]) for number in alike}
+    distances = {number: way_in(region, final.blocks[number]) for number in alike}
     if rules == "paper":
-        pair = ways.pop(query) + min(ways.values())
+        pair = distances.pop(query) + min(distances.values())
     else:
-        nearest, second, *_ = sorted(ways.values())
+        nearest, second, *_ = sorted(distances.values())
         pair = nearest + second
     others = (block for number, block in enumerate(final.blocks) if number not in alike)
     return pair + sum(way_out(region, block, final.half_width) for block in others)

@@ -64,7 +64,7 @@ STRIDE: Final = 0.001
 """The growth of the range of poses with each try, in world units and in rad."""
 
 Object = Robot | Block | GoalRegion
-Boxes = Callable[[Object, GoalRegion | None], Box | Near]
+Ranges = Callable[[Object, GoalRegion | None], Box | Near]
 """(an object, the placed region that it belongs in, or None) -> the distribution of its pose."""
 
 
@@ -178,8 +178,8 @@ def contact(scene: Scene, regions: bool = True) -> str | None:
     scene = scene if regions else replace(scene, regions=())
     areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
     bodies = solids(scene)
-    inner = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if not region.is_zone}
-    for name, solid in (inner | bodies).items():
+    walled = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if not region.is_zone}
+    for name, solid in (walled | bodies).items():
         if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"
     pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]
@@ -208,12 +208,12 @@ class _NoRoomError(Exception):
     """No legal pose was found for an object, which is the argument."""
 
 
-def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
-    """The scene with its regions replaced by `regions` and all poses drawn from `boxes`."""
+def _place(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng: np.random.Generator) -> Scene:
+    """The scene with its regions replaced by `regions` and all poses drawn from `ranges`."""
     stuck: object = None
     for _ in range(MAX_ROUNDS):
         try:
-            return _place_once(scene, regions, boxes, rng)
+            return _place_once(scene, regions, ranges, rng)
         except _NoRoomError as error:
             stuck = error
     raise PlacementError(
@@ -223,12 +223,12 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.ra
     )
 
 
-def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
+def _place_once(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng: np.random.Generator) -> Scene:
     """One round of `_place`. Raises `_NoRoomError` if no legal pose is found for an object."""
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
-        pose, area = _find(region, boxes(region, None), areas, scene.half_width, rng)
+        pose, area = _find(region, ranges(region, None), areas, scene.half_width, rng)
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
@@ -242,7 +242,7 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
         item, home = items[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + [area for number, area in enumerate(areas) if number != home]
-        poses[index], solid = _find(item, boxes(item, own_region), obstacles, scene.half_width, rng)
+        poses[index], solid = _find(item, ranges(item, own_region), obstacles, scene.half_width, rng)
         placed.append(solid)
 
     return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
@@ -275,14 +275,14 @@ def _solid(item: Object, pose: Pose) -> Solid:
 
 
 def _find(
-    item: Object, box: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
+    item: Object, poses: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
     """The first drawn pose where an object touches neither walls nor obstacles, and the area that it covers there.
 
     The walls are at the distance `half` from the origin. Raises `_NoRoomError` if `MAX_TRIES` draws are not enough.
     """
     for tries in range(MAX_TRIES):
-        pose = box.draw(rng, tries)
+        pose = poses.draw(rng, tries)
         if isinstance(item, Robot) and item.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
             continue  # a shortcut: the disc touches a wall, so the fingers' outlines are not needed
         solid = _solid(item, pose)

@@ -226,7 +226,8 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
     demo = rules.demo if rngs else rules.demos[seed % len(rules.demos)]
     if body != demo.robot.body:
         demo = replace(demo, robot=replace(demo.robot, body=body))
-        demo = demo if "layout" in rngs else with_room(demo)
+        if "layout" not in rngs:
+            demo = with_room(demo)
     for _ in range(MAX_REDRAWS):
         scene = _varied(rules, demo, rngs, seed)
         if not rngs or rules.accepts is None or rules.accepts(scene):
