@@ -187,13 +187,13 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
     given = engine if uses_simulation(policy) else None
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
-        other = episode.instruction
+        replacement = episode.instruction
         with policy_errors(), _unchanged(given):
-            episode = replace(episode, instruction=_sentence(policy, episode, other or engine.instruction))
+            episode = replace(episode, instruction=_sentence(policy, episode, replacement or engine.instruction))
             begin(policy, replace(episode, env=given))
         while not over:
             with policy_errors(), _unchanged(given):
-                action = action_number(policy(_reading(observation, other)))
+                action = action_number(policy(_with_instruction(observation, replacement)))
             check_time()
             result = env.step(action)
             outcome.actions.append(action)
@@ -213,8 +213,8 @@ def play_side_by_side(
     scores, over = np.zeros(count), False
     with _attempt(seconds) as (whole, check_time):
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
-        others = tuple(filter(None, (episode.instruction for episode in episodes)))
-        sentences = others or _instructions(envs, episodes)
+        replacements = tuple(filter(None, (episode.instruction for episode in episodes)))
+        sentences = replacements or _instructions(envs, episodes)
         begun = [
             replace(each, instruction=_sentence(policy, each, text))
             for each, text in zip(episodes, sentences, strict=True)
@@ -223,7 +223,7 @@ def play_side_by_side(
             batch.reset_batch(begun)
         while not over:
             with policy_errors():
-                seen = _reading(observations, others)
+                seen = _with_instruction(observations, replacements)
                 actions = np.array([action_number(action) for action in batch.act_batch(seen)])
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
@@ -242,10 +242,10 @@ def _sentence(policy: object, episode: Episode, sentence: str) -> str:
     return "" if episode.task == NEUTRAL and not uses_instruction(policy) else sentence
 
 
-def _reading(observation: Any, others: str | tuple[str, ...]) -> Any:
-    """The observation with other instructions: one, or one for each environment. If `others` is empty, unchanged."""
-    if others and isinstance(observation, Mapping) and "instruction" in observation:
-        return {**observation, "instruction": others}
+def _with_instruction(observation: Any, replacement: str | tuple[str, ...]) -> Any:
+    """The observation with another instruction, or one for each environment. If it is empty, unchanged."""
+    if replacement and isinstance(observation, Mapping) and "instruction" in observation:
+        return {**observation, "instruction": replacement}
     return observation
 
 

@@ -75,7 +75,7 @@ def test_training_uses_the_encoders_features(tmp_path: Path) -> None:
     reference = Torso(settings.network, batch_norm=True).eval()
     reference.convolutions.load_state_dict(dict(encoder.weights))
     reference.linear.load_state_dict(twin.actor.torso.linear.state_dict())
-    observations, actions, tasks = twin._data.sample(settings.bc.batch_size, twin._draw)
+    observations, actions, tasks = twin._data.sample(settings.bc.batch_size, twin._rng)
     logits = twin.actor.head(reference(observations.permute(0, 3, 1, 2) / 255), tasks)
     wanted = torch.nn.functional.cross_entropy(logits, actions).item()
     assert learner.update()["loss"] == pytest.approx(wanted, rel=1e-4)
