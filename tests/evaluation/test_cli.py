@@ -111,12 +111,6 @@ def test_wrong_use_is_one_line(shell: Shell, tmp_path: Path, line: str, code: in
 PAGE = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text()
 
 
-@pytest.mark.parametrize("code", re.findall(r"```python\n(?!# \w+\.py)(.*?)```", PAGE, re.DOTALL))
-def test_code_on_the_page_runs(code: str) -> None:
-    """But for modules, which tests/policies/test_loading.py evaluates."""
-    exec(compile(code, "evaluation.md", "exec"), {"__name__": "page"})
-
-
 def test_options_on_the_page_exist(shell: Shell) -> None:
     known = "".join(shell(name, "--help")[1] for name in ("evaluate", "report", "compare"))
     named = set(re.findall(r"--[a-z][a-z-]+", PAGE))
