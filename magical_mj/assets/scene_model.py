@@ -201,8 +201,8 @@ def _unshaped(
 ) -> mujoco.MjSpec:
     """A spec for scenes of this structure, with blocks that have no sides and no collision geoms."""
     blocks = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
-    grit = tuple(Pebble(0, -index) for index in range(pebbles))
-    scene = Scene(Robot(0, 0, 0, body=body), blocks, half_width=half_width, pebbles=grit)
+    discs = tuple(Pebble(0, -index) for index in range(pebbles))
+    scene = Scene(Robot(0, 0, 0, body=body), blocks, half_width=half_width, pebbles=discs)
     spec = mujoco.MjSpec.from_string(scene_mjcf(scene, regions=blank_regions_mjcf(dashes)))
     for index in range(len(masses)):
         block = spec.body(f"block{index}")
@@ -254,12 +254,13 @@ def own_coordinates(blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coord
         body: the robot's body.
         pebbles: the number of pebbles.
     """
-    robot = len(AXES) * blocks
-    first, order = robot + len(joints(body)), joints(body)
-    planar = np.arange(len(AXES)) + np.array([robot, *range(0, robot, len(AXES))])[:, None]
-    fingers = [robot + order.index(name) for name in FINGERS] if body_named(body).fingers else []
-    grit = np.arange(first, first + len(AXES) * pebbles).reshape(-1, len(AXES))
-    return Coordinates(planar, planar, np.array(fingers, np.int64), grit, np.arange(len(actuators(body))))
+    axes, order = len(AXES), joints(body)
+    robot_start = axes * blocks  # blocks come first, then the robot, then pebbles
+    pebbles_start = robot_start + len(order)
+    poses = np.arange(axes) + np.array([robot_start, *range(0, robot_start, axes)])[:, None]
+    fingers = [robot_start + order.index(name) for name in FINGERS] if body_named(body).fingers else []
+    pebble_poses = np.arange(pebbles_start, pebbles_start + axes * pebbles).reshape(-1, axes)
+    return Coordinates(poses, poses, np.array(fingers, np.int64), pebble_poses, np.arange(len(actuators(body))))
 
 
 def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pebbles: int = 0) -> Coordinates:
@@ -276,14 +277,14 @@ def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pe
         names = (planar_name(f"{body}_{axis}", f"{body}/") for body in bodies for axis in AXES)
         return find(*names).reshape(-1, len(AXES))
 
-    moving = planar("robot", *(f"block{index}" for index in range(blocks)))
+    poses = planar("robot", *(f"block{index}" for index in range(blocks)))
     fingers = find(*(f"robot/{name}" for name in FINGERS if body_named(body).fingers))
-    grit = planar(*(f"pebble{index}" for index in range(pebbles)))
+    pebble_poses = planar(*(f"pebble{index}" for index in range(pebbles)))
     return Coordinates(
-        model.jnt_qposadr[moving].astype(np.int64),
-        model.jnt_dofadr[moving].astype(np.int64),
+        model.jnt_qposadr[poses].astype(np.int64),
+        model.jnt_dofadr[poses].astype(np.int64),
         model.jnt_qposadr[fingers].astype(np.int64),
-        model.jnt_qposadr[grit].astype(np.int64),
+        model.jnt_qposadr[pebble_poses].astype(np.int64),
         find(*(f"robot/{name}" for name in actuators(body)), kind="actuator"),
     )
 

@@ -47,9 +47,9 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
     environment_axes(task, variant)
     preset_named(preset)
     task, spec = task_name(task), task_spec(task)
-    name = (
-        spec.name if not spec.further_demos else f"{spec.name}D{zlib.crc32(task.encode()):08x}"
-    )  # the digest tells tasks with several demo scenes apart
+    name = spec.name
+    if spec.further_demos:  # tasks with other numbers of demo scenes have the same name
+        name += f"D{zlib.crc32(task.encode()):08x}"
     return _register(task, name, variant_name(variant), preset, spec.horizon())
 
 

@@ -129,17 +129,15 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
                 f"{folder} holds {name} that are left out here, or have changed: {listed}. A resumed evaluation may "
                 f"have more {name}, but must keep all of these"
             )
-    first, least = before["first_seed"], settings["first_seed"]
-    last, most = first + before["episodes"] - 1, least + settings["episodes"] - 1
-    if not (least <= first and last <= most):
+    held, wanted = (range(each["first_seed"], each["first_seed"] + each["episodes"]) for each in (before, settings))
+    if held.start < wanted.start or held.stop > wanted.stop:
         raise SettingsError(
-            f"{folder} holds the scenes {first} to {last} of its split, but {least} to {most} are requested: a "
-            "resumed evaluation may have more scenes, but must keep all of these"
+            f"{folder} holds the scenes {held.start} to {held.stop - 1} of its split, but {wanted.start} to "
+            f"{wanted.stop - 1} are requested: a resumed evaluation may have more scenes, but must keep all of these"
         )
-    free = (*EXTENDABLE, "episodes", "first_seed")
-    new = {name for name in settings if name.startswith(("code of ", "demonstrations of ")) and name not in before}
-    others = settings.keys() - new - set(free)
-    check_unchanged(folder, before, {name: value for name, value in settings.items() if name in others})
+    free = {*EXTENDABLE, "episodes", "first_seed"}
+    free |= {name for name in settings if name.startswith(("code of ", "demonstrations of ")) and name not in before}
+    check_unchanged(folder, before, {name: value for name, value in settings.items() if name not in free})
 
 
 def _named(item: Any) -> str:

@@ -33,7 +33,7 @@ class Views:
     ) -> None:
         self.model, self._cameras = model, cameras
         self._wanted = check_renderer(renderer)
-        self._drawn: dict[str, OpenGLRenderer | SoftwareRenderer] = {}
+        self._renderers: dict[str, OpenGLRenderer | SoftwareRenderer] = {}
 
     def draw(
         self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None, uncovered: Picture | None = None
@@ -57,23 +57,24 @@ class Views:
             kind = "segments"
         else:
             kind = "flat"
-        renderer = self._drawn.get(kind) or self._drawn.setdefault(kind, self._choose(kind))
-        return renderer.draw(data, self._cameras.get(view, view), size, out, uncovered)
+        if kind not in self._renderers:
+            self._renderers[kind] = self._new_renderer(kind)
+        return self._renderers[kind].draw(data, self._cameras.get(view, view), size, out, uncovered)
 
-    def _choose(self, kind: str) -> OpenGLRenderer | SoftwareRenderer:
+    def _new_renderer(self, kind: str) -> OpenGLRenderer | SoftwareRenderer:
         if kind == "segments":
             return SoftwareRenderer(self.model)
         if kind == "flat" and drawn_by(self._wanted) == "software":
             with contextlib.suppress(RenderingError):  # if users have changed the model
                 renderer = SoftwareRenderer(self.model)
                 if self._wanted is None:
-                    _warn()
+                    _warn_of_software()
                 return renderer
         return OpenGLRenderer(self.model, lit=kind == SOLID_VIEW)
 
 
 @cache
-def _warn() -> None:
+def _warn_of_software() -> None:
     """Warns once that the software renderer draws the pictures."""
     warnings.warn(
         f"{NO_OPENGL.format(error=opengl().problem)} Until then the software renderer draws the flat views; "
