@@ -106,7 +106,7 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         return rows
 
 
-class Source(NamedTuple):
+class MadeEnvironment(NamedTuple):
     """An environment ``gymnasium.make(id, **kwargs)``. Its ``reset(seed=...)`` accepts the seeds of the scenes."""
 
     id: str
@@ -120,7 +120,7 @@ class Source(NamedTuple):
         return ", ".join([f'"{self.id}"', *(f"{name}={value!r}" for name, value in self.kwargs.items())])
 
 
-def source_of(demo: Demonstration, preset: str, **settings: Any) -> Source:
+def environment_of(demo: Demonstration, preset: str, **settings: Any) -> MadeEnvironment:
     """The environment of a demonstration, with its body and its shifts.
 
     Args:
@@ -135,7 +135,7 @@ def source_of(demo: Demonstration, preset: str, **settings: Any) -> Source:
     if not task_spec(demo.task).speeds:
         facts = {"body": body if body != GRIPPER else "", "shifts": demo.shifts}
         kwargs = {name: value for name, value in facts.items() if value}
-        return Source(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
+        return MadeEnvironment(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
     if preset != "State":
         raise DemonstrationError(f"data sets of {demo.task} must have the preset State, not {preset or 'views'}")
-    return Source(suite_id(body, demo.variant), {})
+    return MadeEnvironment(suite_id(body, demo.variant), {})

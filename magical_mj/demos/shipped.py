@@ -86,17 +86,22 @@ def load(
         raise _missing(set, task, body)
     if folder is None:
         spec.check_expert_body(body)
-    folder = spec.demonstrations if folder is None else folder
+        folder = spec.demonstrations
     if folder is None:
         packed = load_shipped(task, spec.name) if body == GRIPPER else []
-        if demos := packed or _played(1, task, body):
-            return demos
-    paths = [] if folder is None else files_in(folder, f"{spec.name}-")
-    demos = [demo for demo in (read(path, task, trusted=[body]) for path in paths) if demo.scene.robot.body == body]
-    if demos:
-        return demos
-    quoted = shlex.quote(task)
-    command = f"play {quoted} --record" if spec.plan is None else f"demos generate --tasks {quoted} --out"
+        demos = packed or _played(1, task, body)
+    else:
+        every = (read(path, task, trusted=[body]) for path in files_in(folder, f"{spec.name}-"))
+        demos = [demo for demo in every if demo.scene.robot.body == body]
+    if not demos:
+        raise _none_found(task, folder, body)
+    return demos
+
+
+def _none_found(task: str, folder: Path | str | None, body: str) -> DemonstrationError:
+    """The error if there are no demonstrations of a task with a body, in a folder or in the package."""
+    quoted, plan = shlex.quote(task), task_spec(task).plan
+    command = f"play {quoted} --record" if plan is None else f"demos generate --tasks {quoted} --out"
     if folder is not None:
         absent = "" if Path(folder).exists() else ", which does not exist"
         where = f"in {folder}{absent}: make some with magical-mj {command} {folder}"
@@ -106,7 +111,7 @@ def load(
             "demonstrations=FOLDER in its TaskSpec"
         )
     by = "" if body == GRIPPER else f" with the body {body!r}"
-    raise DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
+    return DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
 
 
 def set_suffix(which: DemonstrationSet) -> str:

@@ -55,7 +55,7 @@ class TrainedPolicy(Model):
         played_in: str = "Demo",
         other_tasks: Sequence[str] = (),
     ) -> None:
-        super().__init__(self._drawn, remembers=preset == STATE)
+        super().__init__(self._draw_actions, remembers=preset == STATE)
         self.demonstration_set, self.played_in, self.other_tasks = demonstration_set, played_in, tuple(other_tasks)
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
@@ -78,7 +78,7 @@ class TrainedPolicy(Model):
             )
         return super().act_batch(observations)
 
-    def _drawn(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+    def _draw_actions(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         self.actor.eval()
         with torch_settings(1), torch.inference_mode():
             logits = self.actor(as_input(observations, self._device), self._heads[: len(observations)])

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from magical_mj.demos.demonstration import Demonstration, demonstrators, group_name
-from magical_mj.demos.learning import observations, source_of
+from magical_mj.demos.learning import environment_of, observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.scene.actions import ACTIONS
@@ -76,8 +76,8 @@ def to_webdataset(
     facts = about(demos)
     made_in, gymnasium = EACH, {}
     if "tasks" not in facts:
-        source = source_of(demos[0], preset)
-        made_in, gymnasium = f"`gymnasium.make({source})`", {"gymnasium": source._asdict()}
+        environment = environment_of(demos[0], preset)
+        made_in, gymnasium = f"`gymnasium.make({environment})`", {"gymnasium": environment._asdict()}
     metadata = {**facts, "preset": preset, **gymnasium, "features": dict(FEATURES)}
     with files.new_folder(folder, overwrite=overwrite) as unfinished:
         unfinished.mkdir()

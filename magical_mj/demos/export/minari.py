@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
-from magical_mj.demos.learning import observations, source_of
+from magical_mj.demos.learning import environment_of, observations
 from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
@@ -73,7 +73,7 @@ def to_minari(
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
     with (
-        closing(source_of(first, preset, reward="score").make()) as env,
+        closing(environment_of(first, preset, reward="score").make()) as env,
         files.new_folder(path, overwrite=overwrite) as unfinished,
     ):
         _fill(unfinished, name, env, about, episodes)
