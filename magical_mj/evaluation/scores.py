@@ -70,7 +70,7 @@ class EpisodeResult:
         preset: the preset of the observations. None if the policy uses none, or if they have no name.
         version: the version of this package.
         mujoco: MuJoCo's version.
-        gl: the OpenGL backend.
+        gl: the renderer of pictures: OpenGL's backend, such as "egl", or "software".
         actions: a letter for each action. A replay needs them.
         failure: why the policy failed. None if it did not.
         scene: the digest of the episode's initial scene. None in files of older versions.

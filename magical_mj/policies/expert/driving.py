@@ -86,12 +86,12 @@ class Lookahead:
     def __init__(self, engine: Engine) -> None:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
-        self._world = engine.simulation.scene_model
+        self._scene_model = engine.simulation.scene_model
         self._shifts = engine.simulation.shifts.copy()
         self._commands: list[int | None] = []
-        self._records = engine.setup.keeps_trajectory
-        self._scenes = list(engine.scored_scenes) if self._records else [engine.initial_scene]
-        self.body = body_named(self._world.scene.robot.body)
+        self._keeps_trajectory = engine.setup.keeps_trajectory
+        self._scenes = list(engine.scored_scenes) if self._keeps_trajectory else [engine.initial_scene]
+        self.body = body_named(self._scene_model.scene.robot.body)
         """The robot's body. Without fingers, it cannot grip blocks and pushes them."""
         self.trace: list[int] = []
         """The actions since the last `restore`."""
@@ -134,7 +134,7 @@ class Lookahead:
             if delay:
                 self._shifts.revise(delay, wanted)
         self._simulation.act(self._shifts.action(NOOP if delay else wanted))
-        if self._records:
+        if self._keeps_trajectory:
             self._scenes.append(self.scene())
 
     @property
@@ -150,19 +150,19 @@ class Lookahead:
     @property
     def robot(self) -> Pose:
         """The robot's pose."""
-        x, y, angle = self._world.poses(self._simulation.data.qpos)[0].tolist()
+        x, y, angle = self._scene_model.poses(self._simulation.data.qpos)[0].tolist()
         return x, y, angle
 
     @property
     def speed(self) -> tuple[float, float]:
         """The robot's speed forwards (units/s) and its turning speed to the left (rad/s)."""
-        vx, vy, spin = self._world.velocities(self._simulation.data.qvel)[0].tolist()
+        vx, vy, spin = self._scene_model.velocities(self._simulation.data.qvel)[0].tolist()
         angle = self.robot[2]
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
 
     def block(self, index: int) -> Point:
         """A block's position."""
-        x, y, _ = self._world.poses(self._simulation.data.qpos)[1 + index].tolist()
+        x, y, _ = self._scene_model.poses(self._simulation.data.qpos)[1 + index].tolist()
         return x, y
 
     def relative(self, point: Point) -> Point:
@@ -178,7 +178,7 @@ class Lookahead:
 
     def scene(self) -> Scene:
         """The current scene."""
-        return self._world.read(self._simulation.data.qpos)
+        return self._scene_model.read(self._simulation.data.qpos)
 
     def scenes_to(self, scene: Scene) -> tuple[Scene, ...]:
         """The scenes that determine the score of `scene`, which is the current one or follows it."""
