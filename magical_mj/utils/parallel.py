@@ -40,7 +40,7 @@ from magical_mj.utils.extras import check_extra
 
 Backend = Literal["local", "dask"]
 
-Piece = TypeVar("Piece")
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS: Final = 3
@@ -72,10 +72,10 @@ class Timed(Generic[Result]):
 
 
 @dataclass(frozen=True)
-class Split(Generic[Piece]):
+class Split(Generic[Item]):
     """A result that replaces a work item by smaller ones. They are done next."""
 
-    pieces: Sequence[Piece]
+    items: Sequence[Item]
 
 
 def cores() -> int:
@@ -95,8 +95,8 @@ def check_backend(backend: str, address: str | None) -> None:
 
 
 def map_unordered(
-    function: Callable[[Piece], Any],
-    pieces: Sequence[Piece],
+    function: Callable[[Item], Any],
+    items: Sequence[Item],
     jobs: int | None = None,
     backend: str = "local",
     address: str | None = None,
@@ -109,7 +109,7 @@ def map_unordered(
     Args:
         function: a function of one work item. Each worker process receives it once and keeps it for all items. The
             function and the items are pickled (by cloudpickle).
-        pieces: the work items, the longest first.
+        items: the work items, the longest first.
         jobs: the number of processes; None: one per core, or all of the cluster.
         backend: "local" or "dask".
         address: the address of the cluster's scheduler; see `check_backend`.
@@ -119,25 +119,25 @@ def map_unordered(
         MissingExtraError: if the packages for the cluster are not installed.
     """
     if backend == "local":
-        return _map_locally(function, pieces, jobs or cores())
-    return _map_on_dask(function, pieces, jobs, address)
+        return _map_locally(function, items, jobs or cores())
+    return _map_on_dask(function, items, jobs, address)
 
 
-def map_here(function: Callable[[Piece], Any], pieces: Sequence[Piece]) -> Generator[Any]:
+def map_here(function: Callable[[Item], Any], items: Sequence[Item]) -> Generator[Any]:
     """Like `map_unordered`, but in this process and in order. Time limits have no effect."""
-    waiting = deque(pieces)
+    waiting = deque(items)
     while waiting:
         result = function(waiting.popleft())
         result = result.call() if isinstance(result, Timed) else result
         if isinstance(result, Split):
-            waiting.extendleft(reversed(result.pieces))
+            waiting.extendleft(reversed(result.items))
         else:
             yield result
 
 
-def _results(submit: Callable[[Piece], Future[Any]], pieces: Sequence[Piece], most: float) -> Generator[Any]:
+def _results(submit: Callable[[Item], Future[Any]], items: Sequence[Item], most: float) -> Generator[Any]:
     """The results of the work items. At most `most` items are submitted at once."""
-    waiting, running = deque(pieces), set[Future[Any]]()
+    waiting, running = deque(items), set[Future[Any]]()
     while waiting or running:
         while waiting and len(running) < most:
             running.add(submit(waiting.popleft()))
@@ -145,20 +145,20 @@ def _results(submit: Callable[[Piece], Future[Any]], pieces: Sequence[Piece], mo
         for future in done:
             result = future.result()
             if isinstance(result, Split):
-                waiting.extendleft(reversed(result.pieces))
+                waiting.extendleft(reversed(result.items))
             else:
                 yield result
 
 
-def _map_locally(function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int) -> Generator[Any]:
+def _map_locally(function: Callable[[Item], Any], items: Sequence[Item], jobs: int) -> Generator[Any]:
     pickled = cloudpickle.dumps(function)
     with closing(Pool(jobs)) as pool:
-        yield from _results(partial(pool.submit_pickled, pickled), pieces, AHEAD * jobs)
+        yield from _results(partial(pool.submit_pickled, pickled), items, AHEAD * jobs)
         pool.finish()
 
 
 def _map_on_dask(
-    function: Callable[[Piece], Any], pieces: Sequence[Piece], jobs: int | None, address: str | None
+    function: Callable[[Item], Any], items: Sequence[Item], jobs: int | None, address: str | None
 ) -> Generator[Any]:
     """As `map_unordered`, on a cluster, with at most `jobs` items at the same time; None: all items."""
     check_extra("workers of dask", "dask")
@@ -177,7 +177,7 @@ def _map_on_dask(
         pickled = client.submit(bytes, cloudpickle.dumps(function), key=f"function-{name}")  # once for all items
         executor = client.get_executor(pure=False)
         try:
-            yield from _results(partial(executor.submit, _do_on_cluster, name, pickled), pieces, jobs or math.inf)
+            yield from _results(partial(executor.submit, _do_on_cluster, name, pickled), items, jobs or math.inf)
         except KilledWorker as error:
             raise WorkerError(f"several workers of the cluster died of the same work item: {error}") from error
         finally:
@@ -190,10 +190,10 @@ _ON_CLUSTER: Final[dict[tuple[str, int], _Worker]] = {}
 """In a dask worker: the process for each call of `map_unordered` and each thread."""
 
 
-def _do_on_cluster(name: str, function: bytes, piece: Any) -> Any:
+def _do_on_cluster(name: str, function: bytes, item: Any) -> Any:
     """Runs in a thread of a dask worker, and passes the item to the thread's process."""
     worker = _ON_CLUSTER.setdefault((name, threading.get_ident()), _Worker())
-    return worker.do(function, piece)
+    return worker.do(function, item)
 
 
 def _end_on_cluster(name: str) -> None:
@@ -216,16 +216,16 @@ class Pool:
         self.close = weakref.finalize(self, _close, self._threads, self._workers)
         """Kills all workers and their forks, and cancels items that have not begun. May be called twice."""
 
-    def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
+    def submit(self, function: Callable[[Item], Result], item: Item) -> Future[Result]:
         """The future result of the function for a work item, or its exception. Both are pickled (by cloudpickle).
 
         If a worker dies, it is replaced, and the item is done again. After three deaths, a `WorkerError` is raised.
         """
-        return self.submit_pickled(cloudpickle.dumps(function), piece)
+        return self.submit_pickled(cloudpickle.dumps(function), item)
 
-    def submit_pickled(self, function: bytes, piece: Any) -> Future[Any]:
+    def submit_pickled(self, function: bytes, item: Any) -> Future[Any]:
         """Like `submit`, with a pickled function. It is sent to a worker only if it is not the worker's last one."""
-        return self._threads.submit(_do, self._idle, function, piece)
+        return self._threads.submit(_do, self._idle, function, item)
 
     def finish(self) -> None:
         """Asks idle workers to close their files, and waits for them to end."""
@@ -233,10 +233,10 @@ class Pool:
             worker.end()
 
 
-def _do(idle: queue.LifoQueue[_Worker], function: bytes, piece: Any) -> Any:
+def _do(idle: queue.LifoQueue[_Worker], function: bytes, item: Any) -> Any:
     worker = idle.get()
     try:
-        return worker.do(function, piece)
+        return worker.do(function, item)
     finally:
         idle.put(worker)
 
@@ -259,9 +259,9 @@ class _Worker:
         self._function: bytes | None = None
         """The last function that was sent to the process."""
 
-    def do(self, function: bytes, piece: Any) -> Any:
+    def do(self, function: bytes, item: Any) -> Any:
         """The result of a pickled function for a work item."""
-        code, argument = 0, cloudpickle.dumps(piece)
+        code, argument = 0, cloudpickle.dumps(item)
         for _ in range(ATTEMPTS):
             process = self._start()
             late: list[Any] = []
@@ -365,13 +365,13 @@ def serve() -> None:
 
     if hasattr(os, "register_at_fork"):  # not on Windows
         os.register_at_fork(after_in_child=close_pipes)
-    pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
+    messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(source, messages), daemon=True).start()
     function = b""
-    while (message := pieces.get()) is not None:
-        sent, piece = message
+    while (message := messages.get()) is not None:
+        sent, item = message
         function = function if sent is None else sent
-        for answer in _answers(function, piece):
+        for answer in _answers(function, item):
             answers.write(answer)
             answers.flush()
 
@@ -381,17 +381,17 @@ def _unpickled(function: bytes) -> Callable[[Any], Any]:
     return pickle.loads(function)  # noqa: S301 from the process that started this one
 
 
-def _listen(source: IO[bytes], pieces: queue.SimpleQueue[Any]) -> None:
+def _listen(source: IO[bytes], messages: queue.SimpleQueue[Any]) -> None:
     with suppress(EOFError, pickle.UnpicklingError):  # the latter if the caller was killed in the middle of a message
         while True:
-            pieces.put(_receive(source))
+            messages.put(_receive(source))
     _kill_group(os.getpid())  # the caller's process is gone
 
 
-def _answers(function: bytes, piece: bytes) -> Iterator[bytes]:
+def _answers(function: bytes, item: bytes) -> Iterator[bytes]:
     """A worker's pickled answers: a time limit if there is one, then the result or the error."""
     try:
-        result = _unpickled(function)(pickle.loads(piece))  # noqa: S301 from the same process
+        result = _unpickled(function)(pickle.loads(item))  # noqa: S301 from the same process
         if isinstance(result, Timed):
             yield _readable("timed", (result.seconds, result.late))
             result = result.call()
