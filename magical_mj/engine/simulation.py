@@ -66,7 +66,7 @@ class Simulation:
         self.renderer, self._cameras = renderer, cameras
         self.shifts = EpisodeShifts()
         self.steps, self.trajectory = 0, list[Scene]()
-        self._last_remaining: tuple[Any, float] = None, 0.0  # for which steps and positions, and its value
+        self._last_remaining: tuple[Any, float] = None, 0.0  # (steps, positions), and the distance there
         self._views: Views | None = None
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
