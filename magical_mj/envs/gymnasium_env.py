@@ -127,8 +127,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         task_spec(task).check_reward(reward)
         self.reward: Reward = reward
         self._remaining = 0.0  # before the last step, for dense rewards
-        settings: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": shifts, "body": body}
-        self.engine = Engine(task, variant, seed=0, speeds=action == "speeds", **settings)
+        self.engine = Engine(
+            task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts, body=body, speeds=action == "speeds"
+        )
         if limit is not None:
             self.limit = limit
         self._action: ActionForm = action
