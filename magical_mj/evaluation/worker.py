@@ -142,7 +142,8 @@ class Player:
         source = self.policies[unit.policy, unit.run]
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
         env, others = self._env(unit, source), self._others(unit)
-        episodes, results = self._episodes(unit, source, policy, others), self._results(unit, source, policy, others)
+        episodes = self._episodes(unit, source, policy, others)
+        recorders = self._recorders(unit, source, policy, others)
         split, several = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds]), len(unit.seeds) > 1
         limit = self.settings.time_limit
         seconds = limit * len(unit.seeds)
@@ -154,11 +155,11 @@ class Player:
                 outcomes = [play_episode(env, policy, episode, seconds) for episode in episodes]
             if several and any(outcome.failure for outcome in outcomes):
                 return split
-            played = [result(outcome) for result, outcome in zip(results, outcomes, strict=True)]
+            played = [record(outcome) for record, outcome in zip(recorders, outcomes, strict=True)]
             return Played([with_other_score(result) for result in played], outcomes[-1].cause)
 
         outcome = Outcome(failure=late(limit), seconds=limit)
-        return Timed(seconds + GRACE, play, split if several else Played([results[0](outcome)]))
+        return Timed(seconds + GRACE, play, split if several else Played([recorders[0](outcome)]))
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
         """Plays a unit in this process and returns its results."""
@@ -206,7 +207,7 @@ class Player:
         key = task, settings.observed
         return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
 
-    def _results(
+    def _recorders(
         self, unit: Unit, source: Source, policy: Act, others: Sequence[str]
     ) -> list[Callable[[Outcome], EpisodeResult]]:
         """For each episode, the function that makes its result from its outcome. `others` is from `_others`."""
@@ -222,12 +223,12 @@ class Player:
             "given": settings.given(source),
             "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if source.uses_demonstrations else "",
         }
-        results: list[Callable[[Outcome], EpisodeResult]] = []
+        recorders: list[Callable[[Outcome], EpisodeResult]] = []
         for seed, other in zip(unit.seeds, others, strict=True):
             scene = start_digest(unit.task, unit.variant, seed, unit.shift, settings.body)
             episode = Episode(unit.task, unit.variant, seed, unit.run)
-            results.append(partial(EpisodeResult.of, episode, scene=scene, other=other, **facts))
-        return results
+            recorders.append(partial(EpisodeResult.of, episode, scene=scene, other=other, **facts))
+        return recorders
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object for this key. It replaces one that was kept for another key."""
