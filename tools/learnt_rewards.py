@@ -1,12 +1,21 @@
-"""How well learnt rewards agree with the score: the table of docs/learners.md.
+"""How well learnt rewards agree with the score, and what policies learn from them: two tables of docs/learners.md.
 
     magical-mj evaluate-reward runs/gail-FindDupe runs/airl-FindDupe ... --out FindDupe.csv    (for each task)
     python -m tools.learnt_rewards *.csv
+    for reward in gail-FindDupe ...; do
+        task=${reward##*-}
+        settings="--set reward.run=runs/$reward --set reward.variant=Layout --set ppo.total_steps=100000"
+        magical-mj train ppo --tasks $task --preset State $settings --out runs/ppo-$reward
+        played="--tasks $task --variants Layout --episodes 50"
+        magical-mj evaluate --policy own=runs/$reward,ppo=runs/ppo-$reward $played --out scores/$reward
+    done
+    python -m tools.learnt_rewards --trained scores/*
     python -m tools.tables
 
 The second command writes docs/learnt-rewards.csv: for each method and environment the two figures of
 `magical_mj.learners.rewards`, the rank correlation without the expert's episodes, and the mean score of the method's
-own policy in the same scenes.
+own policy in the same scenes. The last but one writes docs/reward-policies.csv: for each method and task, the mean
+scores in Layout of the method's own policy, and of one that PPO trained there on the learnt reward.
 """
 
 from __future__ import annotations
@@ -17,10 +26,13 @@ from typing import Final
 
 import pandas as pd
 
+from magical_mj import TASKS
+from magical_mj.evaluation.scores import read
 from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, number, table
 
 FILE: Final = ROOT / "docs" / "learnt-rewards.csv"
+POLICIES: Final = ROOT / "docs" / "reward-policies.csv"
 SAME_LAYOUT: Final = "MoveToCorner"
 """The task that has no Layout. Its All has nearly the poses of the demo scene, so that policies solve it."""
 NAMES: Final = {"iq-learn": "IQ-Learn", "gail": "GAIL", "airl": "AIRL", "wgail-gp": "WGAIL-GP"}
@@ -38,6 +50,17 @@ def collect(files: list[Path]) -> None:
     agreements(sums).merge(others, on=where).merge(policies, on=where).to_csv(FILE, index=False, float_format="%.4f")
 
 
+def collect_policies(folders: list[Path]) -> None:
+    """Writes the file of policies from folders METHOD-TASK of evaluations of policies `own` and `ppo`."""
+    rows = [
+        {"method": folder.name.rpartition("-")[0], "task": row.task, "policy": row.policy, "score": row.score}
+        for folder in folders
+        for row in read(folder)
+    ]
+    scores = pd.DataFrame(rows).groupby(["method", "task", "policy"])["score"].mean().unstack()
+    scores.to_csv(POLICIES, float_format="%.4f")
+
+
 def means() -> pd.DataFrame:
     """The rank correlations without the expert's episodes, as means over the tasks with new layouts.
 
@@ -47,15 +70,28 @@ def means() -> pd.DataFrame:
     return found.groupby(["method", "variant"])["others"].mean().unstack().reindex(NAMES)
 
 
+def policies() -> pd.DataFrame:
+    """The mean scores in Layout. Rows are methods and policies (`own` or `ppo`), columns tasks."""
+    return pd.read_csv(POLICIES).set_index(["method", "task"]).stack().unstack("task")
+
+
 def tables() -> dict[str, str]:
-    """The table by name."""
+    """The tables by name."""
     found = means()
     variants = [variant for variant in VARIANTS if variant in found]
     rows = [(name, *(number(found.loc[method, variant]) for variant in variants)) for method, name in NAMES.items()]
-    return {"learnt": table(("Method", *variants), rows)}
+    scores = policies()
+    tasks = [task for task in TASKS if task in scores]
+    trained = [
+        (name, *(", ".join(number(scores[task][method, policy]) for policy in ("own", "ppo")) for task in tasks))
+        for method, name in NAMES.items()
+    ]
+    return {"learnt": table(("Method", *variants), rows), "trained": table(("Reward of", *tasks), trained)}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("files", nargs="+", type=Path)
-    collect(parser.parse_args().files)
+    parser.add_argument("paths", nargs="+", type=Path)
+    parser.add_argument("--trained", action="store_true", help="the paths are folders of evaluations")
+    options = parser.parse_args()
+    (collect_policies if options.trained else collect)(options.paths)

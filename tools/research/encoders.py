@@ -64,9 +64,9 @@ class InverseDynamics(BehaviouralCloning):
 
     def drawn(self) -> tuple[Tensor, Tensor, Tensor]:
         """Augmented stacks and their next frame (n, 3k + 3, 96, 96), the actions before it (n,), and the tasks (n,)."""
-        numbers = [usable(self._data, task) for task in range(len(self.settings.tasks))]
-        batch, following = successive(self._data, numbers, self.settings.bc.batch_size, self._draw)
-        frames = self._augmented(torch.cat([batch.observations, following[..., -FRAME:]], 3), self._noise)
+        indices = [usable(self._data, task) for task in range(len(self.settings.tasks))]
+        batch, following = successive(self._data, indices, self.settings.bc.batch_size, self._rng)
+        frames = self._augmented(torch.cat([batch.observations, following[..., -FRAME:]], 3), self._noise_rng)
         return frames, batch.actions.to(self.device), batch.tasks.to(self.device)
 
 
