@@ -74,7 +74,7 @@ def generate(
     keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}{by}-{key[2]:03}.npz" for key in keys}
     make = partial(magical_mj.demos.demonstrate, least_score=least_score, body=body, shifts=label)
-    failures = make_missing(paths, make, out, jobs, "demonstrating", body)
+    failures = make_missing(paths, make, out, jobs, "demonstrating", body, least_score)
     describe([magical_mj.demos.read(path, key[0], trusted=[body]) for key, path in paths.items() if path.exists()])
     check_made(failures)
 
@@ -158,10 +158,12 @@ def make_missing(
     jobs: int | None,
     doing: str,
     body: str = GRIPPER,
+    least_score: float = 0.0,
 ) -> list[str]:
     """Writes the demonstrations of `paths`, in the folder `out`, that are missing. Returns the errors of failed ones.
 
-    `make` returns the demonstration for a key of `paths`. `doing` is the label of the progress bar.
+    `make` returns the demonstration for a key of `paths`. `doing` is the label of the progress bar. A `SettingsError`
+    if an existing one is outdated, or its score is less than `least_score`.
     """
     if len(set(paths.values())) < len(paths):
         raise SettingsError("two of these tasks have the same name, so their files would as well: use two folders")
@@ -169,11 +171,17 @@ def make_missing(
     screen = console()
     read = partial(magical_mj.demos.read, trusted=[body])
     there = {key for key, path in paths.items() if path.exists()}
-    for key in there:
-        if not read(paths[key], key[0]).is_current:
+    for key in sorted(there):
+        demo = read(paths[key], key[0])
+        if not demo.is_current:
             raise SettingsError(
                 f"{paths[key]} does not start in the scene of its variant and seed any more, since the task has "
                 "changed: give another folder"
+            )
+        if least_score and (reached := demo.rescored()) < least_score:
+            raise SettingsError(
+                f"{paths[key]} exists already, but its score {reached:.2f} is less than {least_score:g}: give another "
+                "folder, or a lower --least-score"
             )
     if there:
         screen.print(f"{len(there)} of {len(paths)} exist already")

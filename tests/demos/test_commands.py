@@ -54,6 +54,17 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
     assert "none of the 3 demonstrations" in said(shell, "verify", "made", "--tasks", "MakeLine", "--jobs", 1, code=2)
 
 
+def test_generate_keeps_no_demonstration_below_the_least_score(shell: Shell) -> None:
+    idle = demos.recorded("MoveToRegion", "All", 0, [0] * 40, "expert")
+    path = Path("made", "MoveToRegion-All-000.npz")
+    demos.write(idle, path)
+    generate = ("generate", "--tasks", "MoveToRegion", "--variants", "All", "--out", "made", "--jobs", 1, "--count", 2)
+    refused = said(shell, *generate, "--least-score", 0.5, code=2)
+    assert "000.npz exists already, but its score 0.00 is less than 0.5: give another folder" in refused
+    assert [demos.read(path).score for path in demos.files_in("made")] == [0.0]
+    assert "1 of 2 exist already" in said(shell, *generate, "--least-score", 0)
+
+
 def test_rollouts_of_a_policy_are_episodes_in_scenes_of_no_test_which_exports_take(shell: Shell) -> None:
     command = ("rollouts", "--tasks", "MoveToRegion", "--variants", "All", "--out", "made", "--jobs", 1)
     assert "2 episodes with 80 steps" in said(shell, *command, "--steps", 41)
