@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
@@ -38,7 +39,7 @@ ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 CUTS: Final = 3
-"""After this number of episodes that are reset at the same late step, a warning says that they report no score."""
+"""After at least this number of episodes that are reset at the same step, a warning says that they report no score."""
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STARTS: Final = ("scene", "state", "variation")
 """The options of `reset` that determine how an episode starts."""
@@ -334,11 +335,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return info
 
     def _notice_cut(self, steps: int) -> None:
-        """Warns if consecutive episodes are reset at this step, probably by a wrapper such as `TimeLimit`."""
+        """Warns if consecutive episodes are reset at this step, probably by a wrapper such as `TimeLimit`.
+
+        It warns once these episodes have together as many steps as a whole one, so that a few short trials do not.
+        """
         self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
-        if self._cut == (steps, CUTS) and steps > self.limit / 2:
+        enough = max(CUTS, math.ceil(self.limit / max(steps, 1)))
+        if steps and self._cut == (steps, enough):
             warnings.warn(
-                f"the last {CUTS} episodes were reset after {steps} of {self.limit} steps. If a wrapper such as "
+                f"the last {enough} episodes were reset after {steps} of {self.limit} steps. If a wrapper such as "
                 "TimeLimit ends them, their eval_score is 0.0: apply magical_mj.wrappers.ScoreAtTheEnd outside that "
                 "wrapper, or give max_episode_steps to gymnasium.make",
                 stacklevel=3,

@@ -328,6 +328,12 @@ def test_episodes_without_a_score_are_told_once() -> None:
     assert (
         "reset after 39 of 40 steps. If a wrapper such as TimeLimit ends them, their eval_score is 0.0" in messages[0]
     )
+    for length, episodes in ((20, 3), (3, 14), (1, 40)):  # at least three, with 40 steps together
+        env = wrappers.TimeLimit(gymnasium.make(region), length)
+        for _ in range(episodes):
+            played(env)
+        with pytest.warns(UserWarning, match=rf"the last {episodes} episodes were reset after {length} of 40 steps"):
+            env.reset()
     for step in (30, 30, 30, 30):  # as a tree search does, from states
         own.reset(seed=0)
         state = own.unwrapped.get_state()
