@@ -17,6 +17,7 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
 from magical_mj.evaluation.folder import EvaluationFolder, check_runs
 from magical_mj.evaluation.given import Watch
+from magical_mj.evaluation.repeatable import check_repeatable
 from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
@@ -57,7 +58,8 @@ def evaluate(
         `magical_mj.evaluation.EpisodeResult`.
 
     Raises:
-        SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
+        SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation; or if
+            episodes with a user's shift do not only depend on their seed and the actions.
         EvaluationError: if the folder holds other files, two runs of a method have equal policy files, a worker
             dies repeatedly, or the first episodes of a policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
@@ -121,6 +123,7 @@ class Evaluation:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
         settings.check_given(self._sources)
+        check_repeatable(settings, self._sources)
         self._player = Player(self._sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []

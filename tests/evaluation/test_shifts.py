@@ -177,3 +177,45 @@ def test_splits_are_not_mixed(tmp_path: Path) -> None:
     magical_mj.evaluate("noop", out=tmp_path / "grown", split="dev", **SMALL)
     with pytest.raises(SettingsError, match='split was "dev" and is "test"'):
         magical_mj.evaluate("noop", out=tmp_path / "grown", resume=True, **SMALL)
+
+
+RANDOM = """
+import random
+import numpy as np
+from magical_mj.shifts import Shift
+
+class Wheels(Shift):
+    name = "wheels"
+    def action(self, commands, step):
+        return 0 if np.random.random() < 0.3 else commands[-1]
+
+class Noise(Shift):
+    name = "noise"
+    def picture(self, picture, frame):
+        return np.roll(picture, random.randrange(1, 9), axis=0)
+
+class Count(Shift):
+    name = "count"
+    episodes = 0
+    def scene(self, scene, rules):
+        Count.episodes += 1
+        return scene.moved(robot=(0, 0, Count.episodes))
+
+class Steady(Shift):
+    name = "steady"
+    def action(self, commands, step):
+        return 0 if self.uniform(step) < 0.3 else commands[-1]
+"""
+
+
+def test_shifts_that_use_global_randomness_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "drawn_at_random.py").write_text(RANDOM)
+    how: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1, "split": "dev"}
+    for shift, what in {"Wheels": "states", "Count": "initial scene"}.items():
+        with pytest.raises(SettingsError, match=rf"{shift} is not repeatable: .* two episodes differ in their {what}"):
+            magical_mj.evaluate("noop", **how | {"shifts": f"drawn_at_random:{shift}:2"})
+    pictures = {"preset": "LoRes4E", "renderer": "software", "shifts": "drawn_at_random:Noise:2"}
+    with pytest.raises(SettingsError, match="differ in their pictures"):
+        magical_mj.evaluate(agents.look, **how | pictures)
+    magical_mj.evaluate("noop", **how | {"shifts": "drawn_at_random:Steady:1-2"})
