@@ -106,6 +106,28 @@ class Model:
         return self.act_batch(observation[None])[0]
 
 
+class _Predicting(Model):
+    """A policy of stable-baselines3 without a distribution of actions, or with its own `predict`.
+
+    `predict` gets the state that it returned before, such as that of a recurrent network. At the start of an episode,
+    it gets None.
+    """
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__(self._predicted, _accepted(policy.observation_space))
+        self._policy, self._state = policy, None
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Starts a batch of episodes."""
+        super().reset_batch(episodes)
+        self._state = None
+
+    def _predicted(self, observations: Any) -> Any:
+        with torch_settings(1):
+            actions, self._state = self._policy.predict(observations, self._state, deterministic=True)
+        return actions
+
+
 @contextmanager
 def torch_settings(threads: int | None = None) -> Iterator[None]:
     """A context with PyTorch's default settings: float32, gradients, the highest precision, the CPU.
@@ -139,7 +161,7 @@ def _set_torch(threads: int, kind: Any, precision: str) -> None:
 def load_sb3(path: Path, trust: bool = False) -> Model:
     """The policy of a stable-baselines3 archive. It acts deterministically."""
     try:
-        import stable_baselines3  # noqa: F401  (imports PyTorch)
+        from stable_baselines3.common.policies import BasePolicy  # imports PyTorch
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     data, weights = _content(path)
@@ -152,6 +174,10 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except RuntimeError as error:
         raise SettingsError(f"{path} does not contain a standard network; {TRUST}") from error
     policy.set_training_mode(False)
+    if not hasattr(policy, "get_distribution") or type(policy).predict is not BasePolicy.predict:
+        if any(bool(values.isnan().any()) for values in weights.values()):
+            raise SettingsError(f"{path} has weights that are not numbers (NaN)")
+        return _Predicting(policy)
     return Model(lambda observations: _best_actions(policy, observations), _accepted(policy.observation_space))
 
 
@@ -213,10 +239,6 @@ def _best_actions(policy: Any, observations: Any) -> Any:
     """The policy's deterministic actions. Shape (n,)."""
     import torch
 
-    if not hasattr(policy, "get_distribution"):
-        with torch_settings(1):
-            return policy.predict(observations, deterministic=True)[0]
-
     with torch_settings(1), torch.no_grad():
         chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
         _check_numbers(chosen.distribution.logits.cpu().numpy())
@@ -258,8 +280,11 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     convolutional = any(name.startswith("features_extractor.cnn") for name in weights)
     kind = ActorCriticCnnPolicy if convolutional else ActorCriticPolicy
     outline = type("Outline", (kind,), {"device": property(lambda _: torch.device("meta"))})
-    with torch.device("meta"):  # to count the parameters without allocating memory
-        planned = outline(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments).state_dict()
+    try:
+        with torch.device("meta"):  # to count the parameters without allocating memory
+            planned = outline(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments).state_dict()
+    except TypeError as error:
+        raise SettingsError(f"{path} does not contain a standard network ({error}); {TRUST}") from error
     if sum(parameter.numel() for parameter in planned.values()) > MOST_PARAMETERS:
         raise SettingsError(f"{path} is not loaded: its network has more than {MOST_PARAMETERS:,} parameters")
     return kind(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments)

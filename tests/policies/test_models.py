@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import io
 import json
 import os
@@ -22,6 +23,7 @@ from gymnasium import spaces
 
 import magical_mj
 from magical_mj.policies import models
+from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.models import load_onnx, load_sb3
 from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
 
@@ -105,6 +107,50 @@ def test_special_networks_need_trust(tmp_path: Path) -> None:
     observation, _ = gymnasium.make(STATE).reset(seed=0)
     loaded = load_sb3(tmp_path / "model.zip", trust=True)
     assert loaded(observation) == model.predict(observation, deterministic=True)[0]
+
+
+RECURRENT = """
+import numpy as np
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+class Counting(ActorCriticPolicy):
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        state = np.zeros(len(observation), int) if state is None else state + 1
+        return state % 18, state
+"""
+
+
+def test_the_state_of_a_recurrent_policy_is_kept_for_an_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `sb3_contrib.RecurrentPPO` has one. Each episode starts without a state, alone and in a batch."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "counting_policy.py").write_text(RECURRENT)
+    model = ppo(tmp_path / "model.zip", importlib.import_module("counting_policy").Counting, STATE)
+    alike = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", trust=True, jobs=1, **SMALL)
+    loaded, counted = load_sb3(tmp_path / "model.zip", trust=True), letters_of(step % 18 for step in range(40))
+    for seed in (0, 1):
+        loaded.reset(Episode("MoveToRegion", "Layout", seed))
+        assert letters_of(int(loaded(np.zeros(185, np.float32))) for _ in range(40)) == counted
+    assert alike["actions"].tolist() == [counted] * 2
+    torch = sys.modules["torch"]
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(float("nan"))
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(SettingsError, match="weights that are not numbers"):
+        load_sb3(tmp_path / "model.zip", trust=True)
+
+
+def test_arguments_of_another_network_need_trust(tmp_path: Path) -> None:
+    ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    with zipfile.ZipFile(tmp_path / "model.zip") as good, zipfile.ZipFile(tmp_path / "lstm.zip", "w") as other:
+        for name in good.namelist():
+            content = good.read(name)
+            if name == "data":
+                content = json.dumps(json.loads(content) | {"policy_kwargs": {"lstm_hidden_size": 16}}).encode()
+            other.writestr(name, content)
+    with pytest.raises(SettingsError, match=r"not contain a standard network \(.*lstm_hidden_size.*; --trust"):
+        load_sb3(tmp_path / "lstm.zip")
 
 
 class Attack:
