@@ -212,6 +212,8 @@ class OpenGLRenderer:
         model, scene, settings = self._model, self._scene, (self._option, self._perturbation)
         first = scene.ngeom == 0
         self._camera.fixedcamid = mujoco.mj_name2id(model, _CAMERA, name)  # which the view "scene" ignores
+        if self._lit:  # the headlight is at the camera of the scene, which `mjv_updateScene` sets after the lights
+            mujoco.mjv_updateCamera(model, data, self._camera, scene)
         mujoco.mjv_updateScene(model, data, *settings, self._camera, _ALL if self._lit else _STILL, scene)
         if self._lit:
             return

@@ -140,6 +140,12 @@ def test_the_solid_view_shows_everything_with_light_and_shadow() -> None:
     assert np.ptp(border, axis=0).max() <= 3  # nothing but ground: all is in sight, and no shadow has speckles
 
 
+def test_the_first_picture_of_the_scene_is_as_the_next() -> None:
+    """The headlight is at the camera, also in the first one."""
+    engine = magical_mj.Engine("MoveToRegion", seed=0)
+    np.testing.assert_array_equal(engine.render("scene", 384), engine.render("scene", 384))
+
+
 def test_the_solid_view_disturbs_nobody() -> None:
     simulation = Simulation.of(GALLERY)
     before = {view: simulation.draw(view, 96) for view in VIEWS}
