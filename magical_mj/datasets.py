@@ -8,6 +8,8 @@ Example:
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -20,9 +22,11 @@ from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.export import default_target, make_data_set
 from magical_mj.demos.learning import observations
-from magical_mj.demos.shipped import DemonstrationSet, set_suffix
+from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene, set_suffix
+from magical_mj.tasks import KNOWN
+from magical_mj.tasks.registry import task_name
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, check_name
+from magical_mj.utils.errors import DemonstrationError, SettingsError, check_name
 
 __all__ = ["FORMATS", "Format", "load", "make_env_and_datasets"]
 
@@ -41,6 +45,8 @@ def load(
     set: DemonstrationSet = 1,  # noqa: A002 - the same name as in `magical_mj.demos.load`
 ) -> Any:
     """The data set of a task's demonstrations. It is written if it does not exist.
+
+    If the task is not one of the package, its name contains a digest of the demonstrations, since they may change.
 
     For other demonstrations and more options, use `magical-mj demos export`.
 
@@ -64,6 +70,9 @@ def load(
         preset = "State" if to == "minari" else "LoRes4E"
     demos = demonstrations.load(task, set=set)
     target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset)
+    if task_name(task) not in KNOWN:
+        digest = hashlib.sha256("".join(demo.digest for demo in demos).encode()).hexdigest()[:8]
+        target = re.sub(r"(-v0|-webdataset|-lerobot|\.npz)$", rf"-{digest}\1", target)
     if to != "minari":
         target = str(files.to_path(folder) / target)
     with contextlib.suppress(FileExistsError):
@@ -111,7 +120,7 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     Raises:
         SettingsError: for other ids, for dict observations, and if the environment's observations or actions differ
             from those of the demonstrations.
-        DemonstrationError: if the task has no demonstrations with the body in `options`.
+        DemonstrationError: if the task has fewer than five demonstrations of the demo scene with the body in `options`.
     """
     kwargs = gymnasium.spec(name).kwargs
     if not {"task", "preset"} <= kwargs.keys():
@@ -120,7 +129,10 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
         raise SettingsError(f"the observations of {name} are not one array: choose an id with LoRes... or State")
     ours: Any = env.unwrapped
-    demos = demonstrations.load(kwargs["task"], body=ours.engine.setup.body)
+    every = demonstrations.load(kwargs["task"], body=ours.engine.setup.body)
+    demos = of_demo_scene(every, f"that come with {kwargs['task']}")
+    if len(demos) < VALIDATED:
+        raise DemonstrationError(f"{kwargs['task']} has {len(demos)} demonstrations, but this needs {VALIDATED} or more")
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
     first = _arrays(demos[:1], kwargs["preset"])

@@ -20,7 +20,7 @@ import lzma
 import shlex
 import warnings
 from base64 import b64decode
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -112,6 +112,22 @@ def _none_found(task: str, folder: Path | str | None, body: str) -> Demonstratio
         )
     by = "" if body == GRIPPER else f" with the body {body!r}"
     return DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
+
+
+def of_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
+    """The demonstrations of the demo scene without shifts. Raises a `DemonstrationError` if none is, or one is old."""
+    fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
+    if not fitting:
+        raise DemonstrationError(
+            f"policies learn from the demo scene, but all demonstrations {origin} are of other scenes: "
+            f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
+        )
+    if old := [str(demo.scene_seed) for demo in fitting if not demo.is_current]:
+        raise DemonstrationError(
+            f"the demo scene has changed since demonstrations {origin} were made (seed {', '.join(old[:5])}): make "
+            "them again"
+        )
+    return fitting
 
 
 def set_suffix(which: DemonstrationSet) -> str:

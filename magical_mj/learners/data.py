@@ -14,7 +14,7 @@ from torch import Tensor
 
 from magical_mj import demos
 from magical_mj.demos import Demonstration, Transitions
-from magical_mj.demos.shipped import DemonstrationSet
+from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene
 from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import histories
@@ -60,23 +60,7 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
 
 def shipped(task: str, which: int = 1) -> list[Demonstration]:
     """A set of a task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if it is empty."""
-    return _of_the_demo_scene(demos.load(task, set=cast("DemonstrationSet", which)), f"that come with {task}")
-
-
-def _of_the_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:
-    """The demonstrations of the demo scene without shifts. Raises a `DemonstrationError` if none is, or one is old."""
-    fitting = [demo for demo in demonstrations if demo.variant == "Demo" and not demo.shifts]
-    if not fitting:
-        raise DemonstrationError(
-            f"policies learn from the demo scene, but all demonstrations {origin} are of other scenes: "
-            f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
-        )
-    if old := [str(demo.scene_seed) for demo in fitting if not demo.is_current]:
-        raise DemonstrationError(
-            f"the demo scene has changed since demonstrations {origin} were made (seed {', '.join(old[:5])}): make "
-            "them again"
-        )
-    return fitting
+    return of_demo_scene(demos.load(task, set=cast("DemonstrationSet", which)), f"that come with {task}")
 
 
 def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]:
@@ -87,7 +71,7 @@ def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]
     """
     if not settings.recordings:
         return shipped(task, settings.demos.set)
-    return _of_the_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
+    return of_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
 
 
 def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:

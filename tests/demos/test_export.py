@@ -22,6 +22,7 @@ from magical_mj.demos.export.archives import to_robomimic
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.actions import to_vector
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
+from tests.helpers.commands import example
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +89,33 @@ def test_data_sets_in_one_call(tmp_path: Path, minari: Any) -> None:
     assert magical_mj.datasets.load("MoveToRegion", "webdataset", tmp_path, preset="State").is_file()
     with pytest.raises(UnknownNameError, match="format of data sets"):
         magical_mj.datasets.load("MoveToRegion", "hdf5")  # pyright: ignore[reportArgumentType]
+
+
+def test_data_sets_of_tasks_of_ones_own_follow_their_demonstrations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder to which a demonstration is added gives another data set. Training data are of the demo scene only."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(example("push_out"))
+    (tmp_path / "pushed.py").write_text(
+        "import pathlib, push_out\nfrom dataclasses import replace\n"
+        "SPEC = replace(push_out.SPEC, name='Pushed', demonstrations=pathlib.Path(__file__).parent / 'own')\n"
+    )
+    kept = {"to": "npz", "folder": tmp_path / "sets", "preset": "State"}
+    for number in (1, 2):
+        demo = demos.recorded("pushed:SPEC", "Demo", number, [1] * 100 + [number] * 20, "human")
+        demos.keep(demo, tmp_path / "own")
+        data = magical_mj.datasets.load("pushed:SPEC", **kept)
+        assert data["seeds"].tolist() == list(range(1, number + 1))
+    demos.keep(demos.recorded("pushed:SPEC", "Layout", 3, [1] * 120, "human"), tmp_path / "own")
+    name = magical_mj.env_id("pushed:SPEC", "Layout", "State")
+    with pytest.raises(DemonstrationError, match="has 2 demonstrations, but this needs 5"):
+        magical_mj.datasets.make_env_and_datasets(name)
+    for number in (3, 4, 5):
+        demos.keep(demos.recorded("pushed:SPEC", "Demo", number, [1] * 120, "human"), tmp_path / "own")
+    env, *parts = magical_mj.datasets.make_env_and_datasets(name)
+    assert [part["terminals"].sum() for part in parts] == [4, 1]
+    env.close()
 
 
 def test_an_environment_with_data_for_training_and_validation() -> None:
