@@ -132,7 +132,9 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     every = demonstrations.load(kwargs["task"], body=ours.engine.setup.body)
     demos = of_demo_scene(every, f"that come with {kwargs['task']}")
     if len(demos) < VALIDATED:
-        raise DemonstrationError(f"{kwargs['task']} has {len(demos)} demonstrations, but this needs {VALIDATED} or more")
+        raise DemonstrationError(
+            f"{kwargs['task']} has {len(demos)} demonstrations, but this needs {VALIDATED} or more"
+        )
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
     first = _arrays(demos[:1], kwargs["preset"])

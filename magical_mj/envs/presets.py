@@ -13,6 +13,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import CustomSpaceError
+from gymnasium.vector.utils import create_shared_memory
 from numpy.typing import NDArray
 
 from magical_mj.scene.state_vector import SEGMENTATIONS, START_NAMES, STATE_NAMES
@@ -82,6 +84,19 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
+class Sentence(spaces.Text):
+    """The space of instructions. `AsyncVectorEnv` needs ``shared_memory=False`` for it, and raises an error otherwise.
+
+    Gymnasium 1.4 would read a text from shared memory only once, before the first episode.
+    """
+
+
+@create_shared_memory.register(Sentence)
+def _refuse_shared_memory(space: Sentence, n: int = 1, ctx: Any = None) -> Any:
+    del space, n, ctx
+    raise CustomSpaceError("instructions cannot be in shared memory: give shared_memory=False")
+
+
 def observation_space(
     preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
 ) -> spaces.Space[Any]:
@@ -93,7 +108,7 @@ def observation_space(
     if preset.fingers:
         boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # left, right; rad
     if instruction:
-        boxes["instruction"] = spaces.Text(LONGEST_SENTENCE, charset=frozenset(map(chr, range(32, 127))))
+        boxes["instruction"] = Sentence(LONGEST_SENTENCE, charset=frozenset(map(chr, range(32, 127))))
     return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
 
 

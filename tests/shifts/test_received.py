@@ -152,6 +152,22 @@ def test_each_of_several_episodes_has_its_own_sentence(kind: str, shift: str) ->
     assert str(env.reset(seed=3)[1]["instruction"]) == str(env.step(0)[-1]["instruction"]) == wanted[2]
 
 
+def test_asynchronous_vectors_hand_on_sentences() -> None:
+    """Gymnasium would keep the text that shared memory contains before the first episode."""
+    how: dict[str, Any] = {"shifts": "words:5", "instruction": True, **STACKED}
+    name = f"magical_mj:magical_mj/{TASK}-Demo-v0"
+    with pytest.raises(ValueError, match="shared_memory=False"):
+        gymnasium.make_vec(name, 1, "async", vector_kwargs={"context": "spawn"}, **how)
+    envs = gymnasium.make_vec(name, 1, "async", vector_kwargs={"context": "spawn", "shared_memory": False}, **how)
+    try:
+        for seed in (SEED, SEED + 1):
+            observations, _ = envs.reset(seed=seed)
+            wanted = magical_mj.Engine(TASK, seed=seed, shifts="words:5").instruction
+            assert observations["instruction"] == (wanted,) == envs.step(np.array([0]))[0]["instruction"]
+    finally:
+        envs.close()
+
+
 def blind(observation: Any) -> int:
     """Sees pictures, and reads nothing."""
     return 0
