@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -211,11 +212,10 @@ class Steady(Shift):
 def test_shifts_that_use_global_randomness_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "drawn_at_random.py").write_text(RANDOM)
-    how: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1, "split": "dev"}
+    play = partial(magical_mj.evaluate, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, split="dev")
     for shift, what in {"Wheels": "states", "Count": "initial scene"}.items():
         with pytest.raises(SettingsError, match=rf"{shift} is not repeatable: .* two episodes differ in their {what}"):
-            magical_mj.evaluate("noop", **how | {"shifts": f"drawn_at_random:{shift}:2"})
-    pictures = {"preset": "LoRes4E", "renderer": "software", "shifts": "drawn_at_random:Noise:2"}
+            play("noop", shifts=f"drawn_at_random:{shift}:2")
     with pytest.raises(SettingsError, match="differ in their pictures"):
-        magical_mj.evaluate(agents.look, **how | pictures)
-    magical_mj.evaluate("noop", **how | {"shifts": "drawn_at_random:Steady:1-2"})
+        play(agents.look, preset="LoRes4E", renderer="software", shifts="drawn_at_random:Noise:2")
+    play("noop", shifts="drawn_at_random:Steady:1-2")
