@@ -31,14 +31,15 @@ def check_repeatable(settings: EvaluationSettings, sources: Sequence[Source]) ->
         SettingsError: if the two differ. Errors of the shifts are left to the evaluation.
     """
     drawn = any(not source.uses_simulation and "pictures" not in source.unnoticed for source in sources)
-    played = {}  # the greatest strength of each
+    played: dict[tuple[str, ...], tuple[str, str, str]] = {}  # the greatest strength of each
     for task, variant in settings.environments:
         for label in settings.shift_labels(task, sources):
             if names := tuple(code_digests(label)):
                 played[names] = task, variant, label
-    for names, unit in played.items():
+    for names, (task, variant, label) in played.items():
         try:
-            pairs = zip(_episode(settings, *unit, drawn), _episode(settings, *unit, drawn), strict=True)
+            first, second = (_episode(settings, task, variant, label, drawn) for _ in range(2))
+            pairs = zip(first, second, strict=True)
             different = next((what for (what, one), (_, other) in pairs if not np.array_equal(one, other)), None)
         except MagicalError:
             continue
