@@ -286,7 +286,7 @@ def test_what_is_not_a_plain_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.policies", None)
     with pytest.raises(MissingExtraError, match=r"model\.zip needs stable-baselines3: pip install"):
         load_sb3(tmp_path / "model.zip")
 
