@@ -9,18 +9,24 @@
         played="--tasks $task --variants Layout --episodes 50"
         magical-mj evaluate --policy own=runs/$reward,ppo=runs/ppo-$reward $played --out scores/$reward
     done
+    python -m tools.research.dense_rewards --out runs --sac 0 --ppo 1000000 --variant Layout --tasks MoveToRegion
+    played="--preset State --tasks MoveToRegion --variants Layout --episodes 50"
+    magical-mj evaluate --policy ppo=runs/ppo-MoveToRegion-dense/model.zip $played --out scores/dense-MoveToRegion
     python -m tools.learnt_rewards --trained scores/*
     python -m tools.tables
 
 The second command writes docs/learnt-rewards.csv: for each method and environment the two figures of
 `magical_mj.learners.rewards`, the rank correlation without the expert's episodes, and the mean score of the method's
 own policy in the same scenes. The last but one writes docs/reward-policies.csv: for each method and task, the mean
-scores in Layout of the method's own policy, and of one that PPO trained there on the learnt reward.
+scores in Layout of the method's own policy, and of one that PPO trained there on the learnt reward, in MoveToRegion for
+1,000,000 steps. The rows of the method "dense" are of stable-baselines3's PPO with the package's dense reward, for as
+many steps, in MoveToRegion and FixColour.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +41,7 @@ FILE: Final = ROOT / "docs" / "learnt-rewards.csv"
 POLICIES: Final = ROOT / "docs" / "reward-policies.csv"
 SAME_LAYOUT: Final = "MoveToCorner"
 """The task that has no Layout. Its All has nearly the poses of the demo scene, so that policies solve it."""
+DENSE: Final = "(dense reward)"
 NAMES: Final = {"iq-learn": "IQ-Learn", "gail": "GAIL", "airl": "AIRL", "wgail-gp": "WGAIL-GP"}
 
 
@@ -86,6 +93,7 @@ def tables() -> dict[str, str]:
         (name, *(", ".join(number(scores[task][method, policy]) for policy in ("own", "ppo")) for task in tasks))
         for method, name in NAMES.items()
     ]
+    trained.append((DENSE, *(number(scores[task].get(("dense", "ppo"), math.nan)) for task in tasks)))
     return {"learnt": table(("Method", *variants), rows), "trained": table(("Reward of", *tasks), trained)}
 
 

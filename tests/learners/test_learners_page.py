@@ -54,6 +54,11 @@ def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
     assert f"WGAIL-GP's AUC is {rows['auc']['wgail-gp', 'MatchRegions', 'Layout']:.2f}." in text
     same = rows["others"][:, "MoveToCorner", "All"]
     assert f"the correlations in All are {same.min():.2f} to {same.max():.2f}." in text
+    trained = learnt_rewards.policies()["MoveToRegion"][:, "ppo"]
+    best = trained.drop("dense").max()
+    assert (
+        f"PPO reaches {trained['dense']:.2f} with the dense reward, and at most {best:.2f} with a learnt one." in text
+    )
 
 
 def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
