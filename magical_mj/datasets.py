@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -69,10 +68,10 @@ def load(
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"
     demos = demonstrations.load(task, set=set)
-    target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset)
+    tag = ""
     if task_name(task) not in KNOWN:
-        digest = hashlib.sha256("".join(demo.digest for demo in demos).encode()).hexdigest()[:8]
-        target = re.sub(r"(-v0|-webdataset|-lerobot|\.npz)$", rf"-{digest}\1", target)
+        tag = "-" + hashlib.sha256("".join(demo.digest for demo in demos).encode()).hexdigest()[:8]
+    target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset, tag=tag)
     if to != "minari":
         target = str(files.to_path(folder) / target)
     with contextlib.suppress(FileExistsError):

@@ -11,7 +11,8 @@
     done
     python -m tools.research.dense_rewards --out runs --sac 0 --ppo 1000000 --variant Layout --tasks MoveToRegion
     played="--preset State --tasks MoveToRegion --variants Layout --episodes 50"
-    magical-mj evaluate --policy ppo=runs/ppo-MoveToRegion-dense/model.zip $played --out scores/dense-MoveToRegion
+    policy=ppo=runs/ppo-MoveToRegion-Layout-dense/model.zip
+    magical-mj evaluate --policy $policy $played --out scores/dense-MoveToRegion
     python -m tools.learnt_rewards --trained scores/*
     python -m tools.tables
 

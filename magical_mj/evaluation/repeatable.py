@@ -19,9 +19,9 @@ from magical_mj.utils.errors import MagicalError, SettingsError
 
 STEPS: Final = 40
 """The most steps that are compared."""
-GLANCE: Final = 10
-"""Pictures are compared before every tenth step."""
-SIZE: Final = 32  # pixels
+PICTURE_STEPS: Final = 10
+"""Pictures are compared after each of this number of steps."""
+PICTURE_SIZE: Final = 32  # pixels
 
 
 def check_repeatable(settings: EvaluationSettings, sources: Sequence[Source]) -> None:
@@ -62,9 +62,9 @@ def _episode(
         yield "initial scene", engine.initial_scene.digest()
         yield "instruction", engine.instruction
         for step in range(min(STEPS, engine.horizon or STEPS)):
-            if drawn and step % GLANCE == 0:
+            if drawn and step % PICTURE_STEPS == 0:
                 for view in ("ego", "allo"):
-                    yield "pictures", engine.render(view, SIZE)
+                    yield "pictures", engine.render(view, PICTURE_SIZE)
             engine.step(int(actions.integers(len(ACTIONS))))
             yield "states", engine.get_state().simulation
         yield "score", engine.score()

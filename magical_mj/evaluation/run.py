@@ -59,7 +59,7 @@ def evaluate(
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation; or if
-            episodes with a user's shift do not only depend on their seed and the actions.
+            an episode with a user's shift is not the same when it is repeated.
         EvaluationError: if the folder holds other files, two runs of a method have equal policy files, a worker
             dies repeatedly, or the first episodes of a policy all fail.
         TaskError: if a task of another package has no scene for a seed, or an invalid score.

@@ -3,10 +3,10 @@
     nice -n 19 python -m tools.research.dense_rewards --out FOLDER [--sac 8000] [--ppo 30000] [--variant Demo]
     python -m tools.research.dense_rewards --out FOLDER --plot    # docs/rewards.png
 
-Plays MoveToRegion, MoveToCorner and FixColour in Demo, on one core. SAC acts by vectors of speeds, PPO by the 18
-actions. Both have two layers of 64 units and otherwise the library's settings, except for those below. A stopped run
-is continued. FOLDER/LEARNER-TASK-REWARD/curve.csv holds the steps, the mean score of the training episodes since the
-line before, and the seconds.
+Plays MoveToRegion, MoveToCorner and FixColour in a variant, on one core; the curves are those of Demo. SAC acts by
+vectors of speeds, PPO by the 18 actions. Both have two layers of 64 units and otherwise the library's settings, except
+for those below. A stopped run is continued. FOLDER/LEARNER-TASK-VARIANT-REWARD/curve.csv holds the steps, the mean
+score of the training episodes since the line before, and the seconds.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def curves(runs: Path) -> dict[tuple[str, str], dict[str, NDArray[np.float64]]]:
     """(learner, task) -> reward -> rows of steps and mean scores, of the steps that both rewards have reached."""
     found: dict[tuple[str, str], dict[str, NDArray[np.float64]]] = {}
     for learner, task in itertools.product(("ppo", "sac"), TASKS):
-        paths = [runs / f"{learner}-{task}-{reward}" / "curve.csv" for reward in REWARDS]
+        paths = [runs / f"{learner}-{task}-Demo-{reward}" / "curve.csv" for reward in REWARDS]
         if all(path.exists() for path in paths):
             rows = [np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, :2] for path in paths]
             least = min(map(len, rows))
@@ -138,7 +138,8 @@ def main() -> None:
         for learner in ("ppo", "sac"):
             steps = getattr(options, learner)
             for reward in REWARDS if steps else ():
-                train(learner, task, options.variant, reward, steps, options.out / f"{learner}-{task}-{reward}")
+                folder = options.out / f"{learner}-{task}-{options.variant}-{reward}"
+                train(learner, task, options.variant, reward, steps, folder)
 
 
 if __name__ == "__main__":

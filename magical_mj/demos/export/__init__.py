@@ -28,13 +28,13 @@ def views_of(preset: str) -> str:
 
 
 def default_target(
-    to: str, environment: str, demos: Sequence[Demonstration], preset: str, *, fingers: bool = False
+    to: str, environment: str, demos: Sequence[Demonstration], preset: str, *, fingers: bool = False, tag: str = ""
 ) -> str:
-    """The default path or id of a data set in the format `to`."""
+    """The default path or id of a data set in the format `to`. It contains `tag`."""
     if to == "minari":
-        return minari_name(demos, preset)
+        return minari_name(demos, preset, tag)
     observed = f"{views_of(preset)}{'-fingers' * fingers}" if to in ("lerobot", "robomimic") else preset or "views"
-    name = environment if to == "xirl" else f"{environment}-{observed}"
+    name = f"{environment}{tag}" if to == "xirl" else f"{environment}{tag}-{observed}"
     return name + SUFFIXES.get(to, f"-{to}")
 
 

@@ -25,14 +25,14 @@ HDF5_BYTES: Final = 32_000
 """The maximum number of bytes that HDF5 writes for each episode in addition to its arrays."""
 
 
-def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
+def minari_name(demos: Sequence[Demonstration], preset: str, tag: str = "") -> str:
     """The default id of a Minari data set, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
 
     It contains task, variant, demonstrators, preset and protocol. If there are shifts or another body, it contains them
-    as well, as in ``magical-mj/FindDupe/Demo-clutter2-slip3-expert-State-p1-v0``.
+    as well, as in ``magical-mj/FindDupe/Demo-clutter2-slip3-expert-State-p1-v0``. `tag` comes before the version.
     """
     task, variant = task_spec(demos[0].task).name, re.sub(r"[^\w.-]+", "-", demos[0].name.partition("-")[2])
-    return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
+    return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}{tag}-v0"
 
 
 def to_minari(
