@@ -298,5 +298,8 @@ class OnLearntReward(RewardLearner):
 def _reward_settings(settings: TrainingSettings) -> TrainingSettings:
     """The settings of the training that learnt the reward."""
     if not settings.reward.run:
-        raise SettingsError("ppo needs a learnt reward: --set reward.run=RUN, with the folder of a training of gail")
+        raise SettingsError(
+            "ppo needs a learnt reward: --set reward.run=RUN, the folder of a training of gail, airl or another method "
+            "that learns a reward"
+        )
     return settings_in(Path(settings.reward.run), settings.tasks)
