@@ -9,6 +9,24 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "magical_mj"
+CORE = (
+    "utils",
+    "scene",
+    "variants",
+    "tasks",
+    "assets",
+    "rendering",
+    "shifts",
+    "engine",
+    "envs",
+    "policies",
+    "demos",
+    "evaluation",
+    "cli",
+)
+"""The folders of the benchmark itself, lowest first: each imports only from those before it."""
+ADDITIONS = ("intents", "batched", "leaderboard", "learners", "web", "integrations")
+"""The other folders."""
 LAYERS = (
     "utils",
     "scene",
@@ -30,7 +48,7 @@ LAYERS = (
     "integrations",
     "cli",
 )
-"""The folders, lowest first: each imports only from those before it."""
+"""All folders, lowest first."""
 PUBLIC = {
     "actions": "scene",
     "datasets": "demos",

@@ -1,6 +1,7 @@
-"""Prints how large and how plain the code is: `python tools/code_figures.py`.
+"""Prints how large and how plain the code is: `python -m tools.code_figures`.
 
 Lines that check are those of `if` and `match` statements that only raise errors, and of `raise` statements elsewhere.
+Records are data classes, named tuples and structs.
 """
 
 from __future__ import annotations
@@ -9,11 +10,17 @@ import ast
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
+from tests.test_architecture import ADDITIONS
+from tools.code_paths import main_paths
+
 ROOT: Final = Path(__file__).parent.parent
+LAZY_NAMES: Final = ROOT / "magical_mj/__init__.py"
+"""The only module of the core that may name additions."""
 COMPLEX: Final = 10
 
 
@@ -34,6 +41,40 @@ def importing(tree: ast.AST) -> Iterator[int]:
             yield from range(node.lineno, (node.end_lineno or node.lineno) + 1)
 
 
+def is_addition(module: str) -> bool:
+    """Whether the dotted name is that of a module in one of the `ADDITIONS`."""
+    package, _, inner = module.partition(".")
+    return package == "magical_mj" and inner.partition(".")[0] in ADDITIONS
+
+
+def imported_additions(tree: ast.AST) -> Iterator[str]:
+    """The dotted names of all that a module imports from additions."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from filter(is_addition, names)
+
+
+def records(tree: ast.AST) -> Iterator[int]:
+    """The number of fields of each record that a module defines."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            parts = [*node.decorator_list, *node.bases]
+            kinds = {ast.unparse(part).partition("(")[0].rpartition(".")[2] for part in parts}
+            if kinds & {"dataclass", "NamedTuple", "Struct", "TypedDict"}:
+                yield sum(isinstance(item, ast.AnnAssign) for item in node.body)
+
+
+def lines_and_files(sources: Iterable[str]) -> str:
+    """The number of lines and of files, in words."""
+    sizes = [len(source.splitlines()) for source in sources]
+    return f"{sum(sizes):,} lines in {len(sizes)} files"
+
+
 def complex_functions() -> int:
     """The number of functions whose cyclomatic complexity is above `COMPLEX`."""
     limit = f"lint.mccabe.max-complexity={COMPLEX}"
@@ -43,20 +84,32 @@ def complex_functions() -> int:
 
 
 def main() -> None:
-    """Prints the figures of the package and of the documentation."""
-    sources = [path.read_text("utf-8") for path in sorted((ROOT / "magical_mj").rglob("*.py"))]
-    trees = [ast.parse(source) for source in sources]
-    lines = sum(len(source.splitlines()) for source in sources)
-    checks = sum(len(set(checking(tree))) for tree in trees)
-    imports = sum(len(set(importing(tree))) for tree in trees)
+    """Prints the figures of the package and of the documentation, and the table of paths."""
+    sources = {path: path.read_text("utf-8") for path in sorted((ROOT / "magical_mj").rglob("*.py"))}
+    trees = {path: ast.parse(source) for path, source in sources.items()}
+    core = {path for path in sources if path.relative_to(ROOT / "magical_mj").parts[0] not in ADDITIONS}
+    lines = sum(len(source.splitlines()) for source in sources.values())
+    checks = sum(len(set(checking(tree))) for tree in trees.values())
+    imports = sum(len(set(importing(tree))) for tree in trees.values())
     drawing = ("backend", "opengl", "picture", "renderer")
-    opengl = sum(len((ROOT / f"magical_mj/rendering/{name}.py").read_text("utf-8").splitlines()) for name in drawing)
+    opengl = [sources[ROOT / f"magical_mj/rendering/{name}.py"] for name in drawing]
     words = sum(len(path.read_text("utf-8").split()) for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
-    print(f"magical_mj: {lines:,} lines in {len(sources)} files")
-    print(f"lines that check: {checks / lines:.1%}; that import: {imports / lines:.1%}")
+    sizes = [size for tree in trees.values() for size in records(tree)]
+    raises = sum(isinstance(node, ast.Raise) for tree in trees.values() for node in ast.walk(tree))
+    print(f"magical_mj: {lines_and_files(sources.values())}")
+    print(f"the core: {lines_and_files(sources[path] for path in core)}")
+    print(
+        f"names that the core imports from additions: {sum(len([*imported_additions(trees[path])]) for path in core)}"
+    )
+    print(f"lines that check: {checks / lines:.1%}; that import: {imports / lines:.1%}; raise statements: {raises}")
+    print(f"records: {len(sizes)}; with at most 2 fields: {sum(size <= 2 for size in sizes)}")
     print(f"functions of a complexity above {COMPLEX}: {complex_functions()}")
-    print(f"OpenGL, the choice of the renderer, and the 3-D view: {opengl} lines in {len(drawing)} files")
+    print(f"OpenGL, the choice of the renderer, and the 3-D view: {lines_and_files(opengl)}")
     print(f"README and docs: {words:,} words")
+    print("\n| path | functions | files | depth |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for name, path in main_paths(Path(folder)):
+            print(f"| {name} | {path.functions} | {path.files} | {path.depth} |", flush=True)
 
 
 if __name__ == "__main__":
