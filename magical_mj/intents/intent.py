@@ -27,9 +27,11 @@ from magical_mj.intents.selectors import (
 from magical_mj.scene import Scene
 from magical_mj.tasks.languages import canonical_name, language_spec
 from magical_mj.tasks.spec import TaskSpec
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import IntentError, short_repr
 
 MOST_CONJUNCTS: Final = 3
+LONGEST: Final = 1_000
+"""The largest number of characters of an intent's text. Canonical texts have 200 at most."""
 _CONJUNCT: Final = re.compile(r"\s*([a-z]+(?: [a-z]+)?)\s*\(([^()]*)\)\s*")
 _TEST: Final = re.compile(r"([a-z]+)\s*(!?=)\s*([a-z]+(?: [a-z]+)?)")
 
@@ -168,7 +170,9 @@ def parse(text: str) -> Intent:
         IntentError: if the text is not an intent. The message shows the position of the error.
     """
     if not isinstance(text, str):
-        raise IntentError(f"an intent is a text such as 'in(colour=red, region)', not {text!r}")
+        raise IntentError(f"an intent is a text such as 'in(colour=red, region)', not {short_repr(text)}")
+    if len(text) > LONGEST:
+        raise IntentError(f"an intent has at most {LONGEST:,} characters, and this text has {len(text):,}")
     conjuncts: list[Conjunct] = []
     at = 0
     while True:

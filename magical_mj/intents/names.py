@@ -17,9 +17,9 @@ from types import MappingProxyType
 from typing import Final
 
 from magical_mj.intents.intent import Intent, parse
-from magical_mj.intents.tasks import PREFIX, Task, spec_of, task_of, with_settings
+from magical_mj.intents.tasks import PREFIX, Task, spec_of, split_settings, task_of, with_settings
 from magical_mj.tasks.spec import TaskSpec
-from magical_mj.utils.errors import IntentError, closest
+from magical_mj.utils.errors import IntentError, closest, short_repr
 
 EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {
@@ -81,7 +81,9 @@ class Sets(Mapping[str, tuple[Intent, ...]]):
 SETS: Final = Sets()
 """Set -> its intents, of `train`, `dev`, `seen`, `combined`, `selector`, `relation` and `long`."""
 
-_MEMBER: Final = re.compile(r"\s*([a-z]+)\s*(?:/\s*(\d+))?\s*(\[[^\[\]]*\])?\s*")
+_MEMBER: Final = re.compile(r"([a-z]+)(?:\s*/\s*(\d+))?")
+_MOST_DIGITS: Final = 9
+"""The number of digits in the number of an intent in a set."""
 
 
 class Language:
@@ -97,10 +99,8 @@ class Language:
 
     def members(self, text: str) -> tuple[str, ...]:
         """The texts of the tasks in a set; settings of demo scenes after its name apply to all."""
-        found = _MEMBER.fullmatch(text)
-        if found is None or found[1] not in NAMES or found[2] is not None:
-            return ()
-        return tuple(str(with_settings(task, found[3] or "")) for task in tasks_in(found[1]))
+        name, settings = split_settings(text)
+        return tuple(str(with_settings(task, settings)) for task in tasks_in(name)) if name in NAMES else ()
 
 
 def has_intent(task: str) -> bool:
@@ -114,20 +114,22 @@ def task_intent(task: str) -> Intent:
 
 
 def _task(text: str) -> Task:
-    found = _MEMBER.fullmatch(text)
+    member, settings = split_settings(text)
+    found = _MEMBER.fullmatch(member)
     if found is None:
         return task_of(text)
-    if found[1] not in NAMES:
-        meant = closest(found[1], NAMES)
-        like = f"{meant}{text[found.end(1) :]}" if meant else ""
+    name, number = found.groups()
+    if name not in NAMES:
+        meant = closest(name, NAMES)
+        like = f"{meant}{member[found.end(1) :]} {settings}".rstrip() if meant else ""
         raise IntentError(
-            f"{text!r} is neither an intent, such as 'in(colour=red, region)', nor one of a set, such as 'dev/3'. "
-            + (f"Did you mean {like!r}?" if like else f"The sets are {', '.join(NAMES)}")
+            f"{short_repr(text)} is neither an intent, such as 'in(colour=red, region)', nor one of a set, such as "
+            "'dev/3'. " + (f"Did you mean {short_repr(like)}?" if like else f"The sets are {', '.join(NAMES)}")
         )
-    tasks = tasks_in(found[1])
-    if found[2] is None or int(found[2]) >= len(tasks):
-        raise IntentError(f"{text} does not exist: the set {found[1]} has {found[1]}/0 to {found[1]}/{len(tasks) - 1}")
-    return with_settings(tasks[int(found[2])], found[3] or "")
+    tasks = tasks_in(name)
+    if number is None or len(number) > _MOST_DIGITS or int(number) >= len(tasks):
+        raise IntentError(f"{short_repr(text)} does not exist: the set {name} has {name}/0 to {name}/{len(tasks) - 1}")
+    return with_settings(tasks[int(number)], settings)
 
 
 LANGUAGE: Final = Language()

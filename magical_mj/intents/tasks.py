@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import zlib
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,7 +42,8 @@ STEPS_PER_COST: Final = 2.5
 STARTS: Final = 10
 """The numbers of layouts and of other scenes that determine the horizon, together with the demo scene."""
 ROUNDED: Final = 10
-_BRACKETS: Final = re.compile(r"(.*?)\s*(\[[^\[\]]*\])\s*", re.DOTALL)
+MOST_SEED: Final = 2**63 - 1
+"""The largest seed of demo scenes: that of episodes in files."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,18 @@ class Task:
 
 def task_of(text: str) -> Task:
     """The task that a text describes. Raises an `IntentError` if the text is invalid."""
-    found = _BRACKETS.fullmatch(text)
-    return Task(parse(text)) if found is None else with_settings(Task(parse(found[1])), found[2])
+    goal, settings = split_settings(text)
+    return with_settings(Task(parse(goal)), settings)
+
+
+def split_settings(text: str) -> tuple[str, str]:
+    """A text without its settings, and the settings in square brackets at its end; "" if it has none.
+
+    Texts come from files, so this takes linear time, unlike a regular expression.
+    """
+    text = text.strip()
+    start = text.rfind("[") if text.endswith("]") else len(text)
+    return text[:start].rstrip(), text[start:]
 
 
 def with_settings(task: Task, settings: str) -> Task:
@@ -82,16 +92,21 @@ def with_settings(task: Task, settings: str) -> Task:
         name, _, value = (word.strip() for word in part.partition("="))
         if part == "contrasting":
             changes[part] = True
-        elif (name == "seed" and value.isdecimal()) or (name == "demos" and value in counts):
+        elif (name == "seed" and _is_seed(value)) or (name == "demos" and value in counts):
             changes[name] = int(value)
         else:
             raise IntentError(
-                f"{settings}: {short_repr(part)} should be seed=N, demos=N from 1 to {MOST_DEMOS}, or contrasting"
+                f"{short_repr(part)} in square brackets should be seed=N from 0 to {MOST_SEED}, demos=N from 1 to "
+                f"{MOST_DEMOS}, or contrasting"
             )
     changed = replace(task, **changes)
     if changed.contrasting and changed.demos == 1:
         raise IntentError(f"contrasting is for several demo scenes: give demos=2 to {MOST_DEMOS}, or leave it out")
     return changed
+
+
+def _is_seed(text: str) -> bool:
+    return text.isdecimal() and len(text) <= len(str(MOST_SEED)) and int(text) <= MOST_SEED
 
 
 def spec_of(task: Task) -> TaskSpec:
