@@ -1,8 +1,7 @@
 """Demonstrations of the expert, stored as actions: 300 bytes each. A replay computes the states.
 
-A file has a line of JSON for each demonstration. Lines are appended and never altered, so several processes can add
-lines, and interrupted work continues. A killed process may leave an incomplete last line. It is ignored, and removed
-before more lines are appended.
+A file has a line of JSON for each demonstration. Lines are appended and never altered (`magical_mj.utils.lines`), so
+several processes can add lines, and interrupted work continues.
 
 The package ships some demonstrations, in such a file that xz compressed (`python -m tools.intents demonstrations`).
 """
@@ -10,7 +9,7 @@ The package ships some demonstrations, in such a file that xz compressed (`pytho
 from __future__ import annotations
 
 import lzma
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +25,7 @@ from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.protocol import INTENTS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError
+from magical_mj.utils.lines import appending, read_lines
 from magical_mj.utils.parallel import map_here, map_unordered
 
 Key = tuple[str, str, int]
@@ -83,7 +83,7 @@ def shipped() -> Mapping[Key, Stored]:
     """The demonstrations that come with the package; none for other versions of MuJoCo."""
     path = shipped_path()
     lines = lzma.decompress(path.read_bytes()).splitlines() if path.exists() else []
-    return MappingProxyType({stored.key: stored for stored in _decoded(path, lines)})
+    return MappingProxyType({stored.key: stored for stored in _decoded(path, enumerate(lines, start=1))})
 
 
 def read(path: Path) -> dict[Key, Stored]:
@@ -92,12 +92,12 @@ def read(path: Path) -> dict[Key, Stored]:
     Raises:
         DemonstrationError: if a line is invalid.
     """
-    lines = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
+    lines = read_lines(path, DemonstrationError) if path.exists() else ()
     return {stored.key: stored for stored in _decoded(path, lines)}
 
 
-def _decoded(path: Path, lines: Sequence[bytes]) -> Iterator[Stored]:
-    for number, line in enumerate(lines, start=1):
+def _decoded(path: Path, lines: Iterable[tuple[int, bytes]]) -> Iterator[Stored]:
+    for number, line in lines:
         try:
             yield msgspec.json.decode(line, type=Stored)
         except (msgspec.MsgspecError, UnicodeError) as error:
@@ -135,7 +135,9 @@ def complete(
     made = map_here(_made, todo) if jobs == 1 or len(todo) <= FEW else map_unordered(_made, todo, jobs)
     for number, result in enumerate(made, start=len(keys) - len(todo) + 1):
         if isinstance(result, Stored):
-            _append(path, result)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with appending(path) as file:
+                file.append(msgspec.json.encode(result) + b"\n")
             known[result.key] = result
         else:
             failures.append(result)
@@ -162,17 +164,6 @@ def _made(key: Key) -> Stored | str:
         actions = letters_of(demo.actions.tolist())
         return Stored(task, variant, number, demo.scene_seed, demo.seed, demo.scene.digest(), actions)
     return problem
-
-
-def _append(path: Path, stored: Stored) -> None:
-    """Adds a line to the file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+b") as file, files.locked(path):
-        file.seek(0)
-        if (content := file.read()) and not content.endswith(b"\n"):
-            file.truncate(content.rfind(b"\n") + 1)
-        file.write(msgspec.json.encode(stored) + b"\n")
-        file.flush()  # while the file is locked
 
 
 def replay(stored: Stored, path: Path) -> Demonstration:

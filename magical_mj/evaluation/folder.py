@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import msgspec
 from msgspec import Struct
@@ -20,6 +20,7 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult, StoredInt, metho
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
+from magical_mj.utils.lines import Appender
 from magical_mj.utils.settings import check_unchanged
 
 SETTINGS: Final = "run.json"
@@ -96,7 +97,7 @@ class EvaluationFolder:
             raise EvaluationError(f"cannot write into {path}: {error.strerror}") from error
 
     @contextmanager
-    def open(self) -> Iterator[IO[bytes]]:
+    def open(self) -> Iterator[Appender]:
         """Opens the score file (`open_scores`), updates `done`, and replaces the settings of a smaller evaluation.
 
         Another process may have started an evaluation in the meantime: the errors are those of the constructor.

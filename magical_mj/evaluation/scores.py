@@ -1,8 +1,7 @@
 """The scores of an evaluation: ``scores.jsonl`` in its folder, with a line per finished episode.
 
-Lines are appended and never altered. If a failed episode is played again, its new line replaces the earlier ones when
-the file is read. A killed process may leave an incomplete last line. It is ignored by readers, and removed before more
-lines are appended.
+Lines are appended and never altered (`magical_mj.utils.lines`). If a failed episode is played again, its new line
+replaces the earlier ones when the file is read.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -24,8 +23,8 @@ from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import EVERY_VARIANT
-from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, check_name, short_repr
+from magical_mj.utils.lines import Appender, appending, read_lines
 
 SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
@@ -171,8 +170,6 @@ _USUAL: Final = tuple(
 
 _RETRY: Final = b'"retry": '
 """Only the line of an episode that was played again contains this."""
-_BEGINNING: Final = b'{"policy": '
-"""Each line begins with this."""
 
 
 def parse(line: str | bytes) -> EpisodeResult:
@@ -212,36 +209,32 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
             remedy = f"it holds a policy: magical-mj evaluate --policy {folder} --out ANOTHER evaluates it"
         problem = f"holds no {SCORES}" if folder.exists() else "does not exist"
         raise EvaluationError(f"{folder} {problem}; {remedy}")
-    lines: dict[tuple[Any, ...], int] = {}
+    known: dict[tuple[Any, ...], int] = {}
     names: dict[str, str] = {}
     retried = _retried(path)
-    with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
-            if _is_half(line):
-                break
-            result = _parse_line(path, number, line)
-            # each name once: the keys of a million episodes then take 200 MB instead of 400
-            key: Any = tuple(names.setdefault(part, part) if isinstance(part, str) else part for part in result.key)
-            if (other := lines.setdefault((*key, result.retry), number)) != number:
-                raise EvaluationError(f"{path}, line {number}: the same episode as line {other}; delete one")
-            if result.retry == retried.get(key, result.retry):
-                yield result
-            elif result.failure is None:
-                raise EvaluationError(
-                    f"{path}, line {number}: the episode did not fail, so no line can replace it; delete one of the two"
-                )
-    if not lines:
+    for number, line in read_lines(path, EvaluationError):
+        result = _parse_line(path, number, line)
+        # each name once: the keys of a million episodes then take 200 MB instead of 400
+        key: Any = tuple(names.setdefault(part, part) if isinstance(part, str) else part for part in result.key)
+        if (other := known.setdefault((*key, result.retry), number)) != number:
+            raise EvaluationError(f"{path}, line {number}: the same episode as line {other}; delete one")
+        if result.retry == retried.get(key, result.retry):
+            yield result
+        elif result.failure is None:
+            raise EvaluationError(
+                f"{path}, line {number}: the episode did not fail, so no line can replace it; delete one of the two"
+            )
+    if not known:
         raise EvaluationError(f"{path} holds no finished episode yet")
 
 
 def _retried(path: Path) -> dict[Key, int]:
     """The number of the last retry of each episode that was played again after a failure."""
     retries: dict[Key, int] = {}
-    with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
-            if _RETRY in line and not _is_half(line):
-                result = _parse_line(path, number, line)
-                retries[result.key] = max(result.retry, retries.get(result.key, 0))
+    for number, line in read_lines(path, EvaluationError):
+        if _RETRY in line:
+            result = _parse_line(path, number, line)
+            retries[result.key] = max(result.retry, retries.get(result.key, 0))
     return retries
 
 
@@ -254,11 +247,6 @@ def _parse_line(path: Path, number: int, line: bytes) -> EpisodeResult:
         ) from error
 
 
-def _is_half(line: bytes) -> bool:
-    """Whether a killed process left this line incomplete. A line with several episodes has lost line ends instead."""
-    return not line.endswith(b"\n") and line.count(_BEGINNING) < 2
-
-
 def frame(results: Sequence[EpisodeResult]) -> Any:
     """The episodes as a pandas frame, one row each, in a fixed order."""
     import pandas as pd
@@ -268,23 +256,13 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
 
 
 @contextmanager
-def open_scores(folder: Path) -> Iterator[IO[bytes]]:
+def open_scores(folder: Path) -> Iterator[Appender]:
     """A context with the score file of a folder, open for `append`, and locked so that only one process writes."""
     path = folder / SCORES
-    busy = EvaluationError(f"another evaluation is writing to {path}")
-    with path.open("ab", buffering=0) as file, files.locked(path, busy=busy):
-        written = path.read_bytes()
-        end = written.rfind(b"\n") + 1
-        if _is_half(written[end:]):
-            file.truncate(end)
+    with appending(path, busy=EvaluationError(f"another evaluation is writing to {path}")) as file:
         yield file
 
 
-def append(file: IO[bytes], results: Iterable[EpisodeResult]) -> None:
-    """Appends finished episodes in a single write."""
-    lines = "".join(result.line() for result in results).encode()
-    try:
-        while lines:  # a full disk may write only a part before it raises an error
-            lines = lines[file.write(lines) :]
-    except OSError as error:  # its message lacks the path
-        raise OSError(error.errno, error.strerror, file.name) from error
+def append(file: Appender, results: Iterable[EpisodeResult]) -> None:
+    """Appends finished episodes."""
+    file.append("".join(result.line() for result in results).encode())

@@ -188,10 +188,31 @@ class PlayServer:
         runs = bool(self._operator) and path.startswith(f"/{self._operator}/")
         with (
             suppress(ConnectionClosed),  # abnormally, or after too large a message
-            closing(PlayerSession(self.environments, self.collection, self._puzzles, runs=runs)) as session,
+            closing(
+                PlayerSession(
+                    self.environments, self.collection, self._puzzles, runs=runs, address=self._network(connection)
+                )
+            ) as session,
         ):
             async for message in connection:
                 await connection.send(await asyncio.to_thread(session.answer, message))
+
+    def _network(self, connection: ServerConnection) -> str:
+        """The address of the other side, of IPv6 the first half, which a household or an institute shares.
+
+        Behind a proxy, it is the last one that the proxy names; "" if it names none.
+        """
+        address = str(connection.remote_address[0])
+        if self.origin is not None:
+            headers = connection.request.headers if connection.request else Headers()
+            address = ",".join(headers.get_all("X-Forwarded-For")).rpartition(",")[2].strip()
+        try:
+            known = ipaddress.ip_address(address)
+        except ValueError:
+            return ""
+        if isinstance(known, ipaddress.IPv6Address) and known.ipv4_mapped is None:
+            return str(ipaddress.ip_network((int(known), 64), strict=False).network_address)
+        return str(known)
 
 
 def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = None) -> Response:
@@ -201,7 +222,10 @@ def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = 
 
 
 class PlayerSession:
-    """Answers the messages of one connection, with its own simulation. `runs`: whether it is the operator's."""
+    """Answers the messages of one connection, with its own simulation.
+
+    `runs` is whether it is the operator's, and `address` its network address, if known.
+    """
 
     def __init__(
         self,
@@ -210,10 +234,11 @@ class PlayerSession:
         puzzles: Mapping[str, Puzzle] = MappingProxyType({}),
         *,
         runs: bool = False,
+        address: str = "",
     ) -> None:
         self._environments = environments
         self._puzzles = puzzles
-        self._runs = runs
+        self._runs, self._address = runs, address
         self._collection = collection
         self._participant: str | None = None
         self._engine: Engine | None = None
@@ -225,7 +250,7 @@ class PlayerSession:
         except OSError:  # its text contains paths of the server
             LOGGER.exception("a player's recording cannot be saved")
             reply = {"error": "the server cannot save recordings: please inform its operator"}
-        except (MagicalError, ValueError, RecursionError) as error:
+        except (MagicalError, ValueError, OverflowError, RecursionError) as error:
             reply = {"error": str(error)}
         return json.dumps(reply, separators=(",", ":"))
 
@@ -240,20 +265,21 @@ class PlayerSession:
             case {"open": {"task": str(task), "variant": str(variant), "seed": int(seed)}}:
                 return self._open(task, variant, seed)
             case {"act": action} if self._engine is not None:
+                self._begin(self._engine)
                 self._engine.step(action)
                 return {"poses": poses(self._engine.scene)}
             case {"arrive": name} if self._collection is not None:
-                self._participant = self._collection.participant(name)
+                me = self._participant = self._identified(name, self._collection)
                 if message.get("agree") is True:
-                    self._collection.agree(self._participant)
-                return {"participant": self._participant, **self._collection.next(self._participant)}
+                    self._collection.agree(me, self._address)
+                return {"participant": me, **self._collection.next(me, self._address)}
             case {"return": name} if self._collection is not None:
-                self._participant = self._collection.participant(name)
+                self._participant = self._identified(name, self._collection)
                 return {"participant": self._participant}
             case {"keep": recording} if self._collection is not None and self._participant is not None:
                 about = message.get("about") if isinstance(message.get("about"), dict) else {}
                 score = self._collection.keep(json.dumps(recording), self._participant, about)
-                return {"score": score, **self._collection.next(self._participant)}
+                return {"score": score, **self._collection.next(self._participant, self._address)}
             case {"status": True} if self._runs and self._collection is not None:
                 return self._collection.status()
             case {"pause": bool(paused)} if self._runs and self._collection is not None:
@@ -264,6 +290,17 @@ class PlayerSession:
                     "a message must be one of open, with a task, a variant and a seed; act, after open; and, if "
                     "demonstrations are collected here, arrive or return, and after one of them keep"
                 )
+
+    def _identified(self, name: Any, collection: Collection) -> str:
+        """The participant's id. A connection belongs to one participant: other ids cannot collect scenes over it."""
+        if self._participant is not None and name not in (None, self._participant):
+            raise MagicalError("this connection belongs to another participant: reload the page")
+        return self._participant or collection.participant(name)
+
+    def _begin(self, engine: Engine) -> None:
+        """Reserves the scene at the first action in it."""
+        if self._collection is not None and self._participant is not None and engine.steps == 0:
+            self._collection.begin(self._participant, (engine.task, engine.variant, engine.seed))
 
     def _open(self, task: str, variant: str, seed: int) -> dict[str, Any]:
         puzzle = self._puzzles.get(task) if variant in VARIANTS else None

@@ -113,7 +113,7 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
     study = Study(
         {"MoveToRegion-Demo": 1, "MoveToRegion-Layout": 1}, consent="Your actions are stored.", lease_minutes=10
     )
-    collection = Collection(tmp_path, study, clock)
+    collection = Collection(tmp_path, study, clock, clock)
     ann, ben, eve = (collection.participant(None) for _ in range(3))
     assert collection.participant("../../somewhere") not in ("../../somewhere", ann)
     assert collection.participant(ann) == ann
@@ -123,6 +123,8 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
     first, second = collection.next(ann)["next"], collection.next(ben)["next"]
     assert (first["variant"], second["variant"]) == ("Demo", "Layout")
     assert collection.next(ann)["next"] == first, "a reload, or another tab"
+    for person, scene in ((ann, first), (ben, second)):
+        collection.begin(person, (scene["task"], scene["variant"], scene["seed"]))
     assert "come back later" in collection.next(eve)["why"]
     with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="not offered"):
         collection.keep(played(first), eve, {})
@@ -132,9 +134,10 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
     assert collection.keep(played(first), ann, {}) == score, "the first answer was lost"
     clock.now += 11 * 60
     assert collection.next(eve)["next"] == second, "whoever left loses the scene"
+    collection.begin(eve, (second["task"], second["variant"], second["seed"]))
     with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="too late"):
         collection.keep(played(second), ben, {})
-    again = Collection(tmp_path, study, clock)  # as after a kill
+    again = Collection(tmp_path, study, clock, clock)  # as after a kill
     assert again.next(eve)["next"] == second
     again.keep(played(second), eve, {"speed": 1, "watched": True})
     assert "enough" in again.next(ben)["why"]
@@ -183,8 +186,10 @@ def test_a_studys_folder_that_is_damaged_is_said(tmp_path: Path) -> None:
     collection.next(collection.participant(None))
     log = tmp_path / "study.jsonl"
     with log.open("ab") as file:
-        file.write(b'{"event": "off')  # a kill in between
-    Collection(tmp_path, study)
+        file.write(b'{"time": 1, "event": "off')  # a kill in between
+    again = Collection(tmp_path, study)
+    again.next(again.participant(None))
+    assert log.read_bytes().count(b"\n") == 2
     assert log.read_bytes().endswith(b"}\n")
     log.write_bytes(b"nonsense\n")
     with pytest.raises(magical_mj.utils.errors.SettingsError, match="line 1 of"):

@@ -29,14 +29,15 @@ function bars(counts) {
   return box;
 }
 
-/** @param {{title: string, paused: boolean, participants: number, environments: any[]}} study */
-function show({ title, paused, participants, environments }) {
+/** @param {{title: string, paused: boolean, saves: boolean, participants: number, environments: any[]}} study */
+function show({ title, paused, saves, participants, environments }) {
   isPaused = paused;
   element("title").textContent = title || "Study";
   element("people").textContent = `${participants} participant${participants === 1 ? "" : "s"}`;
   element("pause").disabled = false;
   element("pause").textContent = paused ? "Resume" : "Pause";
-  element("status").textContent = paused ? "Paused: no new scenes are offered." : "Running.";
+  const problem = "Episodes cannot be saved: is the disk full? Until they can, no scenes are offered.";
+  element("status").textContent = !saves ? problem : paused ? "Paused: no new scenes are offered." : "Running.";
   element("rows").replaceChildren(...environments.map(({ environment, accepted, wanted, leased, histogram, refused }) => {
     const row = document.createElement("tr"), name = document.createElement("th");
     name.textContent = environment;
