@@ -22,7 +22,8 @@ from magical_mj import learners
 from magical_mj.cli import option
 from magical_mj.cli.console import Bars, check_fits, check_suffix, check_writable, console, how_to_continue, output_path
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.learners.config import METHODS, check_changes, users, uses
+from magical_mj.learners.config import check_changes, users, uses
+from magical_mj.learners.methods import METHODS, OWN
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.interface import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name, counted
@@ -86,7 +87,7 @@ def train(
     context: typer.Context,
     method: Annotated[
         str,
-        Argument(help="bc, gail, wgail-gp, al, airl, iq-learn, point, ppo, relational, redraw, or another package's."),
+        Argument(help=f"{', '.join(OWN)}, or a method of another package."),
     ],
     tasks: Annotated[str, Option(help="A task; with --multi-task several, separated by commas, or all.")],
     out: Annotated[Path, Option(help="The run's folder.")],

@@ -17,16 +17,16 @@ from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.learners.bc import clone
-    from magical_mj.learners.config import METHODS
     from magical_mj.learners.experiment import plan_experiment, run_experiment
     from magical_mj.learners.learner import Learner
+    from magical_mj.learners.methods import METHODS
     from magical_mj.learners.policy import TrainedPolicy, load_policy
     from magical_mj.learners.training import Progress, train
 from magical_mj.learners.config import load_settings
 from magical_mj.learners.settings import TrainingSettings
 
 _LAZY = {  # loaded at first use, so that the command line can list its commands without importing PyTorch
-    "METHODS": "config",
+    "METHODS": "methods",
     "Learner": "learner",
     "Progress": "training",
     "TrainedPolicy": "policy",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 import torch
@@ -39,6 +40,12 @@ class Apprenticeship(RewardLearner):
     If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used. The paper
     draws the same number of samples from the demonstrations. Here all steps of the demonstrations are used.
     """
+
+    parts = ("network", "ppo", "features")
+    short = MappingProxyType(
+        # the paper's PPO settings: the rewards change more between updates than those of other methods
+        {"ppo.learning_rate": 6e-5, "ppo.entropy": 1e-5, "ppo.clip": 0.01, "features.samples": 4096}
+    )
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)

@@ -38,6 +38,7 @@ class BehaviouralCloning(Learner):
     With several tasks, the loss is the mean of the tasks' losses: each batch has equally many samples of each task.
     """
 
+    parts: ClassVar[tuple[str, ...]] = ("network", "bc")
     drop_noop: ClassVar[bool] = True
 
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
@@ -195,6 +196,8 @@ class IQLearn(BehaviouralCloning):
     demonstration is also left out, since it has no successor.
     """
 
+    parts = ("network", "bc", "iq")
+    unused = ("precision", "bc.encoder")
     observes = "states"
     drop_noop = False
     learns_reward = True
@@ -266,6 +269,8 @@ class Point(BehaviouralCloning):
     the squared distance correlation (Székely and Rizzo 2014, arXiv:1310.2926) of features and positions in a batch.
     """
 
+    parts = ("network", "bc", "point")
+    unused = ("precision", "bc.encoder")
     observes = "pictures"
 
     @classmethod

@@ -1,46 +1,25 @@
-"""The methods by name, the settings that each uses, the changes for short trainings, and settings as TOML files."""
+"""The settings that each method uses, the changes for short trainings, and settings as TOML files."""
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import fields, is_dataclass
-from functools import cache
-from importlib.metadata import EntryPoint
+from collections.abc import Collection, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from magical_mj.learners.settings import ALL_PARTS, PARTS, STATE, TrainingSettings
+import tomli_w
+
+from magical_mj.learners.methods import METHODS, OWN
+from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import announced, imported, resolve_installed
-from magical_mj.utils.settings import changed
-
-if TYPE_CHECKING:
-    from magical_mj.learners.learner import Method
+from magical_mj.utils.settings import changed, described
 
 START: Final = "made"
 """The table of a config.toml with the time and the versions of a run's start. It contains no settings."""
-METHOD_GROUP: Final = "magical_mj.methods"
-"""The entry-point group for methods of installed packages, such as ``mine = "package.module:Mine"``."""
-
-_USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point"),
-    "precision": ("bc",),
-    "bc.encoder": ("bc",),
-    "discriminator.gradient_penalty": ("wgail-gp",),
-}
-"""Setting -> the methods that use it. For other settings, these are all methods that use the part."""
-_OF_PICTURES: Final = (
-    "renderer",
-    "bc.encoder",
-    *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels", "frames")),
-)
-_OF_STATES: Final = ("network.entity", "network.attention")
 
 _SHORT: Final[Mapping[str, Any]] = {
     "ppo.steps": 16,
@@ -94,14 +73,6 @@ STATE_TRACK: Final[Mapping[str, Any]] = {
 }
 """The changes for the preset State, which is not in the paper."""
 
-SHORT_AL: Final[Mapping[str, Any]] = {
-    "ppo.learning_rate": 6e-5,
-    "ppo.entropy": 1e-5,
-    "ppo.clip": 0.01,
-    "features.samples": 4096,
-}
-"""The paper's PPO settings, for short trainings of AL: its rewards change more between updates than other methods'."""
-
 
 def load_settings(
     method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
@@ -126,74 +97,36 @@ def load_settings(
         if quick:
             raise SettingsError("quick is for pictures: trainings on states are already short")
         short = STATE_TRACK
-    if short and method == "al":
-        short = {**short, **SHORT_AL}
     for name in ("recordings", "reward.run", "bc.encoder"):  # runs of an experiment are trained in other folders
         if isinstance(folder := changes.get(name), str | Path) and str(folder):
             changes[name] = str(Path(folder).absolute())
-    defaults = METHODS[method].defaults if method in announced_methods() else {}
-    return changed(settings, {**short, **defaults, **changes})
-
-
-class _Methods(Mapping[str, "type[Method]"]):
-    """The methods of this package, and those that other packages announce. They are imported at their first use."""
-
-    _OWN: Final = MappingProxyType(
-        {
-            "bc": "bc:BehaviouralCloning",
-            "gail": "gail:GAIL",
-            "wgail-gp": "gail:WGAILGP",
-            "airl": "gail:AIRL",
-            "al": "apprenticeship:Apprenticeship",
-            "iq-learn": "bc:IQLearn",
-            "point": "bc:Point",
-            "ppo": "rewards:OnLearntReward",
-        }
-    )
-
-    def __getitem__(self, name: str) -> type[Method]:
-        if name in self._OWN:
-            return resolve_installed(f"magical_mj.learners.{self._OWN[name]}")
-        return imported("method", name, announced_methods()[name], SettingsError)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter((*self._OWN, *announced_methods()))
-
-    def __len__(self) -> int:
-        return len(self._OWN) + len(announced_methods())
-
-
-METHODS: Final = _Methods()
-"""Name -> class of all methods that `train` supports by name."""
-
-
-@cache
-def announced_methods() -> Mapping[str, EntryPoint]:
-    """The entry points of methods of installed packages, by name."""
-    return announced("method", METHOD_GROUP, PARTS, re.compile(r"[\w-]+").fullmatch, 'mine = "package.module:Mine"')
+    if method in METHODS:
+        kind = METHODS[method]
+        short = {**short, **(kind.short if short else {}), **kind.defaults}
+    return changed(settings, {**short, **changes})
 
 
 def settings_type(method: str) -> type[TrainingSettings]:
-    """The class of a method's settings, which announced methods may extend with their own settings."""
-    return METHODS[method].settings_type if method in announced_methods() else TrainingSettings
+    """The class of a method's settings."""
+    return METHODS[method].settings_type if method in METHODS else TrainingSettings
 
 
 def parts_of(method: str) -> tuple[str, ...]:
-    """The parts of the settings that a method uses. A method that is not announced may use all of them."""
-    parts = PARTS.get(method) or (METHODS[method].parts if method in announced_methods() else ALL_PARTS)
+    """The parts of the settings that a method uses. A method without a name in `METHODS` may use all of them."""
+    parts = METHODS[method].parts if method in METHODS else ALL_PARTS
     return tuple(dict.fromkeys(("demos", *parts)))
 
 
 def users(name: str) -> tuple[str, ...]:
     """The methods of this package that use a setting."""
-    return tuple(method for method in PARTS if uses(method, name))
+    return tuple(method for method in OWN if uses(method, name))
 
 
 def uses(method: str, name: str) -> bool:
     """Whether a method may use a setting."""
     part, dot, _ = name.partition(".")
-    in_use = method not in PARTS or method in _USERS.get(name, (method,))
-    return in_use and (not dot or part in parts_of(method))
+    unused = METHODS[method].unused if method in METHODS else ()
+    return name not in unused and (not dot or part in parts_of(method))
 
 
 def check_changes(
@@ -204,12 +137,12 @@ def check_changes(
     Raises:
         SettingsError: if a change is of a setting in `elsewhere`, or no method uses it, or not with this preset.
     """
-    preset = preset or changes.get("preset", TrainingSettings.preset)
+    preset, known = preset or changes.get("preset", TrainingSettings.preset), described(TrainingSettings)
     for name in changes:
         if name in elsewhere:
             raise SettingsError(f"{name} has its own option or entry: give it there, not among the changed settings")
-        if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
-            kind = "pictures" if preset == STATE else "states"
+        kind = known[name].observes if name in known else ""
+        if kind not in ("", "states" if preset == STATE else "pictures"):
             raise SettingsError(f"{name} is for {kind} and has no effect with the preset {preset}")
         if users(name) and not any(uses(method, name) for method in methods):
             raise SettingsError(f"{name} is for {', '.join(users(name))} and has no effect with {' or '.join(methods)}")
@@ -217,15 +150,14 @@ def check_changes(
 
 def to_toml(settings: TrainingSettings) -> str:
     """The settings that the method uses, as TOML; `from_toml` reads them."""
-    plain, tables, parts = [], [], parts_of(settings.method)
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        if is_dataclass(value) and item.name in parts:
-            lines = [f"{inner.name} = {toml_value(getattr(value, inner.name))}" for inner in fields(value)]
-            tables.append("\n".join([f"[{item.name}]", *lines]))
-        elif not is_dataclass(value) and value is not None:
-            plain.append(f"{item.name} = {toml_value(value)}")
-    return "\n\n".join(["\n".join(plain), *tables]) + "\n"
+    parts = parts_of(settings.method)
+    plain = {name: value for name, value in vars(settings).items() if not is_dataclass(value) and value is not None}
+    return as_toml(plain | {name: vars(value) for name, value in vars(settings).items() if name in parts})
+
+
+def as_toml(table: dict[str, Any]) -> str:
+    """A table as TOML. Characters that cannot be encoded, such as invalid UTF-8 in a file name, are escaped twice."""
+    return re.sub("[\ud800-\udfff]", lambda match: rf"\\u{ord(match[0]):x}", tomli_w.dumps(table))
 
 
 def recorded(settings: TrainingSettings) -> dict[str, Any]:
@@ -258,13 +190,3 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
         else:
             flat[name] = value
     return flat
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML. Characters that cannot be encoded, such as invalid UTF-8 in a file name, are escaped twice."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, str):
-        text = value.encode(errors="backslashreplace").decode()
-        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value) if isinstance(value, bool) else repr(value)

@@ -18,8 +18,9 @@ from magical_mj.evaluation.reports.statistics import by_environment, rank_correl
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.learners.config import METHODS, check_changes, flattened, load_settings, uses
+from magical_mj.learners.config import check_changes, flattened, load_settings, uses
 from magical_mj.learners.learner import device, keep_freed_memory
+from magical_mj.learners.methods import METHODS
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.training import Progress, train

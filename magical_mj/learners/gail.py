@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -38,6 +38,9 @@ class Discriminator(nn.Module):
 
 class Adversarial(RewardLearner):
     """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
+
+    parts = ("network", "ppo", "discriminator")
+    unused: ClassVar[tuple[str, ...]] = ("precision", "discriminator.gradient_penalty")
 
     def __init__(self, settings: TrainingSettings) -> None:
         self._augment = augmentation(settings)  # first, so that errors are raised before environments are made
@@ -117,6 +120,8 @@ class WGAILGP(Adversarial):
     The penalty's samples are those of the batch, half the policy's and half the demonstrator's, as in the paper's
     formula (WGAN-GP interpolates between them). No gradient flows into the policy.
     """
+
+    unused = ("precision",)
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The loss, the difference between the two means of D, and the penalty without its weight."""

@@ -17,7 +17,7 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
-from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, STATE, PPOSettings, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
 
@@ -41,8 +41,12 @@ class Method(ABC):
     """The parts of the settings that it uses. Only these are written to config.toml and may be changed."""
     settings_type: ClassVar[type[TrainingSettings]] = TrainingSettings
     """The class of its settings: a subclass if it has its own settings, as a part that is listed in `parts`."""
+    unused: ClassVar[tuple[str, ...]] = ()
+    """Settings that have no effect, although they are in these parts, or in no part."""
     defaults: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Setting -> the method's own default, instead of the paper's."""
+    short: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Setting -> the method's own default in short trainings, instead of that of `config.QUICK` or `STATE_TRACK`."""
     observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
     """The supported observations."""
     learns_reward: ClassVar[bool] = False
@@ -55,8 +59,15 @@ class Method(ABC):
         self.device = device(settings.device)
 
     @classmethod
+    def check_values(cls, settings: TrainingSettings) -> None:
+        """Raises a `SettingsError` if values do not fit together. Called when settings are created; reads no files."""
+        if "ppo" not in cls.parts and settings.ppo.simulator != PPOSettings.simulator:
+            raise SettingsError(f"{settings.method} cannot choose its simulator: it plays no episodes")
+
+    @classmethod
     def check_settings(cls, settings: TrainingSettings) -> None:
-        """Raises a `SettingsError` if the method does not support these settings."""
+        """Raises a `SettingsError` if the method does not support these settings, or a file in them."""
+        cls.check_values(settings)
         if settings.states and cls.observes == "pictures":
             raise SettingsError(f"{settings.method} learns from pictures: give a preset other than {STATE}")
         if not settings.states and cls.observes == "states":

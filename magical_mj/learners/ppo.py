@@ -22,6 +22,7 @@ from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.networks import Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.vector_envs import TrainingEnvs, training_envs
+from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
@@ -234,13 +235,14 @@ class RewardLearner(Learner):
     Policy and value receive pictures without augmentation (appendix). Demonstrations keep their no-ops.
     """
 
+    parts: ClassVar[tuple[str, ...]] = ("network", "ppo")
+    unused: ClassVar[tuple[str, ...]] = ("precision", "augment")
     learns_reward = True
     pairs: ClassVar[bool] = False
     """Whether observations in rollouts are histories with the following state, shape (..., HISTORY + 1, names)."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        settings.check_reinforcement()
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
         self._rng = torch.Generator().manual_seed(settings.seed)
@@ -257,6 +259,28 @@ class RewardLearner(Learner):
             self._ppo = PPO(settings, self._environments, actor, critic, self._rng)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
         self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._rng}
+
+    @classmethod
+    def check_values(cls, settings: TrainingSettings) -> None:
+        """Raises a `SettingsError` if environments, rollouts, minibatches and samples cannot be split evenly."""
+        ppo, tasks = settings.ppo, len(settings.tasks)
+        rollout = ppo.environments * ppo.steps
+        if ppo.environments % tasks:
+            raise SettingsError(
+                f"the environments must be split evenly between tasks: ppo.environments={ppo.environments} "
+                f"must be a multiple of {tasks}"
+            )
+        if rollout % ppo.minibatch:
+            raise SettingsError(
+                f"minibatches must have the same size: ppo.minibatch={ppo.minibatch} does not divide "
+                f"ppo.environments x ppo.steps = {rollout}"
+            )
+        if ppo.total_steps < rollout:
+            raise SettingsError(f"ppo.total_steps={ppo.total_steps} is less than one rollout of {rollout} steps")
+        if settings.features.samples < tasks:
+            raise SettingsError(
+                f"features.samples={settings.features.samples} must be at least the number of tasks, {tasks}"
+            )
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:

@@ -35,9 +35,10 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import replayed
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.config import METHODS, from_toml
+from magical_mj.learners.config import from_toml
 from magical_mj.learners.data import Rollout
 from magical_mj.learners.learner import Method, threads_for
+from magical_mj.learners.methods import METHODS
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.ppo import RewardLearner
 from magical_mj.learners.run_folder import CONFIG, RunFolder
@@ -247,6 +248,7 @@ class OnLearntReward(RewardLearner):
     policy plays in scenes like those of the test. A leaderboard entry must declare the privilege "other scenes".
     """
 
+    parts = ("network", "ppo", "reward")
     observes = "states"
     learns_reward = False
     pairs = True

@@ -23,7 +23,7 @@ from torch.utils.tensorboard.writer import SummaryWriter
 from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
-from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
+from magical_mj.learners.config import START, as_toml, from_toml, recorded, to_toml
 from magical_mj.learners.data import digest
 from magical_mj.learners.encoder import encoder_digest
 from magical_mj.learners.learner import Method, threads_for
@@ -127,7 +127,7 @@ class RunFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             if not config.exists():
-                files.write(config, f"{to_toml(self._settings)}\n[{START}]\n{_provenance(self._settings, method)}")
+                files.write(config, f"{to_toml(self._settings)}\n{_provenance(self._settings, method)}")
         except OSError as error:
             raise TrainingError(f"cannot write into {self.path}: {error.strerror}") from error
         busy = TrainingError(f"another process is training in {self.path}; wait until it ends, or give a new folder")
@@ -292,7 +292,7 @@ def _joined(digests: Iterable[str]) -> str:
 
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:
-    """The time, command, versions, threads and external inputs of a run's start, as TOML."""
+    """The time, command, versions, threads and external inputs of a run's start, as a table of TOML."""
     read = {name: usual for name, (usual, sources) in LEARNT.items() if (START, name) in sources}
     learnt = {name: value for name, usual in read.items() if (value := getattr(method, name, usual)) != usual}
     start = {
@@ -308,4 +308,4 @@ def _provenance(settings: TrainingSettings, method: Method) -> str:
         **{name: now for name, (_, now) in _sources(settings).items() if now},
         **learnt,
     }
-    return "".join(f"{name} = {toml_value(value)}\n" for name, value in start.items())
+    return as_toml({START: start})

@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 from msgspec import Meta
 
 from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.learners.methods import METHODS
 from magical_mj.rendering.backend import RendererName
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError
@@ -27,6 +28,10 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 HEADS: Final = 4
 """The number of attention heads between blocks and regions. They share the units of `NetworkSettings.entity`."""
 
+PICTURES: Final = Meta(extra={"observes": "pictures"})
+"""Marks settings that have an effect only if observations are pictures."""
+STATES: Final = Meta(extra={"observes": "states"})
+"""Marks settings that have an effect only if observations are states."""
 UnboundedCount = Annotated[int, Meta(ge=1)]
 """An integer of at least 1, like `Count`, but without an upper limit."""
 Positive = Annotated[float, Meta(gt=0, le=1e9)]
@@ -45,14 +50,18 @@ class DemonstrationSettings(Settings, part="demos"):
 class NetworkSettings(Settings, part="network"):
     """The layers of all networks (appendix, "Network architecture"), at most `networks.MOST_PARAMETERS` weights."""
 
-    first_kernel: Count = 5
-    first_stride: Count = 1
-    first_channels: Count = 64
-    channels: Annotated[Count, Meta(description="of each of the other four 3 x 3 convolutions of stride 2")] = 128
-    frames: Annotated[int, Meta(ge=1, le=4, description="pictures: how many of the latest are used")] = 4
+    first_kernel: Annotated[Count, PICTURES] = 5
+    first_stride: Annotated[Count, PICTURES] = 1
+    first_channels: Annotated[Count, PICTURES] = 64
+    channels: Annotated[
+        Count, PICTURES, Meta(description="of each of the other four 3 x 3 convolutions of stride 2")
+    ] = 128
+    frames: Annotated[int, PICTURES, Meta(ge=1, le=4, description="pictures: how many of the latest are used")] = 4
     hidden: Annotated[Count, Meta(description="units of each of the two linear layers")] = 256
-    entity: Annotated[Count, Meta(description="states: units for the robot, each block and each region")] = 64
-    attention: Annotated[int, Meta(ge=1, le=32, description="states: attention layers for blocks and regions")] = 1
+    entity: Annotated[Count, STATES, Meta(description="states: units for the robot, each block and each region")] = 64
+    attention: Annotated[
+        int, STATES, Meta(ge=1, le=32, description="states: attention layers for blocks and regions")
+    ] = 1
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` for invalid sizes."""
@@ -76,6 +85,7 @@ class CloningSettings(Settings, part="bc"):
     heads: Annotated[Literal["normal", "uniform"], Meta(description="distribution of their initial weights")] = "normal"
     encoder: Annotated[
         str,
+        PICTURES,
         Meta(description="pictures: the folder of a training, or a file; its convolutions are used, and not trained"),
     ] = ""
 
@@ -195,6 +205,7 @@ class TrainingSettings(Settings):
     device: Annotated[str, Meta(description="auto, cpu, cuda, ...")] = "auto"
     renderer: Annotated[
         RendererName | None,
+        PICTURES,
         Meta(description="The pictures' renderer: opengl or software; quick trainings use software."),
     ] = None
     evaluations: Annotated[
@@ -232,49 +243,14 @@ class TrainingSettings(Settings):
             raise SettingsError(
                 f"learners support one stack of frames or states: preset must be one of {', '.join(LEARNABLE)}"
             )
-        if "ppo" in PARTS.get(self.method, ()):
-            self.check_reinforcement()
-        elif self.method in PARTS and self.ppo.simulator != "mujoco":
-            playing = ", ".join(method for method, parts in PARTS.items() if "ppo" in parts)
-            raise SettingsError(f"{self.method} cannot choose its simulator: only {playing} can")
+        if self.method in METHODS:
+            METHODS[self.method].check_values(self)
 
     @property
     def states(self) -> bool:
         """Whether observations are states instead of pictures."""
         return self.preset == STATE
 
-    def check_reinforcement(self) -> None:
-        """Raises a `SettingsError` if the settings of `ppo` do not fit together."""
-        ppo, tasks = self.ppo, len(self.tasks)
-        rollout = ppo.environments * ppo.steps
-        if ppo.environments % tasks:
-            raise SettingsError(
-                f"the environments must be split evenly between tasks: ppo.environments={ppo.environments} "
-                f"must be a multiple of {tasks}"
-            )
-        if rollout % ppo.minibatch:
-            raise SettingsError(
-                f"minibatches must have the same size: ppo.minibatch={ppo.minibatch} does not divide "
-                f"ppo.environments x ppo.steps = {rollout}"
-            )
-        if ppo.total_steps < rollout:
-            raise SettingsError(f"ppo.total_steps={ppo.total_steps} is less than one rollout of {rollout} steps")
-        if self.features.samples < tasks:
-            raise SettingsError(
-                f"features.samples={self.features.samples} must be at least the number of tasks, {tasks}"
-            )
-
 
 ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_dataclass(item.default_factory))
 """The settings with their own tables."""
-PARTS: Final[Mapping[str, tuple[str, ...]]] = {
-    "bc": ("network", "bc"),
-    "iq-learn": ("network", "bc", "iq"),
-    "point": ("network", "bc", "point"),
-    "gail": ("network", "ppo", "discriminator"),
-    "wgail-gp": ("network", "ppo", "discriminator"),
-    "airl": ("network", "ppo", "discriminator"),
-    "al": ("network", "ppo", "features"),
-    "ppo": ("network", "ppo", "reward"),
-}
-"""Method of this package -> the parts of the settings that it uses."""

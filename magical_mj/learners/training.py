@@ -16,8 +16,8 @@ from typing import Final
 
 import torch
 
-from magical_mj.learners.config import METHODS
 from magical_mj.learners.learner import Method
+from magical_mj.learners.methods import METHODS
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy

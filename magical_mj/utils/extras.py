@@ -16,7 +16,7 @@ MODULES: Final = {
     "dask": ("distributed",),
     "eval": ("matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
-    "il": ("kornia", "safetensors", "tensorboard", "torch"),
+    "il": ("kornia", "safetensors", "tensorboard", "tomli_w", "torch"),
     "minari": ("h5py", "minari"),
     "onnx": ("onnxruntime", "onnxscript"),
     "robomimic": ("h5py",),

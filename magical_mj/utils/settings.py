@@ -57,6 +57,8 @@ class Setting(NamedTuple):
     description: str
     least: float | None
     """The smallest allowed number, for numbers with a lower bound."""
+    observes: str
+    """The observations for which it has an effect, such as "pictures"; empty: all."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,11 @@ def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
         if is_dataclass(part := _plain(kind)):
             known |= described(part, f"{path}.")
         else:
-            notes = [note.description for note in get_args(kind) if isinstance(note, Meta) and note.description]
+            notes = [note for note in get_args(kind) if isinstance(note, Meta)]
+            description = "".join(note.description or "" for note in notes)
+            observes = "".join((note.extra or {}).get("observes", "") for note in notes)
             least = None if part == Names else getattr(_information(kind), "ge", None)
-            known[path] = Setting(types[item.name], item.default, "".join(notes), least)
+            known[path] = Setting(types[item.name], item.default, description, least, observes)
     return known
 
 

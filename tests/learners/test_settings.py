@@ -11,7 +11,7 @@ import pytest
 
 from magical_mj import TASKS
 from magical_mj.learners import load_settings
-from magical_mj.learners.config import QUICK, flattened, from_toml, to_toml, toml_value
+from magical_mj.learners.config import QUICK, as_toml, flattened, from_toml, to_toml
 from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.settings import TrainingSettings
@@ -147,7 +147,7 @@ def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("text", ["runs/bc-\U0001f389", 'a\x7f\n"b\\', "no UTF-8: \udcff", "Zürich"])
 def test_any_text_is_written_as_toml(text: str) -> None:
-    read = tomllib.loads(f"text = {toml_value(text)}")["text"]
+    read = tomllib.loads(as_toml({"text": text}))["text"]
     assert read == text.encode(errors="backslashreplace").decode()
 
 
