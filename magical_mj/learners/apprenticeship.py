@@ -74,16 +74,13 @@ class Apprenticeship(RewardLearner):
         """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
         tasks = len(self._weights)
         each = self.settings.features.samples // tasks
-        if self._demonstrated is None:
-            self._demonstrated = self._demonstrated_means()
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
         novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         # in random order, so that random samples are dropped
         order = torch.randperm(novice.shape[1], generator=self._rng)
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
-        difference = self._demonstrated - self._latest.mean(1)
-        self._weights = best_weights(difference)
+        difference = self._weigh()
         return {"distance": (self._weights * difference).sum(1).mean().item()}
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
@@ -99,7 +96,17 @@ class Apprenticeship(RewardLearner):
         """Restores a state from `get_state`."""
         super().set_state(state)
         self._batches, self._metrics = state["batches"], dict(state["metrics"])
-        self._latest = state["latest"].to(self.device)
+        self._latest, self._demonstrated = state["latest"].to(self.device), None
+        if self._latest.shape[1]:  # the reward of the last update, also for those who do not train on
+            self._weigh()
+
+    def _weigh(self) -> Tensor:
+        """Computes the weights. Returns E_demonstrations Phi - E_policy Phi, shape (tasks, features)."""
+        if self._demonstrated is None:
+            self._demonstrated = self._demonstrated_means()
+        difference = self._demonstrated - self._latest.mean(1)
+        self._weights = best_weights(difference)
+        return difference
 
     def _demonstrated_means(self) -> Tensor:
         """The mean features of each task's demonstrations, shape (tasks, features), after the features are trained."""

@@ -226,19 +226,19 @@ def _judged(path: Path, settings: TrainingSettings, played: Sequence[_Played]) -
                 "kind": kind,
                 "player": player,
                 "score": demonstration.score,
-                "sum": sum_of_rewards(learner, demonstration),
+                "sum": float(rewards(learner, demonstration).double().sum()),
             }
 
 
-def sum_of_rewards(learner: Method, demonstration: Demonstration) -> float:
-    """The sum of a learner's reward over all steps of an episode."""
+def rewards(learner: Method, demonstration: Demonstration) -> Tensor:
+    """A learner's rewards in all steps of an episode, shape (steps,)."""
     settings = learner.settings
     rows: Any = observations(demonstration, settings.preset, settings.renderer)
     inputs = as_input(histories(rows) if settings.states else rows, learner.device)
     actions = torch.as_tensor(demonstration.actions.astype(np.int64), device=learner.device)
     tasks = torch.full_like(actions, settings.tasks.index(demonstration.task))
     with torch.no_grad():
-        return float(learner.learnt_reward(inputs[:-1], inputs[1:], actions, tasks).double().sum())
+        return learner.learnt_reward(inputs[:-1], inputs[1:], actions, tasks)
 
 
 class OnLearntReward(RewardLearner):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,13 @@ import pytest
 import torch
 
 from magical_mj import demos
+from magical_mj.evaluation import evaluate
 from magical_mj.learners import METHODS, Progress, TrainingSettings, checkpoint, load_settings, train
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import POLICY
+from magical_mj.learners.rewards import learner_of_reward, rewards
 from magical_mj.learners.run_folder import CHECKPOINT
+from magical_mj.policies.loading import policy_in
 from magical_mj.policies.models import onnx_runtime
 from magical_mj.utils.errors import DemonstrationError
 
@@ -83,11 +87,16 @@ def stopped(folder: Path, settings: TrainingSettings | None = None) -> None:
         train(settings or tiny(), folder, watch=stop)
 
 
-def made(method: str, changes: dict[str, Any], seed: int = 0) -> Any:
-    """A learner with a training of a second, even if weights and optimizer states differ in memory layout."""
+def brief(method: str, changes: dict[str, Any], seed: int = 0) -> TrainingSettings:
+    """Settings of a training of a second, even if weights and optimizer states differ in memory layout."""
     changes = {"tasks": "MoveToRegion", **TINY, **PLAYING, "bc.batches": 4, "bc.batch_size": 4, **changes}
     quick = changes.get("preset") != "State"
-    return METHODS[method](load_settings(method, seed=seed, quick=quick, **changes))
+    return load_settings(method, seed=seed, quick=quick, **changes)
+
+
+def made(method: str, changes: dict[str, Any], seed: int = 0) -> Any:
+    """A learner of such a training."""
+    return METHODS[method](brief(method, changes, seed))
 
 
 def weights(learner: Any) -> torch.Tensor:
@@ -127,6 +136,27 @@ def check_resumes(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
     assert len({tuple(row) for row in metrics}) == 1
     assert all(isinstance(value, float) and math.isfinite(value) for row in metrics for value in row.values())
+
+
+def check_readers(method: str, changes: dict[str, Any], folder: Path) -> None:
+    """Checks that readers of a finished training's folder get what its learner had: actions, rewards, facts.
+
+    Rewards must differ from step to step: a reward of which a part is not restored may be constant.
+    """
+    settings, learners = brief(method, changes), list[Any]()
+    policy = train(settings, folder, learner=lambda chosen: learners.append(METHODS[method](chosen)) or learners[-1])
+    where = {"tasks": settings.tasks, "variants": "Demo", "preset": settings.preset, "jobs": 1, "episodes": 1}
+    played, again = (evaluate(one, **where)["actions"].tolist() for one in (policy, folder))
+    assert played == again
+    for fact in ("tasks", "preset", "demonstration_set", "played_in", "other_tasks"):
+        assert getattr(policy_in(folder), fact) == getattr(policy, fact)
+    if METHODS[method].learns_reward:
+        with closing(learner_of_reward(folder, settings)) as loaded:
+            for task in settings.tasks:
+                demonstration = demos.load(task)[0]
+                values = rewards(learners[0], demonstration)
+                assert torch.equal(rewards(loaded, demonstration), values)
+                assert values.std() > 0
 
 
 def check_seeds(method: str, changes: dict[str, Any]) -> None:

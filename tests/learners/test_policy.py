@@ -13,13 +13,13 @@ import torch
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.learners import load_policy, train
+from magical_mj.learners import TrainingSettings, load_policy, train
 from magical_mj.learners.policy import POLICY, export_policy
 from magical_mj.policies.interface import Episode, histories
 from magical_mj.policies.models import load_onnx
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tests.helpers.learners import EXPORTS, compare_exported, tiny
+from tests.helpers.learners import EXPORTS, compare_exported, playing, tiny
 
 
 def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
@@ -132,8 +132,9 @@ def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path
 
 @pytest.mark.slow
 @EXPORTS
-def test_pictures(tmp_path: Path) -> None:
-    train(tiny(), tmp_path / "run")
+@pytest.mark.parametrize("settings", [tiny(), playing()], ids=["bc", "gail"])  # with and without batch norm
+def test_pictures(settings: TrainingSettings, tmp_path: Path) -> None:
+    train(settings, tmp_path / "run")
     file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
     seen = np.random.default_rng(0).integers(0, 256, (SEEN, 96, 96, 12)).astype(np.uint8)
     compare_exported(load_policy(tmp_path / "run").actor, file, seen)

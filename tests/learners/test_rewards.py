@@ -1,4 +1,4 @@
-"""`evaluate-reward`: its two figures for known rewards, and the learnt ones of four methods."""
+"""`evaluate-reward`: its two figures for known rewards, and the learnt ones of all methods."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from magical_mj import demos
 from magical_mj.evaluation import evaluate
 from magical_mj.leaderboard import check_entries, read_entry, submit, verify
-from magical_mj.learners import train
+from magical_mj.learners import METHODS, train
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.policy import export_policy, load_policy
 from magical_mj.learners.rewards import (
@@ -25,7 +25,8 @@ from magical_mj.learners.rewards import (
     agreements,
     evaluate_rewards,
     learner_of_reward,
-    sum_of_rewards,
+    learns_reward,
+    rewards,
 )
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
@@ -64,7 +65,7 @@ def test_the_score_itself_agrees_fully_and_a_constant_not_at_all(
 ) -> None:
     learner = method(from_states())
     episodes = demos.load("MoveToRegion", set="graded")
-    sums = [sum_of_rewards(learner, episode) for episode in episodes]
+    sums = [float(rewards(learner, episode).sum()) for episode in episodes]
     assert agreement(sums, [episode.score for episode in episodes]) == pytest.approx(wanted)
 
 
@@ -80,25 +81,27 @@ def test_the_rewards_of_all_methods_are_judged_on_the_same_episodes(
     shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for method in ("gail", "airl", "wgail-gp"):
+    playing_methods = ("gail", "airl", "wgail-gp", "al")
+    for method in playing_methods:
         train(playing(method, preset="State"), tmp_path / method)
     for method in ("iq-learn", "bc"):
         train(from_states(method=method), tmp_path / method)
-    runs = [str(tmp_path / method) for method in ("gail", "airl", "wgail-gp", "iq-learn", "bc")]
+    rewarding = {*playing_methods, "iq-learn"}
+    runs = [str(tmp_path / method) for method in (*playing_methods, "iq-learn", "bc")]
     options = ("--variants", "Layout", "--scenes", "2", "--jobs", "1", "--out", "sums.csv")
     code, output, _ = shell("evaluate-reward", *runs, *options)
     assert code == 0
-    assert all(name in output for name in ("gail", "airl", "wgail-gp", "iq-learn", "Layout"))
+    assert all(name in output for name in (*rewarding, "Layout"))
     frame = pd.read_csv("sums.csv")
-    assert set(frame["method"]) == {"gail", "airl", "wgail-gp", "iq-learn"}
+    assert set(frame["method"]) == rewarding == set(filter(learns_reward, METHODS))
     assert set(frame["kind"]) == set(KINDS)
-    assert set(frame.loc[frame["kind"] == "policy", "player"]) == {"gail", "airl", "wgail-gp", "iq-learn", "bc"}
+    assert set(frame.loc[frame["kind"] == "policy", "player"]) == {*rewarding, "bc"}
     scores = {method: group["score"].tolist() for method, group in frame.groupby("method")}
     assert len({tuple(row) for row in scores.values()}) == 1
     assert set(frame.loc[frame["kind"] == "expert", "score"]) == {1.0}
     assert frame["seed"].min() >= 10_000_000
     found = agreements(frame)
-    assert len(found) == 4
+    assert len(found) == len(rewarding)
     assert found["auc"].between(0, 1).all()
     assert frame.groupby("method")["sum"].nunique().min() >= 6  # tiny policies may play equal episodes
 

@@ -34,7 +34,15 @@ from magical_mj.policies.interface import histories
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from tests.helpers.learners import EXPORTS, TINY, check_own_demonstrations, check_resumes, check_seeds, compare_exported
+from tests.helpers.learners import (
+    EXPORTS,
+    TINY,
+    check_own_demonstrations,
+    check_readers,
+    check_resumes,
+    check_seeds,
+    compare_exported,
+)
 
 RELATIONAL = {
     "relational.hidden": 8,
@@ -497,6 +505,12 @@ def test_ones_own_demonstrations_are_learnt_from(method: str, changes: dict[str,
 @pytest.mark.parametrize(("method", "changes"), TRAININGS)
 def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) -> None:
     check_seeds(method, {**RELATIONAL, **changes})
+
+
+@pytest.mark.usefixtures("small_pools")
+@pytest.mark.parametrize(("method", "changes"), TRAININGS)
+def test_a_trainings_files_have_the_values_of_its_learner(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
+    check_readers(method, {**RELATIONAL, **changes}, tmp_path)
 
 
 def test_the_table_of_scores_is_that_of_the_entry() -> None:
