@@ -3,8 +3,10 @@
 from magical_mj.policies.expert import (
     Expert,
     GoalPicture,
-    Sweeper,
     expert_of,
 )
+from magical_mj.utils.imports import moved
 
-__all__ = ["Expert", "GoalPicture", "Sweeper", "expert_of"]
+__all__ = ["Expert", "GoalPicture", "expert_of"]
+
+__getattr__ = moved("magical_mj.xmagical.expert", "Sweeper")

@@ -25,7 +25,7 @@ CORE = (
     "cli",
 )
 """The folders of the benchmark itself, lowest first: each imports only from those before it."""
-ADDITIONS = ("intents", "batched", "leaderboard", "learners", "web", "integrations")
+ADDITIONS = ("xmagical", "intents", "batched", "leaderboard", "learners", "web", "integrations")
 """The other folders."""
 LAYERS = (
     "utils",
@@ -37,6 +37,7 @@ LAYERS = (
     "shifts",
     "engine",
     "envs",
+    "xmagical",
     "batched",
     "policies",
     "demos",

@@ -19,8 +19,8 @@ from magical_mj.assets.robot import speed_signal
 from magical_mj.cli import main
 from magical_mj.demos.export.folders import to_xirl
 from magical_mj.scene import Scene
-from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
 from magical_mj.utils.errors import SettingsError, UnknownNameError
+from magical_mj.xmagical.sweep_to_top import DEMO, original_scene, state_vector
 from tests.demos.test_original import episode, packed
 
 PAGE = (Path(__file__).parents[1] / "docs" / "moving.md").read_text("utf-8")

@@ -29,8 +29,8 @@ from magical_mj.scene import Scene
 from magical_mj.scene.constants import Colour
 from magical_mj.tasks.rules import WRONG, coloured, require
 from magical_mj.tasks.spec import Rules
-from magical_mj.tasks.sweep_to_top import ARRIVED, arrived
-from magical_mj.tasks.sweep_to_top import SPEC as SWEEP_TO_TOP
+from magical_mj.xmagical.sweep_to_top import ARRIVED, arrived
+from magical_mj.xmagical.sweep_to_top import SPEC as SWEEP_TO_TOP
 
 ORDER: Final[tuple[Colour, ...]] = ("red", "blue", "yellow")
 

@@ -17,10 +17,10 @@ from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, check_writable, complain, console, file_name, output_path
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
-from magical_mj.envs.registration import suite_ids
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks import KNOWN, SUITES
+from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import environment_axes, environments, listed, task_name, task_plugins, task_spec
+from magical_mj.tasks.suites import suite_of
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError
 
@@ -60,7 +60,8 @@ def list_environments(
             complain(str(error))
     if ids:
         for task, variant in pairs:
-            for id_ in suite_ids(variant) if task in SUITES["xmagical"] else [env_id(task, variant)]:
+            suite = suite_of(task)
+            for id_ in [env_id(task, variant)] if suite is None else suite.ids(task, variant):
                 out.print(id_)
         return
     table = Table("task", "variant", "steps", "varied axes", box=None, pad_edge=False, header_style="bold")

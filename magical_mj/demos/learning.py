@@ -14,12 +14,11 @@ from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import Stacks, copying, preset_named
-from magical_mj.envs.registration import env_id, suite_id
+from magical_mj.envs.registration import env_id
 from magical_mj.policies.interface import Observations, Transitions
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import StateEncoder
-from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.sweep_to_top import state_vector
+from magical_mj.tasks.suites import suite_of
 from magical_mj.utils.errors import DemonstrationError
 
 
@@ -78,8 +77,9 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
     """The observations of the preset before the first and after each action: steps + 1 rows."""
     kind, model = preset_named(preset), SceneModel(demo.scene)
     with np.errstate(all="ignore"):  # underflow to 0 in float32 is expected, even if the caller makes it an error
-        if kind.layout == "state" and task_spec(demo.task).speeds and not kind.start:
-            return np.array([state_vector(scene) for scene in demo.scenes()])
+        suite = suite_of(demo.task)
+        if kind.layout == "state" and suite is not None and not kind.start:
+            return np.array([suite.state(scene) for scene in demo.scenes()])
         if kind.layout == "state":
             encode = StateEncoder(demo.scene, start=kind.start)
             states = zip(demo.qpos, demo.qvel, strict=True)
@@ -129,13 +129,13 @@ def environment_of(demo: Demonstration, preset: str, **settings: Any) -> MadeEnv
         settings: further arguments of `gymnasium.make`.
 
     Raises:
-        DemonstrationError: if the task is SweepToTop and the preset is not State.
+        DemonstrationError: if the task is one of a suite, and the preset is not State.
     """
-    body = demo.scene.robot.body
-    if not task_spec(demo.task).speeds:
+    body, suite = demo.scene.robot.body, suite_of(demo.task)
+    if suite is None:
         facts = {"body": body if body != GRIPPER else "", "shifts": demo.shifts}
         kwargs = {name: value for name, value in facts.items() if value}
         return MadeEnvironment(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
     if preset != "State":
         raise DemonstrationError(f"data sets of {demo.task} must have the preset State, not {preset or 'views'}")
-    return MadeEnvironment(suite_id(body, demo.variant), {})
+    return MadeEnvironment(suite.state_id(demo.task, demo.variant, body), {})

@@ -51,7 +51,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     ## Actions
     `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.scene.actions`. One action lasts 1/8 s. With
     `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.envs.wrappers.ContinuousActions`.
-    With `action="speeds"`, x-magical's vectors: see `magical_mj.envs.xmagical.XMagicalEnv`.
+    With `action="speeds"`, x-magical's vectors: see `magical_mj.xmagical.envs.XMagicalEnv`.
 
     ## Observations
     They depend on the preset (`magical_mj.envs.presets.PRESETS`): uint8 pictures stacked along the channels, oldest

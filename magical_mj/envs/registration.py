@@ -4,7 +4,7 @@ Tasks of installed plug-ins have ids of the same form. Their modules import this
 them. Therefore all eight variants get ids, and making a variant that the task does not have raises an error. The ids of
 a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
 
-With x-magical's bodies: ``magical_mj/<Task>-<Body>-<State|Pixels>-<Allo|Ego>-<Demo|TestX>-v0``; see `suite_id`.
+Suites register their own ids: see `magical_mj.tasks.suites`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ import gymnasium
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.scene.bodies import BODIES
-from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import (
     ENVIRONMENTS,
     VARIANTS,
@@ -28,8 +26,8 @@ from magical_mj.tasks.registry import (
     task_spec,
     variant_name,
 )
+from magical_mj.tasks.suites import suites
 from magical_mj.utils.errors import TaskError
-from magical_mj.variants import variants_of
 
 
 def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
@@ -75,39 +73,8 @@ def register_all() -> None:
         _register(task, task, variant, preset, task_spec(task).horizon())
     for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
         _register(task, task, variant, preset, None)
-    _register_xmagical()
-
-
-def suite_id(
-    body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo", task: str = "SweepToTop"
-) -> str:
-    """The id of a task with one of x-magical's bodies. The arguments are those of `xmagical.SpeedsEnv`."""
-    test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
-    return f"magical_mj/{task}-{body.capitalize()}-{observation}-{view}-{test}-v0"
-
-
-def suite_ids(variant: str) -> list[str]:
-    """The ids of SweepToTop in the suite xmagical with this variant."""
-    return [suite_id(*parts) for parts in itertools.product(BODIES, (variant,), ("State", "Pixels"), ("Allo", "Ego"))]
-
-
-def _register_xmagical() -> None:
-    """Registers the 96 ids of the suite xmagical, and the ids of all other tasks with its bodies."""
-    for spec, body, observation, view in itertools.product(
-        KNOWN.values(), BODIES, ("State", "Pixels"), ("Allo", "Ego")
-    ):
-        own = spec.speeds
-        for variant in variants_of(spec):
-            id_ = suite_id(body, variant, observation, view, spec.name)
-            kwargs = {"body": body, "variant": variant, "observation": observation, "view": view}
-            gymnasium.registry[id_] = EnvSpec(
-                id_,
-                entry_point=f"magical_mj.envs.xmagical:{'XMagicalEnv' if own else 'SpeedsEnv'}",
-                vector_entry_point=f"magical_mj.envs.xmagical:make_{'suite' if own else 'speed'}_vector",
-                kwargs=kwargs if own else {"task": spec.name, **kwargs},
-                max_episode_steps=spec.horizon("paper", body),
-                additional_wrappers=AT_THE_END,
-            )
+    for suite in suites().values():
+        suite.register()
 
 
 def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:

@@ -19,9 +19,9 @@ from magical_mj.tasks import (
     match_regions,
     move_to_corner,
     move_to_region,
-    sweep_to_top,
 )
 from magical_mj.tasks.spec import RULES, Rules, TaskSpec
+from magical_mj.tasks.suites import suites
 
 __all__ = ["KNOWN", "RULES", "SPECS", "SUITES", "Rules", "TaskSpec"]
 
@@ -31,7 +31,7 @@ SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({module.SPEC.name: modul
 """All tasks by name, in the paper's order."""
 
 SUITES: Final[Mapping[str, Mapping[str, TaskSpec]]] = MappingProxyType(
-    {"magical": SPECS, "xmagical": MappingProxyType({sweep_to_top.SPEC.name: sweep_to_top.SPEC})}
+    {"magical": SPECS, **{name: suite.tasks for name, suite in suites().items()}}
 )
 """The suites: the benchmark, which "all" means, and others. Each suite has its own protocol number."""
 

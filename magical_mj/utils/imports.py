@@ -89,10 +89,13 @@ def announced(
 ) -> Mapping[str, EntryPoint]:
     """The entry points of a group by name, except names that are `taken`. Their modules are imported at the first use.
 
-    An invalid entry point is ignored with a warning, so that this package can still be imported.
+    An invalid entry point is ignored with a warning, so that this package can still be imported. Those of additions of
+    this package whose folder is not installed are left out.
     """
     plugins: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=group)):
+        if _is_left_out(point):
+            continue
         if point.name in taken or plugins.get(point.name, point) != point:
             problem = f"another {noun} has this name"
         elif not is_name(point.name):
@@ -104,6 +107,12 @@ def announced(
             continue
         warnings.warn(f"the {noun} {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=3)
     return MappingProxyType(plugins)
+
+
+def _is_left_out(point: EntryPoint) -> bool:
+    """Whether an entry point refers to a folder of this package that is not installed."""
+    package, _, inner = point.value.partition(".")
+    return f"{_PACKAGE}".endswith(f"{os.sep}{package}{os.sep}") and not Path(_PACKAGE, inner.partition(".")[0]).exists()
 
 
 def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
@@ -119,6 +128,17 @@ def imported(noun: str, name: str, point: EntryPoint | None, failed: type[Magica
     except (Exception, SystemExit) as error:
         why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_location(error), failed)
         raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
+
+
+def moved(module: str, *names: str) -> Callable[[str], Any]:
+    """A module's `__getattr__` for names (by default all) that are now in another module, imported at first use."""
+
+    def __getattr__(name: str) -> Any:  # noqa: N807
+        if name.startswith("__") or (names and name not in names):
+            raise AttributeError(f"no attribute {name!r}")
+        return getattr(importlib.import_module(module), name)
+
+    return __getattr__
 
 
 def reference_of(point: EntryPoint) -> str:

@@ -27,8 +27,8 @@ from magical_mj.scene import Block, GoalRegion, Pebble, Robot, Scene, geometry
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import BODIES, GRIPPER, Body, body_named
 from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks import KNOWN, SPECS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
-from magical_mj.tasks.sweep_to_top import DEMO, HALF_WIDTH
 
 Simulation = Literal["browser", "server"]
 
@@ -137,7 +137,8 @@ def drawing_style() -> dict[str, Any]:
     """
     blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
     layers = _layers(Scene(Robot(0.0, -0.5, 0.0), blocks, pebbles=(Pebble(0.0, 0.0),)))
-    arenas = {half: _layers(Scene(Robot(0.0, 0.0, 0.0), half_width=half)) for half in (c.ARENA_HALF_WIDTH, HALF_WIDTH)}
+    halves = dict.fromkeys(spec.demo.half_width for spec in KNOWN.values())
+    arenas = {half: _layers(Scene(Robot(0.0, 0.0, 0.0), half_width=half)) for half in halves}
     robots = {body: _layers(Scene(Robot(0.0, 0.0, 0.0, body=body))) for body in BODIES}
     return {
         "visible": c.VISIBLE_SIZE,
@@ -200,9 +201,10 @@ def solid_shapes() -> dict[str, Any]:
 
 def sample_models() -> dict[str, str]:
     """Models with an object of each kind, by "BODY-HALF_WIDTH". The page takes the parts of other models from them."""
-    swept = DEMO.half_width, DEMO.blocks[0].mass
+    others = [spec.demo for name, spec in KNOWN.items() if name not in SPECS]
+    own = [(body, demo.half_width, demo.blocks[0].mass) for demo in others for body in BODIES]
     models = {}
-    for body, half, mass in [(GRIPPER, c.ARENA_HALF_WIDTH, c.BLOCK_MASS), *((body, *swept) for body in BODIES)]:
+    for body, half, mass in [(GRIPPER, c.ARENA_HALF_WIDTH, c.BLOCK_MASS), *own]:
         pairs = enumerate(zip(SHAPES, COLOURS, strict=True))
         blocks = [Block(shape, colour, 0.4 * index - 0.6, 0.5, 0.0, mass) for index, (shape, colour) in pairs]
         regions = [GoalRegion(colour, -0.5, -0.5, 0.0, 0.0) for colour in COLOURS]

@@ -10,11 +10,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
-from magical_mj.envs.registration import suite_id
 from magical_mj.envs.wrappers import ContinuousActions
 from magical_mj.scene.actions import to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.xmagical.suite import suite_id
 
 ID = "magical_mj/FixColour-Demo-State-v0"
 

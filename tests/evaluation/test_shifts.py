@@ -20,10 +20,10 @@ from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.leaderboard import submit, verify
 from magical_mj.tasks.registry import ENVIRONMENTS, SPLITS, environment_axes, sample_scene
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError
-from tests.envs.test_xmagical import WEDGE  # noqa: F401
 from tests.helpers import agents
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import SMALL, TEMPLATE, evaluate, rows, write
+from tests.xmagical.test_xmagical import WEDGE  # noqa: F401
 
 SHIFTED: dict[str, Any] = {"variants": "Demo", "shifts": "latency:4-5,camera:2+latency:1"}
 LABELS = ["", "latency:4", "latency:5", "camera:2+latency:1"]

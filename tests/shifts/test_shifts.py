@@ -189,8 +189,8 @@ def test_the_levels_of_the_axis_body_are_names() -> None:
             magical_mj.Engine("MoveToRegion", shifts=level)
     with closing(magical_mj.Engine("MoveToRegion", shifts="body:longstick")) as env:  # which the expert cannot use
         assert env.scene.robot.body == "longstick"
-    with closing(magical_mj.Engine("MoveToRegion", shifts="body:tests.envs.test_xmagical:WEDGE")) as env:
-        assert env.scene.robot.body == "tests.envs.test_xmagical:WEDGE"
+    with closing(magical_mj.Engine("MoveToRegion", shifts="body:tests.xmagical.test_xmagical:WEDGE")) as env:
+        assert env.scene.robot.body == "tests.xmagical.test_xmagical:WEDGE"
 
 
 def test_demonstrations_are_made_in_physical_shifts(tmp_path: Path) -> None:

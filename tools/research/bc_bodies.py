@@ -25,7 +25,7 @@ from magical_mj import demos
 from magical_mj.engine import Engine
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.sweep_to_top import state_vector
+from magical_mj.xmagical.sweep_to_top import state_vector
 
 SWEEP = "SweepToTop"
 SCALES = torch.tensor([1.0, 12.0])

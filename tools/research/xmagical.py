@@ -25,7 +25,7 @@ from magical_mj.assets.contacts import TIMESTEP
 from magical_mj.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.scene.constants import FINGER_OPEN
-from magical_mj.tasks.sweep_to_top import DEMO, dense_reward, original_scene, score, state_vector
+from magical_mj.xmagical.sweep_to_top import DEMO, dense_reward, original_scene, score, state_vector
 
 PROBES: Final = Path(__file__).parents[2] / "tests" / "data" / "xmagical_probes.json"
 ACTIONS: Final[Mapping[str, tuple[float, float, float]]] = {

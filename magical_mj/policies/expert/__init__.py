@@ -1,7 +1,7 @@
 """Scripted experts that solve every environment from the privileged state.
 
 An expert reads the true state of the simulation, tries manoeuvres on a copy of it, and acts with the same 18 actions as
-all other agents. SweepToTop's expert uses its continuous actions. Pictures of scenes solved by experts specify goals.
+all other agents. Tasks of suites have experts of their own. Pictures of scenes solved by experts specify goals.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
 from magical_mj.policies.expert.planner import Expert
-from magical_mj.policies.expert.sweeping import Sweeper
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene.state_vector import CAMERAS
-from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.suites import suite_of
 from magical_mj.utils.errors import SettingsError, TaskError, check_name
 
-__all__ = ["Expert", "GoalPicture", "Sweeper", "expert_of"]
+__all__ = ["Expert", "GoalPicture", "expert_of"]
 
 EXPERTS: Final = 10
 """The number of experts, each with another seed, that try to solve a scene for its picture."""
@@ -37,7 +36,8 @@ def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
         TaskError: if the task has no expert.
         SettingsError: if it cannot solve the task with the engine's body.
     """
-    return Sweeper(env, seed) if task_spec(task).speeds else Expert(env, task, seed)
+    suite = suite_of(task)
+    return Expert(env, task, seed) if suite is None else suite.expert(env, seed)
 
 
 class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):

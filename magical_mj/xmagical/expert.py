@@ -17,7 +17,7 @@ from magical_mj.engine import Engine
 from magical_mj.engine.simulation import Simulation
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import body_named
-from magical_mj.tasks.sweep_to_top import HALF_WIDTH, arrived
+from magical_mj.xmagical.sweep_to_top import HALF_WIDTH, arrived
 
 SWEEPS: Final = 100
 """The number of sweeps that are tried before the best one is played."""

@@ -18,11 +18,9 @@ import magical_mj
 from magical_mj.cli.film import in_words
 from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.folders import to_xirl
-from magical_mj.envs.xmagical import XMagicalEnv
 from magical_mj.scene.bodies import BODIES, Body, body_named
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
 from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidActionError,
@@ -32,6 +30,8 @@ from magical_mj.utils.errors import (
     SettingsError,
     UntrustedNameError,
 )
+from magical_mj.xmagical.envs import XMagicalEnv
+from magical_mj.xmagical.sweep_to_top import DEMO, original_scene, state_vector
 from tests.helpers.commands import Shell
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/SweepToTop-"))
