@@ -9,7 +9,6 @@ import io
 import json
 import lzma
 import sys
-from base64 import b64encode
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, files_in, header_and_arrays, read
 from magical_mj.demos.recording import demonstrate
-from magical_mj.demos.shipped import ARRAYS, FILES, FOLDER, SUFFIX, StoredRow, movements, predicted
-from magical_mj.policies.interface import letters_of
+from magical_mj.demos.shipped import ARRAYS, FILES, FOLDER, SUFFIX, movements, predicted
+from magical_mj.demos.stored import Stored, as_stored
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 
@@ -50,14 +49,9 @@ def sweeps() -> None:
     print(f"SweepToTop: {len(demos)} demonstrations, {FILES[1].stat().st_size:,} bytes")
 
 
-def pack_rows(path: Path, kept: Sequence[StoredRow], demos: Sequence[Demonstration]) -> None:
+def pack_rows(path: Path, kept: Sequence[Stored], demos: Sequence[Demonstration]) -> None:
     """Writes a file of actions: rows that are kept, and others that are added."""
-    rows = list(kept)
-    for demo in demos:
-        speeds = demo.actions.ndim == 2
-        actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions)
-        where = demo.task, demo.variant, demo.scene.robot.body, demo.scene_seed
-        rows.append(StoredRow(*where, demo.demonstrator, actions, round(demo.score, 4)))
+    rows = [*kept, *(as_stored(demo, score=round(demo.score, 4)) for demo in demos)]
     rows.sort(key=lambda row: (row.task, row.body))  # those of a task stay in their order
     content = msgspec.json.format(msgspec.json.encode(rows), indent=0)
     files.write(path, lzma.compress(content, preset=9), overwrite=True)

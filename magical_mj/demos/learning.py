@@ -18,6 +18,7 @@ from magical_mj.envs.registration import env_id
 from magical_mj.policies.interface import Observations, Transitions
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import StateEncoder
+from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.suites import suite_of
 from magical_mj.utils.errors import DemonstrationError
 
@@ -104,6 +105,17 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         if kind.fingers:
             rows["fingers"] = np.array([model.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
+
+
+def rewards(demo: Demonstration) -> NDArray[np.float64]:
+    """The reward of each step, shape (steps,): 0, and the score at the last step.
+
+    In tasks with speeds it is the score after each step, as in x-magical.
+    """
+    steps = len(demo.actions)
+    if task_spec(demo.task).speeds:
+        return np.array([demo.rescored(step) for step in range(1, steps + 1)])
+    return np.where(np.arange(steps) == steps - 1, demo.score, 0.0)
 
 
 class MadeEnvironment(NamedTuple):

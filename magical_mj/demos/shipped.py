@@ -19,19 +19,17 @@ import io
 import lzma
 import shlex
 import warnings
-from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import Demonstration, Demonstrator, files_in, read, unpacked
-from magical_mj.demos.recording import replayed
-from magical_mj.policies.interface import actions_of
-from magical_mj.scene.bodies import GRIPPER, body_named
+from magical_mj.demos.demonstration import Demonstration, files_in, read, unpacked
+from magical_mj.demos.stored import Stored
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_name
 
@@ -137,23 +135,10 @@ def set_suffix(which: DemonstrationSet) -> str:
     return f"-{which}" if isinstance(which, str) else f"-set{which}"
 
 
-class StoredRow(msgspec.Struct, frozen=True):
-    """A demonstration in a file of actions. `seed` is the scene's, and the expert's if an expert demonstrates."""
-
-    task: str
-    variant: str
-    body: str
-    seed: int
-    demonstrator: Demonstrator
-    actions: str
-    """Letters; speeds in float32, as base64."""
-    score: float
-
-
-def stored_rows(path: Path) -> list[StoredRow]:
+def stored_rows(path: Path) -> list[Stored]:
     """The demonstrations in a file of actions. Empty if it does not exist."""
     content = lzma.decompress(path.read_bytes()) if path.exists() else b"[]"
-    return msgspec.json.decode(content, type=list[StoredRow])
+    return msgspec.json.decode(content, type=list[Stored])
 
 
 def _missing(which: DemonstrationSet, task: str, body: str) -> DemonstrationError:
@@ -168,16 +153,7 @@ def _missing(which: DemonstrationSet, task: str, body: str) -> DemonstrationErro
 def _played(which: DemonstrationSet, task: str, body: str) -> list[Demonstration]:
     """The demonstrations in a file of actions, which are played again. Empty if it has none."""
     rows = [row for row in stored_rows(FILES[which]) if (row.task, row.body) == (task, body)]
-    demos, speeds = [], task_spec(task).speeds
-    for row in rows:
-        actions: Any
-        if speeds:
-            size = 3 if body_named(body).fingers else 2
-            actions = np.frombuffer(b64decode(row.actions), np.float32).reshape(-1, size)
-        else:
-            actions = actions_of(row.actions)
-        expert = row.seed if row.demonstrator == "expert" else None
-        demos.append(replayed(task, row.variant, row.seed, actions, row.demonstrator, expert, body))
+    demos = [row.played() for row in rows]
     if changed := sum(abs(demo.score - row.score) > SAME_SCORE for demo, row in zip(demos, rows, strict=True)):
         warnings.warn(
             f"{changed} of {len(demos)} demonstrations of {task} in set {which} have other scores here than where they "

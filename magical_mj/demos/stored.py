@@ -9,20 +9,24 @@ The package ships some demonstrations, in such a file that xz compressed (`pytho
 from __future__ import annotations
 
 import lzma
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.recording import demonstrate, replayed
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.protocol import INTENTS, PROTOCOL
+from magical_mj.scene.bodies import GRIPPER, body_named
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError
 from magical_mj.utils.lines import appending, read_lines
@@ -36,36 +40,60 @@ Watch = Callable[[int, int], object]
 ATTEMPTS: Final = 3
 """The number of scenes that the expert tries for a demonstration."""
 NEXT: Final = 840_000_000_000
-"""The increment of the scene's seed between attempts. As a multiple of 1 to 8, it does not change the demo scene."""
+"""The increment of the scene's seed between attempts. A demo scene that depends on the seed repeats after some number
+of seeds from 1 to 8. The increment is a multiple of all these numbers, so further attempts have the same demo scene."""
 FEW: Final = 4
 """The largest number of demonstrations that are made in this process, since starting other processes takes longer."""
 SHOWN: Final = 3
 """The number of failures that an error shows."""
 
 
-class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A line of the file: a demonstration of the expert with score 1.
+class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
+    """A demonstration as actions. The defaults are those of the expert's file.
 
     Attributes:
         number: identifies it in this task and variant.
         seed: the seed of the scene. It is the number, unless the expert failed in that scene.
-        expert: the expert's seed.
-        scene: the digest of the scene.
-        actions: a letter for each.
+        expert: the expert's seed. None: the seed of the scene.
+        scene: the digest of the scene; empty if unknown.
+        actions: a letter for each; speeds in float32, as base64.
     """
 
     task: str
     variant: str
-    number: Annotated[int, Meta(ge=0)]
+    number: Annotated[int, Meta(ge=0)] = 0
     seed: Annotated[int, Meta(ge=0)]
-    expert: Annotated[int, Meta(ge=0)]
-    scene: str
-    actions: Annotated[str, Meta(pattern="^[a-r]+$")]
+    expert: Annotated[int, Meta(ge=0)] | None = None
+    scene: str = ""
+    actions: Annotated[str, Meta(pattern="^[A-Za-z0-9+/]+=*$")]
+    body: str = GRIPPER
+    demonstrator: Demonstrator = "expert"
+    score: float = 1.0
 
     @property
     def key(self) -> Key:
         """Identifies the demonstration."""
         return self.task, self.variant, self.number
+
+    def played(self) -> Demonstration:
+        """The demonstration with its states, computed by playing the actions again."""
+        actions: Any
+        if task_spec(self.task).speeds:
+            size = 3 if body_named(self.body).fingers else 2
+            actions = np.frombuffer(b64decode(self.actions), np.float32).reshape(-1, size)
+        else:
+            actions = actions_of(self.actions)
+        expert = self.expert if self.demonstrator == "expert" else None
+        return replayed(self.task, self.variant, self.seed, actions, self.demonstrator, expert, self.body)
+
+
+def as_stored(demo: Demonstration, **more: Any) -> Stored:
+    """The actions of a demonstration. `more` are further fields."""
+    speeds = demo.actions.ndim == 2
+    actions = b64encode(demo.actions.tobytes()).decode() if speeds else letters_of(demo.actions.tolist())
+    body, maker = demo.scene.robot.body, demo.demonstrator
+    given = {"task": demo.task, "variant": demo.variant, "seed": demo.scene_seed, "actions": actions, "body": body}
+    return Stored(**{**given, "demonstrator": maker, "score": demo.score, **more})
 
 
 def default_path() -> Path:
@@ -161,8 +189,7 @@ def _made(key: Key) -> Stored | str:
         except MagicalError as error:
             problem = problem or str(error)
             continue
-        actions = letters_of(demo.actions.tolist())
-        return Stored(task, variant, number, demo.scene_seed, demo.seed, demo.scene.digest(), actions)
+        return as_stored(demo, number=number, expert=demo.seed, scene=demo.scene.digest())
     return problem
 
 
@@ -172,11 +199,10 @@ def replay(stored: Stored, path: Path) -> Demonstration:
     Raises:
         DemonstrationError: if this version of the package has another scene for it, or the actions do not solve it.
     """
-    task, variant, _ = stored.key
-    demo = replayed(task, variant, stored.seed, actions_of(stored.actions), "expert", stored.expert)
+    demo = stored.played()
     if (demo.scene.digest(), demo.score) != (stored.scene, 1.0):
         raise DemonstrationError(
-            f"{path} contains a demonstration of {task} {variant}, number {stored.number}, from another version of "
-            "this package: delete the file, and its demonstrations are made again"
+            f"{path} contains a demonstration of {stored.task} {stored.variant}, number {stored.number}, from another "
+            "version of this package: delete the file, and its demonstrations are made again"
         )
     return demo

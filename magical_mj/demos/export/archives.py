@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, checked, only_environment
 from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
-from magical_mj.demos.learning import environment_of, observations, stream
+from magical_mj.demos.learning import environment_of, observations, rewards, stream
 from magical_mj.demos.recording import render_demo
 from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.registry import task_spec
@@ -163,7 +163,7 @@ def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:
         **{f"obs/{key}": rows[:-1] for key, rows in parts.items()},
         **{f"next_obs/{key}": rows[1:] for key, rows in parts.items()},
         "actions": to_vector(demo.actions),
-        "rewards": np.where(last, demo.score, 0.0),
+        "rewards": rewards(demo),
         "dones": last.astype(np.int64),
         "states": np.concatenate([demo.qpos, demo.qvel], axis=1)[:-1],
     }

@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
-from magical_mj.demos.learning import environment_of, observations
+from magical_mj.demos.learning import environment_of, observations, rewards
 from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
@@ -135,17 +135,12 @@ def _fill(
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
     """The fields of Minari's episode buffer."""
     steps = len(demo.actions)
-    speeds = task_spec(demo.task).speeds
-    rewards = np.zeros(steps)
-    rewards[-1] = demo.score
-    if speeds:  # the suite's sparse reward is the score after each step
-        rewards = np.array([demo.rescored(step) for step in range(1, steps + 1)])
     return {
         "id": number,
         "seed": demo.scene_seed,
         "observations": observations(demo, preset),
-        "actions": demo.actions if speeds else demo.actions.astype(np.int64),
-        "rewards": rewards,
+        "actions": demo.actions if demo.actions.ndim == 2 else demo.actions.astype(np.int64),
+        "rewards": rewards(demo),
         "terminations": np.zeros(steps, bool),
         "truncations": np.arange(steps) == steps - 1,
         "infos": {"qpos": demo.qpos, "qvel": demo.qvel},
