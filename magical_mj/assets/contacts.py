@@ -54,18 +54,18 @@ class PhysicsSettings:
     impratio: float = 0.0813
     """Stiffness of friction relative to the normal direction; the original's friction yields under load."""
     friction_finger_block: float = 1.34
-    """2.5 in the original."""
+    """Friction of fingers with blocks; 2.5 in the original."""
     friction_finger_wall: float = 4.0
     friction_block: float = 0.19
-    """Of blocks with blocks and with the robot; 0.25 in the original."""
+    """Friction of blocks with blocks and with the robot; 0.25 in the original."""
     friction_wall: float = 0.4
-    """Of blocks and the robot with walls."""
+    """Friction of blocks and the robot with walls."""
     finger_impedance: float = 0.9939
     finger_damping: float = 1.16
     finger_stiffness: float = 1740.0
-    """The same three settings for contacts of fingers."""
+    """Impedance, damping and stiffness of contacts of fingers."""
     foot_impedance: float = 0.9999
-    """For contacts with the floor: the closer to 1, the less objects creep below their force cap."""
+    """Impedance of contacts with the floor: the closer to 1, the less objects creep below their force cap."""
     vertex_radius: float = 0.001
     """Radius of the sphere at a corner, world units."""
     edge_radius: float = 0.013
@@ -79,16 +79,16 @@ class PhysicsSettings:
     """Distance between drawn and collision surface, world units: the overlap that the original tolerates."""
     block_overlap: float = 0.0
     body_overlap: float = 0.00241
-    """The same for blocks and for the robot's body."""
+    """Overlap of blocks and of the robot's body, like `finger_overlap`."""
     debris_overlap: float = 0.0095
-    """The same for blocks lighter than `DEBRIS_MASS`. The original pushes them into objects as far as it tolerates."""
+    """Overlap of blocks lighter than `DEBRIS_MASS`. The original pushes them into objects as far as it tolerates."""
     dry_impedance: float = 0.99
-    """For the dry friction of the turning servo and of the blocks' rotation."""
+    """Impedance of the dry friction of the turning servo and of the blocks' rotation."""
     motor_impedance: float = 0.928
-    """For the dry friction between a finger and its motor."""
+    """Impedance of the dry friction between a finger and its motor."""
     limit_impedance: float = 0.9999
     limit_stiffness: float = 5000.0
-    """Both of the fingers' joint limits."""
+    """Impedance and stiffness of the limits of the fingers' joints."""
     finger_armature: float = 0.0142
     """Additional inertia (armature) of a finger's joint."""
     sway_damping: float = 0.15

@@ -29,7 +29,7 @@ def numbers(*values: float) -> str:
 
 
 def single(values: Iterable[float]) -> str:
-    """The same for numbers that MuJoCo stores in single precision."""
+    """Numbers that MuJoCo stores in single precision as an MJCF attribute, with the fewest digits."""
     smallest = float(np.finfo(np.float32).tiny)
     with np.errstate(all="ignore"):  # values may underflow
         return " ".join(str(np.float32(_readable(float(value), smallest))).removesuffix(".0") for value in values)
@@ -117,7 +117,7 @@ def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> 
 
 
 def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
-    """The same for the reference angle of a body with one hinge. The hinge has the body's name."""
+    """Writes the reference angle of a body with one hinge into a compiled model. The hinge has the body's name."""
     joint = index_of(model, "joint", name)
     model.body_quat[model.jnt_bodyid[joint]] = quaternion(angle)
     model.qpos0[model.jnt_qposadr[joint]] = angle
@@ -129,7 +129,7 @@ def parsed(text: str) -> Element:
 
 
 def elements(text: str) -> list[Element]:
-    """The same for text with several elements in sequence."""
+    """Parses MJCF text with several elements in sequence."""
     return list(parsed(f"<mujoco>{text}</mujoco>"))
 
 

@@ -184,7 +184,7 @@ def torque_caps(turn_torque: Floats, finger_torque: Floats, settings: PhysicsSet
 def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """Dry friction of the turning servo and the finger motors, and damping of the fingers' sway and of the castor.
 
-    Its damping makes the castor lag one substep behind the robot.
+    The castor's damping makes it lag one substep behind the robot.
     """
     caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque, settings)
     turns = "".join(

@@ -126,7 +126,7 @@ def rgba(rgb: Rgb) -> str:
 
 @cache
 def levels(rgb: Rgb) -> tuple[float, ...]:
-    """The same colour as in a compiled model: red, green, blue and alpha in [0, 1]."""
+    """A colour's values in a compiled model: red, green, blue and alpha in [0, 1]."""
     return tuple(map(float, rgba(rgb).split()))
 
 

@@ -145,7 +145,7 @@ def draw(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int,
 
 @cuda.jit
 def segment(tables: Any, corner_capacity: int, poses: Any, fingers: Any, view: int, envs: Any, out: Any) -> None:
-    """As `draw`, a segmentation: the value at each pixel's centre. `out` has the shape (all envs, size, size, 1)."""
+    """Draws a segmentation, like `draw`: the value at each pixel's centre. `out`: shape (all envs, size, size, 1)."""
     _, _, _, _, _, _, segments, _, _, _, _ = tables
     env, size = envs[cuda.blockIdx.x], out.shape[1]
     shapes, _, samples = placed(tables, corner_capacity, poses, fingers, view, env, size)
@@ -244,7 +244,7 @@ def launch(
 
     Args:
         tables: on the device, as all arrays.
-        faults: of the sensors; None: without any.
+        faults: the sensors' faults; None: without any.
         corner_capacity: see `draw`.
         posed: poses, fingers, and steps.
         view: one of `VIEWS` or `SEGMENTATIONS`.

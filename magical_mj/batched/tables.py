@@ -52,9 +52,9 @@ class Library(NamedTuple):
     """The corners of geoms. Shape (n, 2)."""
     arena: Rows
     blocks: list[list[Rows]]
-    """Of each shape and colour. The column BODY is 0."""
+    """The polygons of a block of each shape and colour. The column BODY is 0."""
     regions: list[tuple[int, int]]
-    """Of each colour: the palette's entries of fill and border."""
+    """For each colour of a region: the palette's entries of its fill and border."""
     robot: Rows
 
 

@@ -174,11 +174,11 @@ class Bars(Progress):
         super().__exit__(kind, error, trace)
 
     def stop(self) -> None:
-        """Like rich's, but without the empty line that it writes to a file or a pipe after bars that disappear."""
+        """Ends the bars as rich does, but writes no empty line to a file or a pipe after bars that disappear."""
         (self.live if self.live.transient else super()).stop()
 
     def make_tasks_table(self, tasks: Iterable[Work]) -> Table:
-        """The bars, without those of no work. A command that is refused shows none."""
+        """The table of the bars that have work, so that a command that is refused shows none."""
         return super().make_tasks_table([task for task in tasks if task.total != 0])
 
     def update(self, task_id: TaskID, **changes: Any) -> None:

@@ -39,7 +39,7 @@ AFTER: Final = "R again, N next scene, Esc quits"
 
 Wish = Literal["reset", "next", "discard", "quit"]
 
-LINES: Final = 3  # of text below the pictures
+LINES: Final = 3  # lines of text below the pictures
 LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
 FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses without a display
@@ -138,8 +138,8 @@ def watch(window: Window, env: Engine, actions: Iterable[int], line: str, size: 
 class Game:
     """Episodes that a person plays one after another. The clock of an episode starts with the first key.
 
-    A finished episode is saved in the folder, if there is one, at once: it is not lost if the window is closed. Of a
-    puzzle, goal and score are shown after the first episode.
+    A finished episode is saved in the folder, if there is one, at once: it is not lost if the window is closed. In a
+    puzzle, the goal and the score are shown after the first episode.
     """
 
     def __init__(self, env: Engine, task: str, seed: int, folder: Path | None, puzzle: Puzzle | None = None) -> None:
@@ -256,7 +256,7 @@ class Window:
         self._clock.tick(self._rate)
 
     def wish(self) -> Wish | None:
-        """The command since the last call, or of several the first in the order of `keys`. Also reads all keys."""
+        """The command since the last call; of several, the first in the order of `keys`. Reads all keys."""
         pygame = self._pygame
         keys: dict[int, Wish] = {
             pygame.K_ESCAPE: "quit",

@@ -50,7 +50,7 @@ ATTEMPTS: Final = 10
 REST: Final = 80
 """An expert's demonstration ends after this number of successive no-ops, or with the episode."""
 SHORT_REST: Final = 3
-"""The same number in tasks with speeds, such as SweepToTop."""
+"""`REST` in tasks with speeds, such as SweepToTop."""
 STRIDE: Final = 1_000_003
 """The increment of the expert's seed between attempts. It is large, so that demonstrations do not share seeds."""
 MAX_BYTES: Final = 100_000

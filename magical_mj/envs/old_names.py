@@ -30,7 +30,7 @@ def _size(sides: Any) -> Any:
 OLD_NAMES: Final[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {
     "debug_reward": ("reward", _dense),  # the original's
     "use_dense_reward": ("reward", _dense),  # x-magical's
-    "res_hw": ("image_size", _size),  # of both
+    "res_hw": ("image_size", _size),  # both packages'
 }
 """Argument of another package -> ours, and the function from its value to ours; None leaves ours out."""
 

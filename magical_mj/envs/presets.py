@@ -23,7 +23,7 @@ from magical_mj.utils.errors import check_name
 Layout = Literal["dict", "hwc", "chw", "state"]
 
 LONGEST_SENTENCE: Final = 400  # characters
-STATE_BOUND: Final = 1000.0  # of all entries of the state vector; in the longest episode, angles reach 100 rad
+STATE_BOUND: Final = 1000.0  # bound of all entries of the state vector; in the longest episode, angles reach 100 rad
 
 
 @dataclass(frozen=True)

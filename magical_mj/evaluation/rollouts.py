@@ -269,7 +269,7 @@ def _unchanged(engine: Engine | None) -> Iterator[None]:
     limit, state = engine.limit, engine.get_state()
     yield
     if (engine.limit, engine.get_state()) != (limit, state):
-        engine.limit = limit  # of later episodes as well
+        engine.limit = limit  # which later episodes would have as well
         raise StateError("the policy changed the episode in episode.env: let it try actions in episode.env.clone()")
 
 

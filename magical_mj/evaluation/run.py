@@ -36,7 +36,7 @@ STEPS_PER_WORKER: Final = 2000
 CHECKED: Final = 3
 """The number of finished episodes that a policy that is a Python object must repeat to be recognised, at most."""
 FIRST_EPISODES: Final = 10
-"""If the first planned episodes of a policy, this many, fail with the same type of error, the evaluation stops."""
+"""The evaluation stops if this number of a policy's first planned episodes fail with the same type of error."""
 
 
 def evaluate(

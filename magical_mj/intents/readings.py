@@ -16,7 +16,7 @@ from magical_mj.intents.relations import STAYED
 from magical_mj.scene import Scene
 
 SAME_PLACE: Final = 0.3
-"""Between the centres of a block and of the demonstrated one (world units), about the width of a block."""
+"""The largest distance between a block and the demonstrated one at the same place: about the width of a block."""
 READINGS: Final = ("same place", "same colour", "same shape", "nearest")
 ENDINGS: Final = ("intended", *READINGS, "another block", "incompetent", "nothing")
 """The kinds of endings of an episode; see `ending`."""

@@ -117,7 +117,7 @@ def spec_of(task: Task) -> TaskSpec:
     further = further_scenes(intent, rng, demo, task.demos - 1, contrasting=task.contrasting)
     return TaskSpec(
         name=task.name,
-        summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # as those of other tasks
+        summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # in the form of other tasks' summaries
         demo=demo,
         further_demos=tuple(further),
         steps=_horizon(intent, demo),

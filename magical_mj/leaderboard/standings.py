@@ -111,7 +111,7 @@ class Standing:
 
     @property
     def block(self) -> str:
-        """Its block in the tables, a key of `BLOCKS`."""
+        """The block that lists it, a key of `BLOCKS`."""
         if self.entry.rules == PUBLISHED_RULES:
             return "released"
         if self.entry.card.privileges is None:

@@ -88,7 +88,7 @@ class Apprenticeship(RewardLearner):
         return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
 
     def get_state(self) -> dict[str, Any]:
-        """Also the policy's latest features."""
+        """The state of the base class, and the policy's latest features."""
         own = {"batches": self._batches, "metrics": self._metrics, "latest": self._latest}
         return {**super().get_state(), **own}
 

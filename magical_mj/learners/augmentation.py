@@ -29,7 +29,7 @@ NOISE: Final = 0.01  # standard deviation, of values in [0, 1]; the paper's N(0,
 STATE_TRANSLATION: Final = 0.02  # for states: bound of the uniform draws along each axis, in units
 STATE_ROTATION: Final = 2.0  # for states: bound of the uniform draws, in degrees
 STATE_NOISE: Final = 0.01  # standard deviation, in units and radians, of poses and finger angles of the present state
-PAST_NOISE: Final = 0.2  # the same for the earlier states
+PAST_NOISE: Final = 0.2  # standard deviation of the same numbers in the earlier states
 """This noise is large, so that a policy cannot infer the last action from the latest movements and repeat it (de Haan
 et al., 2019: "Causal Confusion in Imitation Learning"). On demonstrations this would be right for four of five
 actions."""

@@ -207,7 +207,7 @@ class IQLearn(BehaviouralCloning):
         self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also the mean reward in the batch."""
+        """The loss of `iq_loss`, the logits, the actions, and the mean reward in the batch."""
         batch, following = successive(self._data, self._usable, self.settings.bc.batch_size, self._rng)
         actions, tasks = batch.actions.to(self.device), batch.tasks.to(self.device)
         logits = self._actor(self._augmented(batch.observations, self._noise_rng), tasks)
@@ -285,7 +285,7 @@ class Point(BehaviouralCloning):
             )
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Also returns the penalty, without its weight."""
+        """The loss with the penalty, the logits, the actions, and the penalty without its weight."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._rng)
         inputs = self._augmented(observations, self._noise_rng)
         actions, tasks = actions.to(self.device), tasks.to(self.device)

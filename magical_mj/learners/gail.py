@@ -71,7 +71,7 @@ class Adversarial(RewardLearner):
         """The discriminator's loss and metrics. The first half of the samples are the policy's."""
 
     def get_state(self) -> dict[str, Any]:
-        """Also the rollouts that later updates use again."""
+        """The state of the base class, and the rollouts that later updates use again."""
         earlier = self.settings.discriminator.rollouts - 1
         latest = self._latest[-earlier:] if earlier else []
         arrays = [{name: values.numpy() for name, values in rollout._asdict().items()} for rollout in latest]

@@ -22,9 +22,10 @@ MOST_PARAMETERS: Final = 50_000_000
 """The size limit of networks, 30 times the paper's. The weights take 200 MB, and training needs several times that."""
 
 BLOCKS: Final = slice(STATE_NAMES.index("block0.present"), STATE_NAMES.index("region0.present"))
-"""Columns of all blocks: for each present, x, y, angle, three velocities, four shapes, four colours."""
+"""The columns of all blocks. For each block: whether it is present, x, y, angle, three velocities, four shapes and four
+colours."""
 REGIONS: Final = slice(BLOCKS.stop, len(STATE_NAMES))
-"""Columns of all regions: for each present, x_min, y_min, x_max, y_max, four colours."""
+"""The columns of all regions. For each region: whether it is present, x_min, y_min, x_max, y_max and four colours."""
 SHAPES: Final = slice(7, 11)
 """The columns of a block with its shape."""
 COLOURS: Final = slice(11, 15)
@@ -37,8 +38,8 @@ would dominate as soon as they vary a little, as in the Jitter variant.
 """
 
 ENTITY_FEATURES: Final = 2 + 2 + 2 + 4 + 4 + 3 * (HISTORY - 1) + 2 + 1
-"""Of a block or a region: position and heading (sine and cosine) in the robot's frame, position, shape, colour,
-movements, half size, and 1 for a region. Features that do not apply are 0. The angle of a region is 0."""
+"""The number of features of a block or a region: position and heading (sine and cosine) in the robot's frame, position,
+shape, colour, movements, half size, and 1 for a region. Features that do not apply are 0, as is a region's angle."""
 ROBOT_FEATURES: Final = 6 + 5 * (HISTORY - 1)
 
 

@@ -155,7 +155,7 @@ class PPO:
         - S = mean entropy of the policy, with c2 = `ppo.entropy`.
 
         Args:
-            rewards: of all steps of the rollout, shape (steps, environments).
+            rewards: the rewards of all steps of the rollout, shape (steps, environments).
 
         Returns:
             The score, the means of the entropy and L_VF over all minibatches, and the last epoch's mean estimate of

@@ -148,7 +148,7 @@ class PPOSettings(Settings, part="ppo"):
 
 @dataclass(frozen=True)
 class DiscriminatorSettings(Settings, part="discriminator"):
-    """The discriminator's training in GAIL, WGAIL-GP and AIRL (the same table)."""
+    """The discriminator's training in GAIL, WGAIL-GP and AIRL (the table that `PPOSettings` names)."""
 
     steps: Annotated[Count, Meta(description="for each update of the policy")] = 12
     rollouts: Annotated[

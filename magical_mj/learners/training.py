@@ -36,7 +36,7 @@ class Progress:
     Attributes:
         update: the number of updates so far.
         updates: the number of updates of a whole training.
-        metrics: the learner's, means over the updates since the last report; empty between reports.
+        metrics: the means of the learner's metrics since the last report; empty between reports.
         scores: task -> mean score in the demo variant, after an evaluation; otherwise empty.
     """
 

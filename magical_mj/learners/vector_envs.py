@@ -29,7 +29,7 @@ class Step(NamedTuple):
     last: NDArray[Any]
     """The last observations of the episodes that have ended, in the same shape."""
     scores: NDArray[np.float64]
-    """Of the episodes that have ended."""
+    """The scores of the episodes that have ended."""
     broken: NDArray[np.bool_]
     """Which episodes ended because their state was no longer finite."""
 

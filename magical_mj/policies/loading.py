@@ -50,7 +50,7 @@ LEARNT: Final = {
 }
 """A field of `Source` about the policy's training -> its default, and where settings contain it: (table, name)."""
 CHECKS: Final = {"demonstration_set": check_set, "played_in": check_variants, "other_tasks": check_tasks}
-"""The same fields -> the function that checks a value."""
+"""A field of `LEARNT` -> the function that checks its value."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 TORCH: Final = (

@@ -79,7 +79,7 @@ class Canvases:
 
     def __init__(self) -> None:
         self._idle: list[Canvas] = []
-        self._process = 0  # that has drawn
+        self._process = 0  # the process that has drawn
 
     def draw(self, job: Callable[[Canvas], T]) -> T:
         """Calls a function with a canvas while its context is current, and returns the result.
@@ -196,7 +196,7 @@ class OpenGLRenderer:
         pixels = scratch(side)[0].view(np.uint8).reshape(side, side, 4)
         CANVASES.draw(partial(self._read, pixels))
         if self._lit:  # averaged twice, for smooth slanted edges
-            pixels[..., 3][pixels[..., 3] > 0] = 255  # of translucent geoms
+            pixels[..., 3][pixels[..., 3] > 0] = 255  # it is lower where geoms are translucent
             twice = np.empty((2 * size, 2 * size, 3), np.uint8)
             on_white(pixels, twice)
             picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2

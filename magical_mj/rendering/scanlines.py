@@ -132,7 +132,7 @@ def place(scene: Any, polygon: int, frames: Any, view: Any, side: int, x: Any, y
         scene: the table of polygons, whose columns are `FIRST`..`IS_SKIN`; corners of geoms; corners of skins.
         polygon: its row of the table.
         frames: x, y, cosine and sine of the angle of each body, shape (n, 4).
-        view: the same of the camera, and the steps of the grid per world unit.
+        view: x, y, cosine and sine of the camera, and the steps of the grid per world unit.
         side: samples per side of the picture.
         x: the array to write x to (to the right).
         y: the array to write y to (upwards).
@@ -316,7 +316,7 @@ def view_from(camera: Any, visible: float, side: int) -> Any:
 def draw_posed(
     scene: Any, frames: Any, visible: float, scratch: Any, palette: Any, colours: Any, pairs: Any, out: Any
 ) -> None:
-    """As `draw_picture`, of bodies with these frames. The last frame is the camera's, and `visible` its square's side.
+    """Draws a picture of bodies with these frames. The last frame is the camera's, and `visible` its square's side.
 
     The column SOURCE of the table is the polygon's entry of the palette, 0xAABBGGRR.
     """
@@ -361,6 +361,6 @@ def draw_segments(scene: Any, poses: Any, view: Any, scratch: Any, segments: Any
 
 @compiled(f"void({_SCENE}, f8[:, ::1], f8, {_SCRATCH}, i8[::1], u1[:, :])")
 def segment_posed(scene: Any, frames: Any, visible: float, scratch: Any, segments: Any, out: Any) -> None:
-    """As `draw_segments`, of bodies with these frames, see `draw_posed`."""
+    """Draws segments, as `draw_segments` does, of bodies with these frames; see `draw_posed`."""
     paint(scene, segments, frames, view_from(frames[-1], visible, len(out)), len(out), scratch)
     put_segments(scratch[0], out)

@@ -159,7 +159,7 @@ def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
 def _convex_parts(
     points: bytes, triangles: bytes, quaternion: bytes, position: bytes
 ) -> list[NDArray[np.float64]] | None:
-    """As `_parts`, of the mesh's vertices and faces and the geom's pose. None if it is not flat."""
+    """The convex polygons of a mesh at the geom's pose, see `_parts`. None if it is not flat."""
     from magical_mj.rendering.scanlines import MAX_CORNERS
 
     turned = np.empty(9)

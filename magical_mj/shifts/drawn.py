@@ -219,7 +219,7 @@ class Sensor(Shift):
 
     @property
     def amount(self) -> float:
-        """Its entry of `AMOUNTS`."""
+        """The size of the fault in this episode, from `AMOUNTS`."""
         return AMOUNTS[self.fault][int(self.values["grade"]) - 1] if self.fault >= 0 else 0
 
     @cached_property

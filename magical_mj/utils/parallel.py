@@ -160,7 +160,7 @@ def _map_locally(function: Callable[[Item], Any], items: Sequence[Item], jobs: i
 def _map_on_dask(
     function: Callable[[Item], Any], items: Sequence[Item], jobs: int | None, address: str | None
 ) -> Generator[Any]:
-    """As `map_unordered`, on a cluster, with at most `jobs` items at the same time; None: all items."""
+    """`map_unordered` on a cluster, with at most `jobs` items at the same time; None: all items."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
 
@@ -224,7 +224,7 @@ class Pool:
         return self.submit_pickled(cloudpickle.dumps(function), item)
 
     def submit_pickled(self, function: bytes, item: Any) -> Future[Any]:
-        """Like `submit`, with a pickled function. It is sent to a worker only if it is not the worker's last one."""
+        """Submits a pickled function, as `submit` does. A worker that has it already does not receive it again."""
         return self._threads.submit(_do, self._idle, function, item)
 
     def finish(self) -> None:

@@ -122,7 +122,7 @@ def _check_choice(name: str, value: Any, plain: Any) -> None:
 
 @lru_cache
 def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
-    """All settings by name, in order. Those of parts are called ``part.name``."""
+    """All settings by name, in order. A setting of a part has a name such as ``ppo.clip``."""
     known: dict[str, Setting] = {}
     types = get_type_hints(settings)
     for item in fields(settings):

@@ -76,7 +76,7 @@ def fetched(package: Package, cache: Path | None = None) -> Path:
     """
     cache = cache or cache_folder() / "npm"
     folder = cache / "node_modules" / package.name
-    mark = folder / ".sha512"  # of the archive that was unpacked there
+    mark = folder / ".sha512"  # the hash of the archive that was unpacked there
     if mark.exists() and mark.read_text() == package.sha512:
         return folder
     if shutil.which("npm") is None:

@@ -100,7 +100,7 @@ def _can_have(task: str, shift: str) -> bool:
 
 
 def _merged(seeds: Set[range]) -> list[range]:
-    """The same seeds as ranges that do not overlap. Ranges overlap if several folders hold parts of a run."""
+    """Ranges of seeds without overlaps. They overlap if several folders hold parts of a run."""
     merged: list[range] = []
     for part in sorted(seeds, key=lambda part: part.start):
         if merged and part.start <= merged[-1].stop:

@@ -345,7 +345,7 @@ def published_by_environment(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
 
 
 def published_by_variant(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
-    """The same over some tasks, with the columns of `statistics.by_variant`. Over all tasks, they are as printed."""
+    """The published results over some tasks, with the columns of `statistics.by_variant`; over all, as printed."""
     import pandas as pd
 
     rows = []

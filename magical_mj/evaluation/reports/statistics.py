@@ -169,7 +169,7 @@ def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> flo
 
     Args:
         first: environment -> a mean score, or the mean scores of several runs.
-        second: the same for the other method.
+        second: the scores of the other method, in the same form.
 
     Returns:
         A number in [-1, 1]. NaN if one of the methods has the same score everywhere, or if there are fewer than two

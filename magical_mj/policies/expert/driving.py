@@ -24,7 +24,7 @@ from magical_mj.shifts.episode import EpisodeShifts
 
 Point = tuple[float, float]
 
-DELAY_PROBABILITY: Final = 0.25  # of a delay by one action
+DELAY_PROBABILITY: Final = 0.25  # probability of a delay by one action
 HESITATION: Final = 4  # actions: pauses are shorter than this
 AIM: Final = 0.19  # rad; one action turns by 0.31, so that smaller errors cannot be corrected
 FACE: Final = 0.6  # rad; with a larger error the robot turns without driving

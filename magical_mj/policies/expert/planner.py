@@ -27,7 +27,7 @@ from magical_mj.variants import check_seed
 BUDGET: Final = 300  # simulated steps per step of the episode; then no new plan is started
 CANDIDATES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
-COST_NOISE: Final = 5.0  # the same for its cost after a trial
+COST_NOISE: Final = 5.0  # actions: the largest change by noise of a manoeuvre's cost after a trial
 NOISE_GROWTH, DELAY_DECAY = 1.5, 0.7  # factors of noise and of delays after each failed plan
 ROUND: Final = 3  # the noise restarts from 1 after this number of plans, because too much noise only gives bad plans
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
