@@ -55,10 +55,10 @@ class SpeedsEnv(MagicalEnv):
         body: one of `magical_mj.scene.bodies.BODIES`.
         variant: one of the task's variants.
         observation: "State" or "Pixels".
-        view: "Allo" or "Ego": of pictures, and of what `render` draws.
+        view: "Allo" or "Ego", the view of pictures, and of what `render` draws.
         reward: "sparse", at every step the score if the episode ended now, or "dense", as in `magical_mj.MagicalEnv`.
         render_view: the view of `render` instead: "ego", "allo", "both" or "scene".
-        settings: others of `magical_mj.MagicalEnv`, such as `image_size`, `rules`, `renderer` and `shifts`.
+        settings: other arguments of `magical_mj.MagicalEnv`, such as `image_size`, `rules`, `renderer` and `shifts`.
     """
 
     @with_old_names
