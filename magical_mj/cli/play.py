@@ -81,7 +81,7 @@ def play(
 
     With --guess, you watch two demonstrations of TASK, an intent, or of a random one. Then you do the same in VARIANT.
 
-    With --web, you play in a browser, on this machine or through ssh -L on another one. The options below --web need it.
+    With --web, you play in a browser, on this machine or through ssh -L on another one. The options below it need it.
     """
     check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer", "guess")
     check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "study", "host", "port", "origin")
