@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
 from magical_mj.envs.wrappers import check_id
-from magical_mj.scene.actions import ACTIONS, as_array, tensor_hint
+from magical_mj.scene.actions import as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
 from magical_mj.variants import check_seed
@@ -46,7 +46,16 @@ def make_vec(
     Example:
         >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
         >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
+
+    Raises:
+        SettingsError: for `vectorization_mode`, which is an argument of `gymnasium.make_vec`, and for the reasons given
+            by `make_vector`.
     """
+    if "vectorization_mode" in settings:
+        raise SettingsError(
+            "magical_mj.make_vec makes the vector environment on all cores: for another one, call "
+            "gymnasium.make_vec(id, ..., vectorization_mode=...)"
+        )
     if isinstance(environment, str) and environment in gymnasium.registry:
         id_ = environment
         settings |= {name: value for name, value in (("variant", variant), ("preset", preset)) if value is not None}
@@ -94,14 +103,20 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     `call("set_state", state)` then restores a state, the episode continues from this state. Copies and pickles have
     their own environments, in the same states.
 
+    If a subclass has a `step` or `reset` of its own, it is called, as in `SyncVectorEnv`.
+
     Args:
-        envs: the environments, with equal spaces.
+        envs: the environments, with equal spaces. Each may occur once, and has no wrapper.
         threads: the number of threads; None: one for each core.
         autoreset_mode: when an environment starts a new episode after the end of one.
 
     Attributes:
         envs: the environments.
         autoreset_mode: a `gymnasium.vector.AutoresetMode`.
+
+    Raises:
+        SettingsError: for an unknown mode, or if the environments have wrappers, different or nested spaces, or occur
+            twice.
     """
 
     def __init__(
@@ -115,9 +130,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         except ValueError:
             names = ", ".join(f"gymnasium.vector.{mode}" for mode in AutoresetMode)
             raise SettingsError(f"autoreset_mode must be one of {names}, not {short_repr(autoreset_mode)}") from None
-        self.envs, self.num_envs = list(envs), len(envs)
+        self.envs, self.num_envs = _checked_envs(envs), len(envs)
+        self._is_own = [_is_own(env) for env in self.envs]
+        self._ended = np.zeros(self.num_envs, np.bool_)  # the episodes of users' own environments
+        self._instructions = dict[int, str]()  # of users' own environments
+        self._views: list[Any] | None = None
         self._spec: EnvSpec | None = None
-        first = envs[0]
+        first = self.envs[0]
         self.metadata = {**first.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = first.render_mode
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
@@ -183,14 +202,16 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         known = check_options(options, "reset_mask", *STARTS)
         mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), environment_seeds(seed, self.num_envs)
         start = {name: known[name] for name in STARTS if name in known}
-        rows = self._rows()
+        rows, before = self._rows()
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
 
         def reset(index: int) -> None:
-            env = self.envs[index]
             if mask[index]:
-                infos[index] = env.reset(seed=seeds[index], options=start)[1]
-            env.observe(rows[index])
+                infos[index] = self._reset(index, rows[index], seed=seeds[index], options=start)
+            elif before is not None and self._is_own[index]:
+                self._put(index, before[index], rows[index])
+            else:
+                self.envs[index].observe(rows[index])
 
         self.each_environment(reset)
         return self._with_instructions(), self._batched(infos)
@@ -214,32 +235,50 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         numbers = self._checked(actions)
-        over = [env.over for env in self.envs]
+        over = [self._ended[index] or env.over for index, env in enumerate(self.envs)]
         if self.autoreset_mode != AutoresetMode.NEXT_STEP and any(over):
             raise ResetNeeded("episodes have ended: reset these environments with options={'reset_mask': ...}")
-        rows = self._rows()
-        rewards, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
+        rows, _ = self._rows()
+        rewards, terminated, truncated = np.zeros(self.num_envs), *np.zeros((2, self.num_envs), np.bool_)
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
         final: dict[int, dict[str, Any]] = {}
         same_step = self.autoreset_mode == AutoresetMode.SAME_STEP
 
         def step(index: int) -> None:
-            env = self.envs[index]
+            env, row = self.envs[index], rows[index]
             if over[index]:  # only in the mode NEXT_STEP
-                infos[index] = env.reset()[1]
+                infos[index] = self._reset(index, row)
+                return
+            if self._is_own[index]:
+                seen, *outcome = env.step(numbers[index])
+                self._put(index, seen, row)
             else:
-                last = env.advance(numbers[index])
-                rewards[index], _, ended[index], infos[index] = env.outcome(last=last)
-                if last and same_step:
-                    final[index] = {"final_obs": env.observe(), "final_info": infos[index]}
-                    infos[index] = env.reset()[1]
-            env.observe(rows[index])
+                outcome = env.outcome(last=env.advance(numbers[index]))
+                env.observe(row)
+            rewards[index], terminated[index], truncated[index], infos[index] = outcome
+            ended = bool(terminated[index] or truncated[index])
+            self._ended[index] = ended and self._is_own[index]
+            if ended and same_step:
+                seen = seen if self._is_own[index] else env.observe()
+                final[index] = {"final_obs": seen, "final_info": infos[index]}
+                infos[index] = self._reset(index, row)
 
         self.each_environment(step)
         batched: dict[str, Any] = {}
         for index in sorted(final):
             batched = self._add_info(batched, final[index], index)
-        return self._with_instructions(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
+        return self._with_instructions(), rewards, terminated, truncated, {**self._batched(infos), **batched}
+
+    def _reset(self, index: int, row: Any, **arguments: Any) -> dict[str, Any]:
+        """Resets an environment, writes its observation into `row`, and returns its info."""
+        env = self.envs[index]
+        seen, info = env.reset(**arguments)
+        if self._is_own[index]:
+            self._put(index, seen, row)
+        else:
+            env.observe(row)
+        self._ended[index] = False
+        return info
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """The attribute of this name of each environment. Methods are called with these arguments."""
@@ -294,29 +333,46 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _checked(self, actions: Any) -> list[Any]:
         """Converts the actions for the environments. All are checked before any environment is stepped."""
-        rows = as_array(actions)
-        if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
-            return [self.envs[0].to_action(row) for row in rows]
-        fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
-        if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
+        rows, space = as_array(actions), self.single_action_space
+        fitting = rows.ndim == len(space.shape or ()) + 1 and len(rows) == self.num_envs
+        if isinstance(space, spaces.Discrete):
+            fitting = fitting and rows.dtype.kind in "iu" and rows.min() >= 0 and rows.max() < space.n
+        if not fitting:
             raise InvalidActionError(
-                f"actions must be {self.num_envs} values of {self.single_action_space}, one for each environment, "
+                f"actions must be {self.num_envs} values of {space}, one for each environment, "
                 f"not {short_repr(actions)}{tensor_hint(actions)}"
             )
-        return rows.tolist()
+        each = zip(rows.tolist() if rows.ndim == 1 else rows, self.envs, self._is_own, strict=True)
+        return [row if own else env.to_action(row) for row, env, own in each]
 
-    def _rows(self) -> list[Any]:
-        """Makes fresh arrays for the observations, and returns each environment's views into them."""
+    def _rows(self) -> tuple[list[Any], list[Any] | None]:
+        """Makes fresh arrays for observations. Returns each environment's views into them, and into the last ones."""
+        before = self._views
         self._observations: Any = create_empty_array(self.single_observation_space, self.num_envs, np.empty)
-        if not isinstance(self._observations, dict):
-            return list(self._observations)
-        arrays = {name: part for name, part in self._observations.items() if isinstance(part, np.ndarray)}
-        return [dict(zip(arrays, column, strict=True)) for column in zip(*arrays.values(), strict=True)]
+        if isinstance(self._observations, dict):
+            arrays = {name: part for name, part in self._observations.items() if isinstance(part, np.ndarray)}
+            columns = zip(*arrays.values(), strict=True)
+            self._views = [dict(zip(arrays, column, strict=True)) for column in columns]
+        else:
+            self._views = list(self._observations)
+        return self._views, before
+
+    def _put(self, index: int, observation: Any, row: Any) -> None:
+        """Copies the observation that a user's own environment returned into its row."""
+        if not isinstance(row, dict):
+            np.copyto(row, observation)
+            return
+        for name, part in row.items():
+            np.copyto(part, observation[name])
+        if "instruction" in observation:
+            self._instructions[index] = observation["instruction"]
 
     def _with_instructions(self) -> Any:
         """The batched observations. Instructions are text instead of arrays, and are added here."""
         if isinstance(self._observations, dict) and "instruction" in self._observations:
-            self._observations["instruction"] = tuple(env.instruction for env in self.envs)
+            own = self._instructions
+            sentences = (own.get(index, env.instruction) for index, env in enumerate(self.envs))
+            self._observations["instruction"] = tuple(sentences)
         return self._observations
 
     def each_environment(self, do: Callable[[int], None]) -> None:
@@ -343,7 +399,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _batched(self, infos: Sequence[dict[str, Any] | None]) -> dict[str, Any]:
         """The infos in Gymnasium's format: an array for each key, and a mask of the environments that have the key."""
         known = [info for info in infos if info is not None]
-        if len(known) < self.num_envs:
+        nested = any(isinstance(value, dict) for value in known[0].values()) if known else False
+        if nested or len(known) < self.num_envs or any(info.keys() != known[0].keys() for info in known):
             batched: dict[str, Any] = {}
             for index, info in enumerate(infos):
                 batched = self._add_info(batched, info or {}, index)
@@ -351,6 +408,40 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         types = {key: object if isinstance(value, str) else None for key, value in known[0].items()}
         arrays = {key: np.array([info[key] for info in known], dtype) for key, dtype in types.items()}
         return arrays | {f"_{key}": np.ones(self.num_envs, np.bool_) for key in arrays}
+
+
+def _is_own(env: MagicalEnv) -> bool:
+    """Whether `step` or `reset` is a user's own method. Such methods may change whatever they return."""
+    functions = (getattr(method, "__func__", None) for method in (env.step, env.reset))
+    return not all(getattr(function, "__module__", "").startswith("magical_mj.") for function in functions)
+
+
+def _checked_envs(envs: Sequence[Any]) -> list[MagicalEnv]:
+    """The environments. Raises a `SettingsError` unless they can be stepped together."""
+    if not envs:
+        raise SettingsError("a vector environment needs at least one environment")
+    for env in envs:
+        if not isinstance(env, MagicalEnv):
+            raise SettingsError(
+                f"VectorEnv takes environments such as magical_mj.MagicalEnv(...), not {short_repr(env)}: "
+                "gymnasium.vector.SyncVectorEnv takes any, also with wrappers"
+            )
+    if len({id(env) for env in envs}) < len(envs):
+        raise SettingsError("an environment occurs twice: make one for each place, or copy it with clone()")
+    first = envs[0]
+    for env in envs[1:]:
+        for what in ("observation_space", "action_space"):
+            if getattr(env, what) != getattr(first, what):
+                both = f"{short_repr(getattr(first, what))} and {short_repr(getattr(env, what))}"
+                raise SettingsError(f"the environments differ in the {what}: {both}")
+    space = first.observation_space
+    parts = space.spaces.values() if isinstance(space, spaces.Dict) else (space,)
+    if not all(isinstance(part, spaces.Text) or (isinstance(part, spaces.Box) and part.shape) for part in parts):
+        raise SettingsError(
+            f"observations must be an array or a dict of arrays, not {short_repr(space)}: use "
+            "gymnasium.vector.SyncVectorEnv"
+        )
+    return list(envs)
 
 
 def environment_seeds(seed: Any, count: int) -> list[int | None]:

@@ -278,6 +278,83 @@ def test_gymnasiums_wrappers_see_no_difference(wrap: Callable[..., Any]) -> None
     assert_same(*traces)
 
 
+class Ends(magical_mj.MagicalEnv):
+    """Rewards each step, and ends its episodes with an info of its own."""
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        observation, _, _, truncated, info = super().step(action)
+        ended = self.engine.steps == 2 + self.engine.seed % 2
+        return observation, 1.0, ended, truncated, info | ({"ends": {"at": self.engine.steps}} if ended else {})
+
+
+class Dims(magical_mj.MagicalEnv):
+    """Changes the first observation, and says another sentence."""
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        observation, info = super().reset(**arguments)
+        changed = {name: part if isinstance(part, str) else part // 2 for name, part in observation.items()}
+        return changed | {"instruction": "look closely"}, info
+
+
+class Hurries(magical_mj.MagicalEnv):
+    """Has five actions."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.action_space = gymnasium.spaces.Discrete(5)
+
+    def to_action(self, action: Any) -> Any:
+        return 4 * action
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("kind", [Ends, Dims, Hurries])
+def test_methods_of_a_subclass_are_called_as_in_gymnasiums_vector(kind: type, mode: AutoresetMode) -> None:
+    limit = 40 if kind is Ends else 4
+    settings: dict[str, Any] = {"task": "MoveToRegion", "variant": "Layout", "limit": limit, "renderer": "software"}
+    if kind is Dims:
+        settings |= {"preset": "LoResFingers", "instruction": True, "image_size": 16}
+    ours = VectorEnv([kind(**settings) for _ in range(3)], 2, mode)
+    theirs = gymnasium.vector.SyncVectorEnv([lambda: kind(**settings)] * 3, autoreset_mode=mode)
+    assert_same(ours.reset(seed=4), theirs.reset(seed=4))
+    for row in np.random.default_rng(0).integers(5, size=(9, 3)):
+        step = ours.step(row)
+        assert_same(step, theirs.step(row))
+        if mode == AutoresetMode.DISABLED and (ended := step[2] | step[3]).any():
+            options = {"reset_mask": ended}
+            assert_same(ours.reset(options=options), theirs.reset(options={"reset_mask": ended.copy()}))
+    for envs in (ours, theirs):
+        envs.close()
+
+
+def test_environments_that_cannot_be_stepped_together_are_refused() -> None:
+    env = magical_mj.MagicalEnv("MoveToRegion", preset="State")
+    for wrong, why in (
+        ([], "at least one"),
+        ([env, env], "occurs twice"),
+        ([env, magical_mj.MagicalEnv("MoveToRegion")], "differ in the observation_space"),
+        ([env, magical_mj.MagicalEnv("MoveToRegion", preset="State", action="continuous")], "the action_space"),
+        ([gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")], "SyncVectorEnv takes any, also with wrappers"),
+    ):
+        with pytest.raises(SettingsError, match=why):
+            VectorEnv(wrong)
+    with pytest.raises(SettingsError, match=r"call gymnasium\.make_vec\(id"):
+        magical_mj.make_vec("MoveToRegion", 2, vectorization_mode="sync")
+
+
+def test_each_environment_converts_its_own_form_of_action() -> None:
+    forms = [magical_mj.MagicalEnv("FindDupe", preset="State", action=form) for form in ("continuous", "speeds")]
+    envs = VectorEnv([env.clone() for env in forms])
+    envs.reset(seed=1)
+    slow = np.array([[0.3, 0.0, -1.0]] * 2, np.float32)  # too slow to count as a number, but a speed
+    for index, env in enumerate(forms):
+        env.reset(seed=1 + index)
+        env.step(slow[index])
+    envs.step(slow)
+    assert [env.scene for env in envs.envs] == [env.scene for env in forms]
+    assert forms[0].scene.robot.pose == pytest.approx(forms[0].initial_scene.robot.pose)
+
+
 def test_its_attributes_are_those_of_gymnasiums_vector() -> None:
     ours, theirs = (made(kind, render_mode="rgb_array", render_size=16) for kind in ("vector_entry_point", "sync"))
     for envs in (ours, theirs):
