@@ -39,6 +39,7 @@ from magical_mj.protocol import PROTOCOL
 from magical_mj.rendering.picture import Picture
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, task_spec, variant_name
 from magical_mj.utils.errors import DemonstrationError
@@ -85,7 +86,7 @@ class Recorder:
 
         Raises:
             StateError: if the episode is over.
-            DemonstrationError: if the engine was reset or stepped without this recorder.
+            DemonstrationError: if the engine was reset, stepped or changed without this recorder.
             InvalidActionError: if the action is not one of the 18.
         """
         self._check_complete()
@@ -119,8 +120,8 @@ class Recorder:
 
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.
-            DemonstrationError: if the episode did not begin in the scene of a seed, if the engine was reset or stepped
-                without this recorder, or if it has shifts that demonstrations cannot have.
+            DemonstrationError: if the episode did not begin in the scene of a seed, if the engine was changed without
+                this recorder, or if it has shifts, or values of shifts, that demonstrations cannot have.
         """
         env = self._env
         self._check_complete()
@@ -130,6 +131,11 @@ class Recorder:
             )
         task, shifts = task_name(env.task), shift_label(env.shifts)
         check_physical(shifts)
+        if env.draws != draw_shifts(env.shifts, env.seed):
+            raise DemonstrationError(
+                "this episode cannot become a demonstration: the values of its shifts are not those of its seed, from "
+                "which they are drawn again; leave out draws in reset"
+            )
         positions, velocities = self.states()
         return Demonstration(
             task=task,
@@ -146,9 +152,12 @@ class Recorder:
         )
 
     def _check_complete(self) -> None:
-        if self._env.steps != len(self._actions):
+        env = self._env
+        if env.steps != len(self._actions) or not (
+            np.array_equal(env.data.qpos, self._positions[-1]) and np.array_equal(env.data.qvel, self._velocities[-1])
+        ):
             raise DemonstrationError(
-                "the environment was reset or stepped without the recorder: create a new one after each reset"
+                "the environment was reset, stepped or changed without the recorder: create a new one after each reset"
             )
 
 

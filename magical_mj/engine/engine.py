@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -21,6 +22,7 @@ from magical_mj.shifts.shift import overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import ClosedError, PhysicsError, SettingsError, StateError
+from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
 
@@ -43,14 +45,7 @@ class Engine:
         speeds: whether vectors of x-magical's speeds are also actions (`magical_mj.assets.robot.speed_signal`).
 
     Attributes:
-        setup: task, variant, rules and body, and the properties that follow from them.
-        task: the task; None for plain scenes.
-        variant: the variant.
-        rules: the rules of score and horizon.
-        seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
-        horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
         limit: the largest number of actions in an episode of this engine: the horizon, or fewer.
-        shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
         UnknownNameError: for an unknown task, variant or rules, or if the task does not have the variant.
@@ -83,7 +78,7 @@ class Engine:
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
         self._construct(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
-        self.seed = seed
+        self._seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
@@ -99,18 +94,50 @@ class Engine:
         scene: Scene,
         episode_shifts: EpisodeShifts,
         renderer: str | None,
-        strengths: dict[str, int],
+        strengths: Mapping[str, int],
     ) -> None:
         """Initialises the engine at the start of an episode with this scene and these shifts."""
         check_renderer(renderer)
-        self.setup = setup
-        self.task, self.variant = setup.task, setup.variant
-        self.rules: Rules = setup.rules
-        self.horizon = self.limit = setup.horizon
+        self._setup, self._shifts = setup, FrozenDict(strengths)
+        self.limit = setup.horizon
         self._simulation: Simulation | None = Simulation.of(scene, renderer, episode_shifts, setup)
-        self.shifts = strengths
-        self.seed: int | None = None
+        self._seed: int | None = None
         self._broken = False
+
+    @property
+    def setup(self) -> Setup:
+        """Task, variant, rules and body, and the properties that follow from them."""
+        return self._setup
+
+    @property
+    def task(self) -> str | None:
+        """The task; None for plain scenes."""
+        return self._setup.task
+
+    @property
+    def variant(self) -> str:
+        """The variant."""
+        return self._setup.variant
+
+    @property
+    def rules(self) -> Rules:
+        """The rules of score and horizon."""
+        return self._setup.rules
+
+    @property
+    def seed(self) -> int | None:
+        """The seed of the current episode's scene; None if the scene was not drawn from a seed."""
+        return self._seed
+
+    @property
+    def horizon(self) -> int | None:
+        """The number of actions of an episode; None if it never ends, as in plain scenes."""
+        return self._setup.horizon
+
+    @property
+    def shifts(self) -> Mapping[str, int]:
+        """The strengths of the shifts by name, without `body`."""
+        return self._shifts
 
     @property
     def simulation(self) -> Simulation:
@@ -194,7 +221,7 @@ class Engine:
         start = self.setup.scene_and_shifts(self.shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
         simulation.start(*start)
-        self.seed, self._broken = seed, False
+        self._seed, self._broken = seed, False
 
     def step(self, action: Any) -> bool:
         """Executes one action of 1/8 s. Returns whether the episode has ended.
@@ -286,7 +313,7 @@ class Engine:
             start = self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
             simulation.start(*start)
-            self.seed = None
+            self._seed = None
         simulation.resume(state)
         self._broken = False
 
@@ -338,7 +365,7 @@ class Engine:
 
 def restored(
     setup: Setup,
-    shifts: dict[str, int],
+    shifts: Mapping[str, int],
     seed: int | None,
     state: State,
     broken: bool,
@@ -349,5 +376,5 @@ def restored(
     engine = Engine.__new__(Engine)
     engine._construct(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
-    engine.seed, engine._broken, engine.limit = seed, broken, limit
+    engine._seed, engine._broken, engine.limit = seed, broken, limit
     return engine

@@ -18,6 +18,7 @@ from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, as_integer, short_repr
+from magical_mj.utils.frozen import FrozenDict, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,13 @@ class State:
     draws: Draws = field(default_factory=dict[str, dict[str, float]])
     commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]])
     trajectory: tuple[Scene, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Freezes the mappings, which a state would otherwise share with whoever made it."""
+        for name in ("frames", "draws", "commands"):
+            value = getattr(self, name)
+            if isinstance(value, Mapping) and not isinstance(value, FrozenDict):
+                object.__setattr__(self, name, frozen(value))
 
     def __eq__(self, other: object) -> bool:
         """Whether both episodes are in exactly the same state. Frames are not compared: they follow from the rest."""

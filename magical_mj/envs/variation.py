@@ -36,9 +36,6 @@ class VariationSpace(spaces.Dict):
 
     Args:
         engine: an engine of the task.
-
-    Attributes:
-        default: the variation of the task's demo scene without shifts.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -66,9 +63,13 @@ class VariationSpace(spaces.Dict):
         }
         super().__init__({"seed": spaces.Discrete(MAX_SEED), "scene": spaces.Dict(scene), **axes})
         demo = task_spec(str(engine.task)).demo
-        self.default = self.values_of(
-            replace(demo, robot=replace(demo.robot, body=engine.initial_scene.robot.body)), {}, 0
-        )
+        self._demo = replace(demo, robot=replace(demo.robot, body=engine.initial_scene.robot.body))
+        self.values_of(self._demo, {}, 0)  # fail early
+
+    @property
+    def default(self) -> Variation:
+        """The variation of the task's demo scene without shifts, as a new dict."""
+        return self.values_of(self._demo, {}, 0)
 
     def values_of(self, scene: Scene, draws: Draws, seed: int) -> Variation:
         """The variation of an episode. Raises an `InvalidSceneError` if its scene has more objects than the space."""

@@ -18,6 +18,7 @@ from magical_mj.shifts.registry import SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
+from magical_mj.utils.frozen import frozen
 from magical_mj.utils.imports import errors_of_task, with_location
 
 SURROUNDINGS: Final = (231, 231, 234)
@@ -47,7 +48,7 @@ class EpisodeShifts:
     """
 
     def __init__(self, draws: Draws = MappingProxyType({})) -> None:
-        self.draws = {name: dict(values) for name, values in draws.items()}
+        self.draws: Draws = frozen(draws)
         self._shifts = {name: shift_class(name)(values) for name, values in self.draws.items()}
         self._with_action, self._with_picture, self._with_ground = map(self._with, ("action", "picture", "ground"))
         self._ground: tuple[float, Picture] | None = None

@@ -31,6 +31,7 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward
 from magical_mj.utils import errors
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
+from magical_mj.utils.frozen import frozen
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """View -> the name of its camera in the compiled tree, if the two differ."""
@@ -46,19 +47,21 @@ class Settings:
     """The arguments of `load` or `load_scene`, checked."""
 
     setup: Setup
-    strengths: dict[str, int]
+    strengths: Mapping[str, int]
     observations: Sequence[str]
     image_size: int
     reward: Reward
     renderer: str | None
 
     def __post_init__(self) -> None:
-        """Checks the names."""
+        """Checks the names, and copies what the caller may change."""
         names = self.observations
         if not isinstance(names, list | tuple):
             raise SettingsError(f'observations must be a list or tuple of names, ("ego",), not {short_repr(names)}')
         for name in names:
             check_name("observation", name, OBSERVATIONS)
+        object.__setattr__(self, "observations", tuple(names))
+        object.__setattr__(self, "strengths", frozen(self.strengths))
         check_name("reward", self.reward, REWARDS)
         if self.setup.task is not None:
             task_spec(self.setup.task).check_reward(self.reward)
