@@ -27,7 +27,8 @@ from magical_mj.envs.vector import check_mask, environment_seeds
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.shifts.registry import DRAWN, Shifts, parse_shifts
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import DRAWN, Shifts, parse_shifts, shift_label
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import (
@@ -140,6 +141,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
         self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
+
+    @property
+    def conditions(self) -> list[dict[str, Any]]:
+        """For each environment, the properties that results record; see `MagicalEnv.conditions`."""
+        kind = self._kind
+        common = {"rules": kind["rules"], "body": GRIPPER, "shift": shift_label(kind["shifts"]), "worlds": "batched"}
+        names = (name.rpartition("-") for name in kind["environments"])
+        return [{"task": task, "variant": variant, "preset": kind["preset"], **common} for task, _, variant in names]
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None

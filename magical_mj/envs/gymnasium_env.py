@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
 from magical_mj.envs.old_names import with_old_names
-from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
+from magical_mj.envs.presets import PRESETS, Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, vectors
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
@@ -28,10 +29,11 @@ from magical_mj.scene.actions import ACTIONS, as_speeds, to_discrete
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
 from magical_mj.shifts.episode import Draws
-from magical_mj.shifts.registry import Shifts
+from magical_mj.shifts.registry import Shifts, shift_label
 from magical_mj.tasks.registry import TASKS, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
+from magical_mj.utils.imports import reference_to
 from magical_mj.variants import check_seed
 
 ActionForm = Literal["discrete", "continuous", "speeds"]
@@ -124,6 +126,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._preset = preset if isinstance(preset, Preset) else preset_named(preset)
         size = self._preset.image_size if image_size is None else check_size(image_size)
         self._stacks = Stacks(self._preset, size)
+        named = (name for name, known in PRESETS.items() if known == self._preset and size == known.image_size)
+        self._preset_name = next(filter(None, named), None)
         check_name("reward", reward, REWARDS)
         task_spec(task).check_reward(reward)
         self.reward: Reward = reward
@@ -152,6 +156,21 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def initial_scene(self) -> Scene:
         """The initial scene of this episode."""
         return self.engine.initial_scene
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """The properties that results record: task, variant, rules, body, shift, preset, renderer and class."""
+        engine = self.engine
+        return {
+            "task": engine.task,
+            "variant": engine.variant,
+            "rules": engine.rules,
+            "body": engine.setup.body,
+            "shift": shift_label(engine.shifts),
+            "preset": self._preset_name,
+            "gl": drawn_by(engine.simulation.renderer),
+            "kind": reference_to(type(self)),
+        }
 
     @property
     def instruction(self) -> str:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import gymnasium
@@ -40,9 +41,8 @@ from magical_mj.policies.interface import (
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
-from magical_mj.scene.bodies import GRIPPER
-from magical_mj.shifts.registry import check_noticed, parse_shifts, shift_label
-from magical_mj.tasks.registry import task_name, task_spec
+from magical_mj.shifts.registry import Effect, check_noticed, parse_shifts
+from magical_mj.tasks.registry import split_of, task_name, task_spec
 from magical_mj.utils.errors import (
     EvaluationError,
     InvalidActionError,
@@ -53,6 +53,7 @@ from magical_mj.utils.errors import (
     StateError,
     TaskError,
 )
+from magical_mj.utils.imports import reference_to
 
 if TYPE_CHECKING:
     from magical_mj.engine import Engine
@@ -107,18 +108,20 @@ def rollouts(
             does not read it.
     """
     episodes = list(episodes)
-    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, **_checked_facts(env, policy, episodes)}
+    facts: dict[str, Any] = {"policy": policy_name(policy), **_checked_facts(env, policy, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
             outcomes = play_side_by_side(
                 env, policy, [replace(episode, task=policy_task(episode.task, policy)) for episode in wave]
             )
-            yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
+            for episode, outcome in zip(wave, outcomes, strict=True):
+                yield EpisodeResult.of(episode, outcome, split=split_of(episode.seed), **facts)
     elif callable(policy):
         for episode in episodes:
             outcome = play_episode(env, policy, replace(episode, task=policy_task(episode.task, policy)))
-            yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
+            scene = engine_of(env).initial_scene.digest()
+            yield EpisodeResult.of(episode, outcome, scene=scene, split=split_of(episode.seed), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
 
@@ -126,40 +129,58 @@ def rollouts(
 def _checked_facts(
     env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
 ) -> dict[str, Any]:
-    """The rules, shift, body and wrapper of an environment, which is checked, as fields of `EpisodeResult`."""
-    if isinstance(env, gymnasium.vector.VectorEnv):
-        space, spec = env.single_action_space, env.spec
-        if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
-            spec = env.unwrapped.get_attr("spec")[0]  # its environments have the same spec
-        arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
-        task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
-        shifts, body = parse_shifts(arguments.get("shifts")), arguments.get("body", GRIPPER)
-    else:
-        space, engine = env.action_space, engine_of(env)
-        task, variant, rules = engine.task, engine.variant, engine.rules
-        shifts, body = engine.shifts, engine.setup.body
-    check_noticed(shifts, policy_name(policy), frozenset() if uses_instruction(policy) else frozenset({"instruction"}))
+    """The facts about the environment that played, as fields of `EpisodeResult`. Several environments must agree."""
+    each = _conditions(env)
+    space = env.single_action_space if isinstance(env, gymnasium.vector.VectorEnv) else env.action_space
+    unread: frozenset[Effect] = frozenset() if uses_instruction(policy) else frozenset({"instruction"})
+    for conditions in each:
+        check_noticed(parse_shifts(conditions["shift"]), policy_name(policy), unread)
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies return one of the 18 actions, but the environment takes {space}: make it without continuous "
             "actions, and let the policy return magical_mj.scene.actions.to_discrete(vector)"
         )
-    pair = (None if task is None else task_name(task)), variant
-    for episode in episodes:
-        if task is not None and (episode.task, episode.variant) != pair:
+    for episode, played in zip(episodes, cycle(each), strict=False):
+        task, variant = task_name(played["task"]), played["variant"]
+        if (episode.task, episode.variant) != (task, variant):
             raise EvaluationError(
                 f"the environment is {task} {variant}, but an episode has {episode.task} {episode.variant}"
             )
-    return {"rules": rules, "shift": shift_label(shifts), "body": body, "wrap": _wrapper(env)}
+    facts = [{name: value for name, value in one.items() if name not in ("task", "variant")} for one in each]
+    for other in facts[1:]:
+        if differing := [name for name, value in facts[0].items() if other[name] != value]:
+            raise EvaluationError(
+                f"the environments of the vector differ in {', '.join(differing)}, and results have one value for "
+                "all: play them one after another"
+            )
+    kind = facts[0].pop("kind", "")
+    return {**facts[0], "wrap": _wrapper(env) or ("" if kind.startswith("magical_mj.") else kind)}
+
+
+def _conditions(env: gymnasium.Env[Any, Any] | Envs) -> list[dict[str, Any]]:
+    """The `conditions` of an environment, or of each environment of a vector."""
+    inside: Any = env.unwrapped
+    try:
+        if not isinstance(env, gymnasium.vector.VectorEnv):
+            return [inside.conditions]
+        return list(inside.get_attr("conditions") if hasattr(inside, "get_attr") else inside.conditions)
+    except AttributeError:
+        raise EvaluationError(NO_SCORE) from None
 
 
 def _wrapper(env: object) -> str:
-    """The outermost wrapper of an environment that `gymnasium.make` did not add. Empty if there is none."""
+    """The outermost wrapper that `gymnasium.make` did not add, around a vector or in it. Empty if there is none."""
     while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
         if not isinstance(env, USUAL_WRAPPERS):
-            return f"{type(env).__module__}:{type(env).__qualname__}"
+            return reference_to(type(env))
         env = env.env
-    return ""
+    inner = {_wrapper(each) for each in getattr(env, "envs", ())}
+    if isinstance(env, gymnasium.vector.AsyncVectorEnv):
+        usual = {reference_to(kind) for kind in USUAL_WRAPPERS}
+        specs = filter(None, env.get_attr("spec"))
+        points = [[each.entry_point for each in spec.additional_wrappers] for spec in specs]
+        inner = {next((point for point in reversed(each) if point not in usual), "") for each in points}
+    return ", ".join(sorted(filter(None, inner)))
 
 
 def engine_of(env: Env) -> Engine:

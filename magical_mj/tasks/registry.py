@@ -66,6 +66,12 @@ tuning.
 Poses, counts and dynamics of dev scenes never equal those of test scenes. Variants with few different scenes, such as
 the four of MoveToCorner-Colour, have the same scenes in both."""
 
+
+def split_of(seed: int) -> str:
+    """The split that contains the scene of a seed."""
+    return max((first, name) for name, first in SPLITS.items() if first <= seed)[1]
+
+
 Names = str | Iterable[str]
 """Names as a list, or as one string separated by commas. "all" means all of them."""
 

@@ -146,6 +146,11 @@ def reference_of(point: EntryPoint) -> str:
     return "".join(point.value.split())
 
 
+def reference_to(kind: type) -> str:
+    """The reference of a class, such as "mine:Wrapper"."""
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
 def reference_in_folder(text: object, definition: re.Pattern[str]) -> str:
     """The reference that a text such as "mine" or "mine.py" probably means, if the working folder contains mine.py.
 
