@@ -8,7 +8,6 @@ Example:
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -19,11 +18,9 @@ from numpy.typing import NDArray
 
 from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
-from magical_mj.demos.export import default_target, make_data_set
+from magical_mj.demos.export import default_target, digest_tag, make_data_set
 from magical_mj.demos.learning import observations
 from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene, set_suffix
-from magical_mj.tasks import KNOWN
-from magical_mj.tasks.registry import task_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError, check_name
 
@@ -45,7 +42,7 @@ def load(
 ) -> Any:
     """The data set of a task's demonstrations. It is written if it does not exist.
 
-    If the task is not one of the package, its name contains a digest of the demonstrations, since they may change.
+    Its name contains a digest of the demonstrations, so that it is never the data set of others.
 
     For other demonstrations and more options, use `magical-mj demos export`.
 
@@ -68,10 +65,7 @@ def load(
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"
     demos = demonstrations.load(task, set=set)
-    tag = ""
-    if task_name(task) not in KNOWN:
-        tag = "-" + hashlib.sha256("".join(demo.digest for demo in demos).encode()).hexdigest()[:8]
-    target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset, tag=tag)
+    target = default_target(to, only_environment(demos) + set_suffix(set), demos, preset, tag=digest_tag(demos))
     if to != "minari":
         target = str(files.to_path(folder) / target)
     with contextlib.suppress(FileExistsError):
@@ -113,8 +107,9 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
 
     Returns:
         The environment, the training data and the validation data. The data are the arrays `observations`, `actions`,
-        `next_observations` and `terminals`, with a row for each step. All demonstrations are in the task's demo scene,
-        for every variant.
+        `next_observations`, `terminals` and `truncations`, with a row for each step. As in the environment, the last
+        step of an episode is truncated, and none is terminal. All demonstrations are in the task's demo scene, for
+        every variant.
 
     Raises:
         SettingsError: for other ids, for dict observations, and if the environment's observations or actions differ
@@ -154,5 +149,6 @@ def _arrays(demos: Sequence[Demonstration], preset: str) -> Arrays:
         "observations": np.concatenate([part[:-1] for part in rows]),
         "next_observations": np.concatenate([part[1:] for part in rows]),
         "actions": np.concatenate([demo.actions for demo in demos]),
-        "terminals": np.concatenate([np.arange(len(demo.actions)) == len(demo.actions) - 1 for demo in demos]),
+        "terminals": np.concatenate([np.zeros(len(demo.actions), bool) for demo in demos]),
+        "truncations": np.concatenate([np.arange(len(demo.actions)) == len(demo.actions) - 1 for demo in demos]),
     }

@@ -120,7 +120,7 @@ def moved() -> None:
 
 def transitions() -> None:
     env, training, _ = magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0")
-    assert training.keys() == {"observations", "next_observations", "actions", "terminals"}
+    assert training.keys() == {"observations", "next_observations", "actions", "terminals", "truncations"}
     assert env.observation_space.contains(training["observations"][0])
 
 

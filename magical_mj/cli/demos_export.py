@@ -76,7 +76,10 @@ def export_demos(
         raise typer.BadParameter(
             f"a data set holds one environment, but these demonstrations are of {', '.join(groups)}: leave out --out."
         )
-    targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
+    targets = {
+        name: out or default_target(to, name, group, preset, fingers=fingers, tag=_tag(to, paths, group))
+        for name, group in groups.items()
+    }
     sources = sources_of(paths, tasks, variants) if paths else ()
     folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
     for target in targets.values():  # all, before the first one is made
@@ -87,6 +90,13 @@ def export_demos(
         console().print(target, soft_wrap=True)
         if to == "minari":
             console().print(f"in {dataset_path(target)}; to load it: minari.load_dataset({target!r})", soft_wrap=True)
+
+
+def _tag(to: str, paths: Paths, demos: list[Demonstration]) -> str:
+    """The tag of a data set of recordings in Minari's folder, where all data sets of this user are."""
+    from magical_mj.demos.export import digest_tag
+
+    return digest_tag(demos) if paths and to == "minari" else ""
 
 
 def make_intents(

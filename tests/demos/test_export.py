@@ -91,6 +91,21 @@ def test_data_sets_in_one_call(tmp_path: Path, minari: Any) -> None:
         magical_mj.datasets.load("MoveToRegion", "hdf5")  # pyright: ignore[reportArgumentType]
 
 
+def test_own_recordings_are_not_taken_for_the_shipped_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minari: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number in (0, 1):
+        demos.keep(demos.demonstrate("MoveToRegion", "Demo", number), tmp_path / "mine")
+    assert main(["demos", "export", "mine", "--tasks", "MoveToRegion", "--to", "minari"]) == 0
+    assert main(["demos", "export", "mine", "--preset", "State", "--no-drop-noop"]) == 0
+    assert magical_mj.datasets.load("MoveToRegion", "minari").total_episodes == 25
+    data = magical_mj.datasets.load("MoveToRegion", "npz", ".", preset="State")
+    assert len(data["seeds"]) == 25
+    assert data["actions"].all()  # without no-ops
+    assert len(minari.list_local_datasets()) == 2
+
+
 def test_data_sets_of_tasks_of_ones_own_follow_their_demonstrations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,13 +129,14 @@ def test_data_sets_of_tasks_of_ones_own_follow_their_demonstrations(
     for number in (3, 4, 5):
         demos.keep(demos.recorded("pushed:SPEC", "Demo", number, [1] * 120, "human"), tmp_path / "own")
     env, *parts = magical_mj.datasets.make_env_and_datasets(name)
-    assert [part["terminals"].sum() for part in parts] == [4, 1]
+    assert [part["truncations"].sum() for part in parts] == [4, 1]
     env.close()
 
 
 def test_an_environment_with_data_for_training_and_validation() -> None:
     env, training, validation = magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-TestAll-State-v0")
-    assert (training["terminals"].sum(), validation["terminals"].sum()) == (20, 5)
+    assert (training["truncations"].sum(), validation["truncations"].sum()) == (20, 5)
+    assert not training["terminals"].any()  # as in the environment and in Minari
     assert env.observation_space.contains(training["next_observations"][0])
     assert len(training["observations"]) == len(training["actions"]) == len(training["terminals"])
     for options in ({"action": "continuous"}, {"image_size": 48}):

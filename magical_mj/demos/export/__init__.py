@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from magical_mj.demos.demonstration import SUFFIX, Demonstration
@@ -10,6 +11,7 @@ from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.folders import to_webdataset, to_xirl
 from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
 from magical_mj.demos.export.minari import minari_name, to_minari
+from magical_mj.protocol import DEMONSTRATIONS
 from magical_mj.utils.errors import SettingsError
 
 SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
@@ -25,6 +27,12 @@ def views_of(preset: str) -> str:
     if preset not in views:
         raise SettingsError(f"data sets of LeRobot and robomimic can have the presets {', '.join(views)}, not {preset}")
     return views[preset]
+
+
+def digest_tag(demos: Iterable[Demonstration]) -> str:
+    """The part of a data set's name that identifies its demonstrations: the shipped ones' number, and a digest."""
+    digest = hashlib.sha256("".join(demo.digest for demo in demos).encode())
+    return f"-d{DEMONSTRATIONS}-{digest.hexdigest()[:8]}"
 
 
 def default_target(
