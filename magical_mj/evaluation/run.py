@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +17,7 @@ from magical_mj.envs.presets import observed
 from magical_mj.evaluation.folder import EvaluationFolder, check_runs
 from magical_mj.evaluation.given import Watch
 from magical_mj.evaluation.repeatable import check_repeatable
-from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
 from magical_mj.policies.interface import reason
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 STEPS_PER_WORKER: Final = 2000
 """The smallest number of actions per process. Starting a process takes longer than playing fewer."""
 CHECKED: Final = 3
-"""The number of finished episodes that a policy that is a Python object must repeat to be recognised, at most."""
+"""The largest number of known episodes of an environment that are played again when an evaluation continues."""
 FIRST_EPISODES: Final = 10
 """The evaluation stops if this number of a policy's first planned episodes fail with the same type of error."""
 
@@ -140,7 +139,7 @@ class Evaluation:
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""
-        self._check_objects()  # before anything is written
+        self._check_repeats()  # before anything is written
         with self._folder.open() if self._folder else nullcontext() as file:
             self.units = self._remaining()
             for results in self._trusted_results():
@@ -150,26 +149,32 @@ class Evaluation:
                 self.scores += results
                 yield from results
 
-    def _check_objects(self) -> None:
-        """Raises a `SettingsError` if a policy that is a Python object does not repeat most of some known episodes.
+    def _check_repeats(self) -> None:
+        """Raises a `SettingsError` if a policy does not repeat its known episodes, so that its scores would be mixed.
 
-        Files and modules have hashes, but an object may have changed since an earlier part of the evaluation. One
-        episode of three may differ: rounding errors of a network depend on how many episodes are in one batch.
+        Hashes do not cover an object in memory, or files that a policy, shift, wrapper or task reads. So the first
+        known episode of each environment and of each shift is played again. If it differs, the next two decide:
+        rounding errors of a network depend on how many episodes are in one batch.
         """
+        if self.settings.batched:
+            return  # its scores are approximate
         for source in self._sources:
             own = [result for result in self.scores if (result.policy, result.run) == (source.name, source.run)]
-            known = [result for result in own if result.failure is None]
-            if isinstance(source.origin, str) or not known:
+            known: dict[tuple[str, ...], list[EpisodeResult]] = defaultdict(list)
+            for result in own:
+                if result.failure is None:
+                    known[(result.shift,) if result.shift else (result.task, result.variant)].append(result)
+            if not known:
                 continue
-            tried = known[:: -(-len(known) // CHECKED)]
             with closing(Player([_copied(source)], self.settings)) as player:
-                repeated = sum(map(partial(_repeats, player), tried))
-            if 2 * repeated > len(tried):
-                continue
+                different = [results for results in known.values() if not _are_repeated(player, results[:CHECKED])]
+                if not different or (isinstance(source.origin, str) and not _is_repeatable(player, different[0][0])):
+                    continue
             raise SettingsError(
-                f"{self.settings.out} holds episodes of another policy named {source.name}: this one acts differently "
-                f"in {len(tried) - repeated} of {len(tried)} of them. Evaluate it in another folder. If it is the same "
-                "policy, it is random: draw its random numbers from episode.rng(), or give it as module:object"
+                f"{self.settings.out} holds episodes of another policy named {source.name}, or of other code: "
+                f"{different[0][0].title} and {len(different) - 1} other environments or shifts differ when they are "
+                "played again. Evaluate it in another folder. If it is the same policy, it is random: draw its random "
+                "numbers from episode.rng(), or give it as module:object"
             )
 
     def _remaining(self) -> list[Unit]:
@@ -258,11 +263,29 @@ def _copied(source: Source) -> Source:
         return source
 
 
+def _are_repeated(player: Player, known: Sequence[EpisodeResult]) -> bool:
+    """Whether the first of the known episodes has the same result if it is played again, or most of them have."""
+    if _repeats(player, known[0]):
+        return True
+    return 2 * sum(_repeats(player, result) for result in known[1:]) > len(known)
+
+
+def _is_repeatable(player: Player, known: EpisodeResult) -> bool:
+    """Whether two attempts at an episode have the same actions."""
+    first, second = (_again(player, known) for _ in range(2))
+    return first.actions == second.actions
+
+
 def _repeats(player: Player, known: EpisodeResult) -> bool:
-    """Whether a known episode has the same actions if it is played again."""
+    """Whether a known episode has the same start, actions and score if it is played again."""
+    again = _again(player, known)
+    same = again.actions == known.actions and abs(again.score - known.score) < SCORE_TOLERANCE
+    return same and known.scene in (None, again.scene)
+
+
+def _again(player: Player, known: EpisodeResult) -> EpisodeResult:
     unit = Unit(known.policy, known.run, known.task, known.variant, (known.seed,), known.shift, known.retry)
-    (again,) = player.play(unit)
-    return again.actions == known.actions
+    return player.play(unit)[0]
 
 
 def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:

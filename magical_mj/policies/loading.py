@@ -34,7 +34,7 @@ from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import announced, imported, reference_in_folder, source_of
+from magical_mj.utils.imports import announced, imported, reference_in_folder, source_digest, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
@@ -161,12 +161,13 @@ class Source:
         """The hash of the policy's file or module. Empty without a file."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
             return {}
-        kind, file = "sha256", Path(self.origin)
+        file = Path(self.origin)
         if file.suffix not in LOADERS and file.is_dir():
             file /= _folder_loader(file).name
         elif file.suffix not in LOADERS:
-            kind, file = "code", source_of(self.origin)
-        return {} if file is None else {kind: hashlib.sha256(file.read_bytes()).hexdigest()}
+            code = source_digest(self.origin)
+            return {"code": code} if code else {}
+        return {"sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:

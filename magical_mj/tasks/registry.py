@@ -368,7 +368,7 @@ def load_spec(task: str) -> TaskSpec:
 
 
 def code_digest(task: str) -> str:
-    """A hash of the modules that define this task: the module in the reference, and those of the task's functions.
+    """A hash of the modules that define this task: those of its reference and its functions, and what they import.
 
     For a task of a language it is a hash of what its text means: the name, the demo scenes and the horizon.
     """
@@ -380,8 +380,7 @@ def code_digest(task: str) -> str:
     functions = (getattr(spec, field.name) for field in fields(spec))
     names = {getattr(function, "__module__", None) for function in functions if callable(function)}
     module = task if point is None else imports.reference_of(point)
-    sources = {imports.source_of(str(name)) for name in (module, *names)}
-    return hashlib.sha256(b"\0".join(sorted(source.read_bytes() for source in sources if source))).hexdigest()
+    return imports.source_digest(module, *map(str, names))
 
 
 def check_spec(spec: Any, task: str) -> None:

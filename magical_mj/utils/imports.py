@@ -12,6 +12,7 @@ docs/trust.md lists the references that each kind of file may contain.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import os
@@ -20,6 +21,7 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from sysconfig import get_path
@@ -40,6 +42,8 @@ from magical_mj.utils.errors import (
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 _LONGEST: Final = 100
 """A module with a longer name is not looked for in the working folder."""
+_INSTALLED: Final = {"site-packages", "dist-packages"}
+"""The names of folders with installed packages."""
 _PACKAGE: Final = f"{Path(__file__).parents[1]}{os.sep}"
 _STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 
@@ -171,10 +175,57 @@ def source_of(reference: str) -> Path | None:
     return Path(file) if file and Path(file).is_file() else None
 
 
-def source_digest(reference: str) -> str:
-    """The SHA-256 of a reference's module; empty if it was not imported from a file."""
-    source = source_of(reference)
-    return "" if source is None else hashlib.sha256(source.read_bytes()).hexdigest()
+def source_digest(*references: str) -> str:
+    """The SHA-256 of the references' modules, and of all modules outside of installed packages that they import.
+
+    Empty if none was imported from a file. Modules that are imported under a computed name are not found.
+    """
+    files: dict[Path, bytes] = {}
+    waiting = [(reference.partition(":")[0], source_of(reference)) for reference in references]
+    while waiting:
+        module, file = waiting.pop()
+        if file is not None and file not in files:
+            files[file] = file.read_bytes()
+            waiting += [(name, _own_source(name)) for name in _imports(module, file, files[file])]
+    return hashlib.sha256(b"\0".join(sorted(files.values()))).hexdigest() if files else ""
+
+
+def _imports(module: str, file: Path, content: bytes) -> set[str]:
+    """The names of all modules that a file's import statements may mean, also of those in functions."""
+    try:
+        tree = ast.parse(content) if file.suffix == ".py" else ast.Module([], [])
+    except (SyntaxError, ValueError):
+        return set()
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    names = {module[:end] for end in _dots(module)}  # the packages around it
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")
+            above = parts[: len(parts) - node.level + 1] if node.level else []
+            start = ".".join(filter(None, (*above, node.module)))
+            names |= {start, *(f"{start}.{alias.name}" for alias in node.names)}
+    return names | {name[:end] for name in names for end in _dots(name)}
+
+
+def _dots(name: str) -> list[int]:
+    return [place for place, sign in enumerate(name) if sign == "."]
+
+
+def _own_source(module: str) -> Path | None:
+    """The file of a module if it is neither in an installed package, nor in this one, nor in the standard library."""
+    file, path = source_of(module), None
+    if module not in sys.modules:
+        for end in (*_dots(module), len(module)):
+            spec = PathFinder.find_spec(module[:end], path)
+            if spec is None:
+                return None
+            path = spec.submodule_search_locations
+            file = Path(spec.origin) if spec.has_location and spec.origin else None
+    if file is None or _INSTALLED & {*file.parts} or str(file).startswith((_PACKAGE, _STANDARD_LIBRARY)):
+        return None
+    return file
 
 
 @contextmanager
