@@ -58,7 +58,7 @@ def test_what_a_recorder_did_not_see_is_no_demonstration() -> None:
     for elsewhere in (lambda: env.step(1), env.reset):
         elsewhere()
         for use in (lambda: recorder.step(1), lambda: recorder.demonstration("human")):
-            with pytest.raises(DemonstrationError, match="reset or stepped without the recorder"):
+            with pytest.raises(DemonstrationError, match="changed without the recorder"):
                 use()
     env.reset(scene=demo.scene)
     with pytest.raises(DemonstrationError, match="seed"):
