@@ -66,6 +66,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     Attributes:
         physics: the simulation of all environments.
         observer: the object that computes observations of the simulation.
+        sampler: samples the scenes of episodes.
+        steps: the number of steps of each environment's episode, shape (num_envs,), int64.
     """
 
     def __init__(
@@ -112,7 +114,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "shifts": strengths,
         }
         self._horizons = torch.tensor([spec.horizon(rules) for spec in self._specs], device=self.device)
-        self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        self.steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
 
         capacity = Capacity.of_environments(pairs)
@@ -123,8 +125,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             if in_states
             else partial(episode_tables, shifts=strengths, steps=steps)
         )
-        self._sampler = Sampler(pairs, capacity, self._prepare, workers)
-        self._sampler.seed(seed)
+        self.sampler = Sampler(pairs, capacity, self._prepare, workers)
+        self.sampler.seed(seed)
         self._seeds = [0] * self.num_envs
         kinds = {pair: row for row, pair in enumerate(dict.fromkeys(pairs))}
         rows = [kinds[pair] for pair in pairs]
@@ -172,15 +174,15 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         envs = np.flatnonzero(check_mask(arrays(mask), self.num_envs)).tolist()
         each = environment_seeds(arrays(seed), self.num_envs)
         if mask is None and as_integer(seed) is not None:
-            self._sampler.seed(check_seed(seed))
+            self.sampler.seed(check_seed(seed))
         observation = self._begin(envs, None if seed is None else [check_seed(each[env]) for env in envs])
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
     def _begin(self, envs: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(envs, dtype=torch.int64, device=self.device)
         if envs:
-            self._put(*self._sampler.episodes(envs, seeds), where)
-        self._steps[where] = 0
+            self._put(*self.sampler.episodes(envs, seeds), where)
+        self.steps[where] = 0
         self._running[where] = True
         return self.observer.observe_start(self.physics, where)
 
@@ -200,10 +202,10 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "kind": self._kind,
             "scenes": asdict(self._scenes),
             "seeds": list(self._seeds),
-            "sampler": self._sampler.get_state(),
+            "sampler": self.sampler.get_state(),
             "physics": self.physics.get_state(),
             "observer": self.observer.get_state(),
-            "steps": self._steps.clone(),
+            "steps": self.steps.clone(),
             "running": self._running.clone(),
         }
 
@@ -223,9 +225,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         scenes, seeds = BatchScenes(**state["scenes"]), state["seeds"]
         every = torch.arange(self.num_envs, device=self.device)
         self._put(seeds, {**vars(scenes), **self._prepare(scenes, seeds)}, every)
-        self._sampler.set_state(state["sampler"])
+        self.sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
-        self._steps[:], self._running[:] = state["steps"], state["running"]
+        self.steps[:], self._running[:] = state["steps"], state["running"]
         return self.observer.set_state(state["observer"], self.physics)
 
     def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
@@ -245,9 +247,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 "some environments have no running episode: reset all, or with options={'reset_mask': ...}"
             )
         self.physics.step(check_actions(actions, self.num_envs, self.device))
-        self._steps += 1
+        self.steps += 1
         broken = self.physics.broken
-        ended = (self._steps >= self._horizons) | broken
+        ended = (self.steps >= self._horizons) | broken
         scores = self._scores(ended & ~broken)
         info = self._info(scores, broken)
         if bool(broken.any()):  # reset states that cannot be drawn
@@ -255,7 +257,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self.physics.reset(self._scenes[where.cpu().numpy()], where)
         if bool((ended & info["overflowed"]).any()):
             gymnasium.logger.warn(OVERFLOW)
-        observation = self.observer.observe(self.physics, self._steps)
+        observation = self.observer.observe(self.physics, self.steps)
         reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
         self._running &= ~ended
         if self._same_step and bool(ended.any()):
@@ -284,7 +286,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Stops the processes that sample scenes, and frees the environments."""
         del kwargs
-        self._sampler.close()
+        self.sampler.close()
         del self.physics, self.observer
 
     def _check_open(self) -> None:

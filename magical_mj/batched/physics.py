@@ -85,6 +85,7 @@ class Physics:
         blocks: the number of slots for blocks in each environment.
         model: the MuJoCo model that all environments share.
         data: Warp's arrays of the simulation.
+        state: those of `STATE` as tensors, which share their memory.
     """
 
     def __init__(self, scenes: BatchScenes, device: str = "cpu") -> None:
@@ -100,9 +101,9 @@ class Physics:
         self._warp.opt.tolerance.fill_(SETTINGS.tolerance)
         self._warp.opt.warn_overflow = 0  # reported by `overflowed` instead
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
-        self._state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
+        self.state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self._overflow = wp.to_torch(self.data.overflow)
-        self._lasting = {**self._state, "overflow": self._overflow}
+        self._lasting = {**self.state, "overflow": self._overflow}
         self._controls = torch.tensor(controls(), dtype=torch.float32, device=device)
         self._planar = torch.from_numpy(own_coordinates(self.blocks).qpos).to(device)
         self._fingers = torch.from_numpy(own_coordinates(self.blocks).fingers).to(device)
@@ -121,7 +122,7 @@ class Physics:
         for name, values in self._dynamics(scenes.dynamics).items():
             field = self._fields[name]
             field[envs] = torch.from_numpy(values).to(field).reshape(len(envs), *field.shape[1:])
-        for name, values in self._state.items():
+        for name, values in self.state.items():
             start = self._positions(scenes) if name == "qpos" else np.zeros((len(envs), *values.shape[1:]))
             values[envs] = torch.from_numpy(start).to(values)
         self._overflow[envs] = 0
@@ -194,7 +195,7 @@ class Physics:
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
         """Performs an action in 0..17 in each environment, (envs,) int64. To trace kernels, set `graph` to False."""
-        self._state["ctrl"][:] = self._controls[actions]
+        self.state["ctrl"][:] = self._controls[actions]
         if graph and wp.get_device(self._device).is_cuda:
             self._launch_graph()
         else:
@@ -203,14 +204,14 @@ class Physics:
     def _launch_graph(self) -> None:
         """Launches a control step as one graph: each substep has about a hundred launches."""
         if self._graph is None:
-            before = {name: values.clone() for name, values in self._state.items()}
+            before = {name: values.clone() for name, values in self.state.items()}
             with wp.ScopedDevice(self._device):
                 self._substeps()  # compiles kernels, which is not possible during a capture
                 with wp.ScopedCapture() as capture:
                     self._substeps()
             self._graph = capture.graph
             for name, values in before.items():
-                self._state[name][:] = values
+                self.state[name][:] = values
         wp.capture_launch(self._graph)
 
     def _substeps(self) -> None:
@@ -220,22 +221,22 @@ class Physics:
     @property
     def poses(self) -> Tensor:
         """x, y, angle of the robot and then of each slot. Shape (envs, 1 + blocks, 3), float32."""
-        return self._state["qpos"][:, self._planar]
+        return self.state["qpos"][:, self._planar]
 
     @property
     def fingers(self) -> Tensor:
         """Angles of the left and the right finger. Shape (envs, 2), float32."""
-        return self._state["qpos"][:, self._fingers]
+        return self.state["qpos"][:, self._fingers]
 
     @property
     def velocities(self) -> Tensor:
         """The velocities of `poses`, in units/s and rad/s. Shape (envs, 1 + blocks, 3), float32."""
-        return self._state["qvel"][:, self._planar]
+        return self.state["qvel"][:, self._planar]
 
     @property
     def broken(self) -> Tensor:
         """Whether an environment's state is not finite, or too large for MuJoCo. Shape (envs,), bool."""
-        state = torch.cat([self._state["qpos"], self._state["qvel"]], dim=-1)
+        state = torch.cat([self.state["qpos"], self.state["qvel"]], dim=-1)
         return ~(state.abs() <= MAX_NUMBER).all(-1)
 
     @property

@@ -207,7 +207,7 @@ class Sampler:
 
         With workers, starts to sample the following ones.
         """
-        chosen = self._next_seeds(envs) if seeds is None else list(seeds)
+        chosen = self.next_seeds(envs) if seeds is None else list(seeds)
         if not self._workers or (seeds is not None and len(envs) <= CHUNK):
             arrays = sample([self._pairs[env] for env in envs], self._capacity, self._prepare, chosen)
         elif seeds is None:
@@ -222,7 +222,7 @@ class Sampler:
             self._start(envs)
         return chosen, arrays
 
-    def _next_seeds(self, envs: Sequence[int]) -> list[int]:
+    def next_seeds(self, envs: Sequence[int]) -> list[int]:
         """The seeds of the next episodes of these environments."""
         keys = ((env, self._episodes[env]) for env in envs)
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
@@ -230,7 +230,7 @@ class Sampler:
     def _start(self, envs: Sequence[int]) -> None:
         """Starts to sample the next episodes of these environments, unless this has been done."""
         missing = [env for env in envs if env not in self._ahead]
-        self._ahead |= self._submitted(missing, self._next_seeds(missing))
+        self._ahead |= self._submitted(missing, self.next_seeds(missing))
 
     def _submitted(self, envs: Sequence[int], seeds: Sequence[int]) -> dict[int, Row]:
         """Lets the workers sample an episode of these seeds for each of these environments."""

@@ -39,6 +39,11 @@ class Apprenticeship(RewardLearner):
 
     If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used. The paper
     draws the same number of samples from the demonstrations. Here all steps of the demonstrations are used.
+
+    Attributes:
+        autoencoder: its encoder computes the features Phi.
+        weights: w of each task, shape (tasks, size).
+        latest: the features of the policy's latest samples of each task, shape (tasks, samples, size).
     """
 
     parts = ("network", "ppo", "features")
@@ -52,14 +57,14 @@ class Apprenticeship(RewardLearner):
         self.updates += settings.features.batches
         size, tasks = settings.features.size, len(settings.tasks)
         with seeded(settings.seed + 1):
-            self._autoencoder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
-        self._optimizer = torch.optim.Adam(self._autoencoder.parameters(), settings.features.learning_rate, fused=True)
-        self.stateful |= {"autoencoder": self._autoencoder, "autoencoder optimizer": self._optimizer}
+            self.autoencoder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
+        self._optimizer = torch.optim.Adam(self.autoencoder.parameters(), settings.features.learning_rate, fused=True)
+        self.stateful |= {"autoencoder": self.autoencoder, "autoencoder optimizer": self._optimizer}
         self._batches = 0
         self._metrics: dict[str, float] = dict.fromkeys(METRICS, 0.0)
         self._demonstrated: Tensor | None = None
-        self._weights = torch.zeros(tasks, size, device=self.device)
-        self._latest = torch.zeros(tasks, 0, size, device=self.device)
+        self.weights = torch.zeros(tasks, size, device=self.device)
+        self.latest = torch.zeros(tasks, 0, size, device=self.device)
 
     def update(self) -> Mapping[str, float]:
         """Trains the autoencoder first, and later weights and policy. Metrics of the other phase stay constant."""
@@ -72,61 +77,61 @@ class Apprenticeship(RewardLearner):
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
-        tasks = len(self._weights)
+        tasks = len(self.weights)
         each = self.settings.features.samples // tasks
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
-        novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
+        novice = torch.cat([self.autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         # in random order, so that random samples are dropped
-        order = torch.randperm(novice.shape[1], generator=self._rng)
-        self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
+        order = torch.randperm(novice.shape[1], generator=self.rng)
+        self.latest = torch.cat([self.latest, novice[:, order]], dim=1)[:, -each:]
         difference = self._weigh()
-        return {"distance": (self._weights * difference).sum(1).mean().item()}
+        return {"distance": (self.weights * difference).sum(1).mean().item()}
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The rewards w . Phi(s, a), shape (n,)."""
-        return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
+        return (self.autoencoder.features(observations, actions) * self.weights[tasks]).sum(1)
 
     def get_state(self) -> dict[str, Any]:
         """The state of the base class, and the policy's latest features."""
-        own = {"batches": self._batches, "metrics": self._metrics, "latest": self._latest}
+        own = {"batches": self._batches, "metrics": self._metrics, "latest": self.latest}
         return {**super().get_state(), **own}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores a state from `get_state`."""
         super().set_state(state)
         self._batches, self._metrics = state["batches"], dict(state["metrics"])
-        self._latest, self._demonstrated = state["latest"].to(self.device), None
-        if self._latest.shape[1]:  # the reward of the last update, also for those who do not train on
+        self.latest, self._demonstrated = state["latest"].to(self.device), None
+        if self.latest.shape[1]:  # the reward of the last update, also for those who do not train on
             self._weigh()
 
     def _weigh(self) -> Tensor:
         """Computes the weights. Returns E_demonstrations Phi - E_policy Phi, shape (tasks, features)."""
         if self._demonstrated is None:
             self._demonstrated = self._demonstrated_means()
-        difference = self._demonstrated - self._latest.mean(1)
-        self._weights = best_weights(difference)
+        difference = self._demonstrated - self.latest.mean(1)
+        self.weights = best_weights(difference)
         return difference
 
     def _demonstrated_means(self) -> Tensor:
         """The mean features of each task's demonstrations, shape (tasks, features), after the features are trained."""
-        sums = torch.zeros_like(self._weights)
-        for batch in self._expert.batches(CHUNK):
+        sums = torch.zeros_like(self.weights)
+        for batch in self.expert.batches(CHUNK):
             observations, actions, tasks = self.on_device(batch)
-            sums.index_add_(0, tasks, self._autoencoder.features(observations, actions))
-        return sums / torch.tensor(self._expert.sizes, device=self.device)[:, None]
+            sums.index_add_(0, tasks, self.autoencoder.features(observations, actions))
+        return sums / torch.tensor(self.expert.sizes, device=self.device)[:, None]
 
     def _reconstruct(self) -> float:
-        batch = self._expert.sample(self.settings.features.batch_size, self._rng)
+        batch = self.expert.sample(self.settings.features.batch_size, self.rng)
         observations, actions, _ = self.on_device(batch)
-        loss = self._autoencoder.train().loss(observations, actions)
+        loss = self.autoencoder.train().loss(observations, actions)
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
         if (self._batches + 1) % RESTART == 0 and self._batches + RESTART < self.settings.features.batches:
-            observations, actions, _ = self.on_device(self._expert.sample(512, self._rng))
+            observations, actions, _ = self.on_device(self.expert.sample(512, self.rng))
             with seeded(self.settings.seed + self._batches):
-                self._autoencoder.restart(self._autoencoder.features(observations, actions))
+                self.autoencoder.restart(self.autoencoder.features(observations, actions))
         return loss.item()
 
 

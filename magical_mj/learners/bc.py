@@ -36,6 +36,12 @@ class BehaviouralCloning(Learner):
 
     No-ops are dropped because the policy would otherwise get stuck at states where the demonstrator waited (appendix).
     With several tasks, the loss is the mean of the tasks' losses: each batch has equally many samples of each task.
+
+    Attributes:
+        data: the training data; its method `sample` draws batches.
+        rng: draws batches.
+        noise_rng: draws augmentations, on the learner's device.
+        optimizer: the optimizer of the actor.
     """
 
     parts: ClassVar[tuple[str, ...]] = ("network", "bc")
@@ -44,11 +50,11 @@ class BehaviouralCloning(Learner):
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
-        self._data = self.dataset(demonstrations)
+        self.data = self.dataset(demonstrations)
         given = [] if demonstrations is None else [demo for task in settings.tasks for demo in demonstrations[task]]
         self._variants = {demo.variant for demo in given if isinstance(demo, Demonstration)} or {"Demo"}
-        self._rng = torch.Generator().manual_seed(settings.seed)
-        self._noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
+        self.rng = torch.Generator().manual_seed(settings.seed)
+        self.noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)
         with seeded(settings.seed):
             self._actor = Actor(
@@ -64,16 +70,16 @@ class BehaviouralCloning(Learner):
             torso.convolutions.load_state_dict(self._encoder.weights)
             torso.convolutions = Frozen(torso.convolutions)
         self._actor.to(self.device)
-        self._optimizer = _optimizer(settings.bc, self._actor)
+        self.optimizer = _optimizer(settings.bc, self._actor)
         self._rate = torch.optim.lr_scheduler.LinearLR(
-            self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
+            self.optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
         )
         self.stateful = {
             "actor": self._actor,
-            "optimizer": self._optimizer,
+            "optimizer": self.optimizer,
             "rate": self._rate,
-            "draw": self._rng,
-            "noise": self._noise_rng,
+            "draw": self.rng,
+            "noise": self.noise_rng,
         }
 
     @classmethod
@@ -100,29 +106,30 @@ class BehaviouralCloning(Learner):
         return tuple(task for task in known if task not in self.settings.tasks)
 
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
-        """The data set. Its method `sample` draws batches."""
+        """New training data, for `data`."""
         return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
 
     def update(self) -> Mapping[str, float]:
         """Trains on one batch; returns its loss, and the share of samples whose action is the most probable."""
         self._actor.train()
         loss, logits, actions, others = self.loss()
-        self._optimizer.zero_grad()
+        self.optimizer.zero_grad()
         loss.backward()
-        self._optimizer.step()
+        self.optimizer.step()
         self._rate.step()
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item(), **others}
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss of a new batch, the logits (n, 18), the demonstrator's actions (n,), and other metrics."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._rng)
-        inputs = self._augmented(observations, self._noise_rng)
+        observations, actions, tasks = self.data.sample(self.settings.bc.batch_size, self.rng)
+        inputs = self.augmented(observations, self.noise_rng)
         actions = actions.to(self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
             logits = self._actor(inputs, tasks.to(self.device))
         return nn.functional.cross_entropy(logits.float(), actions), logits, actions, {}
 
-    def _augmented(self, observations: Tensor, noise: torch.Generator) -> Tensor:
+    def augmented(self, observations: Tensor, noise: torch.Generator) -> Tensor:
+        """Augmented observations of a batch as inputs of the network."""
         return self._augment(as_input(observations, self.device), noise)
 
     def recalibrate(self) -> None:
@@ -135,9 +142,9 @@ class BehaviouralCloning(Learner):
             norm.reset_running_stats()
             norm.momentum = None  # an unweighted mean
         for _ in range(CALIBRATION if norms else 0):
-            observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
+            observations, _, tasks = self.data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():
-                self._actor(self._augmented(observations, noise), tasks.to(self.device))
+                self._actor(self.augmented(observations, noise), tasks.to(self.device))
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's default
 
@@ -204,14 +211,14 @@ class IQLearn(BehaviouralCloning):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
+        self._usable = [usable(self.data, task) for task in range(len(settings.tasks))]
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss of `iq_loss`, the logits, the actions, and the mean reward in the batch."""
-        batch, following = successive(self._data, self._usable, self.settings.bc.batch_size, self._rng)
+        batch, following = successive(self.data, self._usable, self.settings.bc.batch_size, self.rng)
         actions, tasks = batch.actions.to(self.device), batch.tasks.to(self.device)
-        logits = self._actor(self._augmented(batch.observations, self._noise_rng), tasks)
-        next_logits = self._actor(self._augmented(following, self._noise_rng), tasks)
+        logits = self._actor(self.augmented(batch.observations, self.noise_rng), tasks)
+        next_logits = self._actor(self.augmented(following, self.noise_rng), tasks)
         loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
         return loss, logits, actions, {"reward": rewards.mean().item()}
 
@@ -286,8 +293,8 @@ class Point(BehaviouralCloning):
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss with the penalty, the logits, the actions, and the penalty without its weight."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._rng)
-        inputs = self._augmented(observations, self._noise_rng)
+        observations, actions, tasks = self.data.sample(self.settings.bc.batch_size, self.rng)
+        inputs = self.augmented(observations, self.noise_rng)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
         torso = cast("Torso", self._actor.torso)
         maps = torso.convolutions(inputs[:, -torso.channels :])

@@ -37,7 +37,7 @@ class Discriminator(nn.Module):
 
 
 class Adversarial(RewardLearner):
-    """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
+    """Trains the `discriminator` on the latest rollouts and the demonstrations, and PPO on its rewards."""
 
     parts = ("network", "ppo", "discriminator")
     unused: ClassVar[tuple[str, ...]] = ("precision", "discriminator.gradient_penalty")
@@ -45,25 +45,25 @@ class Adversarial(RewardLearner):
     def __init__(self, settings: TrainingSettings) -> None:
         self._augment = augmentation(settings)  # first, so that errors are raised before environments are made
         super().__init__(settings)
-        self._latest: list[Rollout] = []
-        self._noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
+        self.latest: list[Rollout] = []
+        self.noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
-            self._discriminator = self.discriminator().to(self.device)
+            self.discriminator = self.new_discriminator().to(self.device)
         rate = settings.discriminator.learning_rate
-        self._optimizer = torch.optim.Adam(self._discriminator.parameters(), rate, fused=True)
-        self.stateful |= {"discriminator": self._discriminator, "discriminator optimizer": self._optimizer}
-        self.stateful |= {"noise": self._noise_rng}
+        self._optimizer = torch.optim.Adam(self.discriminator.parameters(), rate, fused=True)
+        self.stateful |= {"discriminator": self.discriminator, "discriminator optimizer": self._optimizer}
+        self.stateful |= {"noise": self.noise_rng}
 
-    def discriminator(self) -> nn.Module:
+    def new_discriminator(self) -> nn.Module:
         """A new discriminator, a `Samplewise`."""
         return Discriminator(self.settings.network, len(self.settings.tasks), states=self.settings.states)
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """The discriminator's steps; returns the means of their metrics."""
         steps = self.settings.discriminator.steps
-        self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
-        played = joined(self._latest)
-        metrics = [self._step(played) for _ in range(steps)]
+        self.latest = [*self.latest, rollout][-self.settings.discriminator.rollouts :]
+        played = joined(self.latest)
+        metrics = [self.train_discriminator(played) for _ in range(steps)]
         return {name: sum(step[name] for step in metrics) / steps for name in metrics[0]}
 
     @abstractmethod
@@ -73,7 +73,7 @@ class Adversarial(RewardLearner):
     def get_state(self) -> dict[str, Any]:
         """The state of the base class, and the rollouts that later updates use again."""
         earlier = self.settings.discriminator.rollouts - 1
-        latest = self._latest[-earlier:] if earlier else []
+        latest = self.latest[-earlier:] if earlier else []
         arrays = [{name: values.numpy() for name, values in rollout._asdict().items()} for rollout in latest]
         return {**super().get_state(), "latest": arrays}
 
@@ -81,14 +81,15 @@ class Adversarial(RewardLearner):
         """Restores a state from `get_state`."""
         super().set_state(state)
         arrays = ([rollout[name] for name in Rollout._fields] for rollout in state["latest"])
-        self._latest = [Rollout(*map(torch.as_tensor, values)) for values in arrays]
+        self.latest = [Rollout(*map(torch.as_tensor, values)) for values in arrays]
 
-    def _step(self, rollout: Rollout) -> Mapping[str, float]:
+    def train_discriminator(self, rollout: Rollout) -> Mapping[str, float]:
+        """One step of the discriminator on samples of this rollout and of the demonstrations; returns its metrics."""
         half = self.settings.discriminator.batch_size // 2
-        sides = [self.on_device(side.sample(half, self._rng)) for side in (rollout, self._expert)]
+        sides = [self.on_device(side.sample(half, self.rng)) for side in (rollout, self.expert)]
         observations, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
-        self._discriminator.train()
-        loss, metrics = self.loss((self._augment(observations, self._noise_rng), actions, tasks))
+        self.discriminator.train()
+        loss, metrics = self.loss((self._augment(observations, self.noise_rng), actions, tasks))
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
@@ -106,12 +107,12 @@ class GAIL(Adversarial):
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-log D, shape (n,)."""
-        self._discriminator.eval()
+        self.discriminator.eval()
         return nn.functional.softplus(-self.logits(observations, actions, tasks))
 
     def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The logits of D, shape (n,)."""
-        return self._discriminator(observations, actions, tasks)
+        return self.discriminator(observations, actions, tasks)
 
 
 class WGAILGP(Adversarial):
@@ -125,15 +126,15 @@ class WGAILGP(Adversarial):
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The loss, the difference between the two means of D, and the penalty without its weight."""
-        policy, expert = self._discriminator(*samples).chunk(2)
+        policy, expert = self.discriminator(*samples).chunk(2)
         distance = policy.mean() - expert.mean()
-        penalty = gradient_penalty(self._discriminator.eval(), *samples)
+        penalty = gradient_penalty(self.discriminator.eval(), *samples)
         metrics = {"distance": distance.item(), "penalty": penalty.item()}
         return self.settings.discriminator.gradient_penalty * penalty - distance, metrics
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-D, shape (n,)."""
-        return -self._discriminator.eval()(observations, actions, tasks)
+        return -self.discriminator.eval()(observations, actions, tasks)
 
 
 def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
@@ -174,9 +175,9 @@ class AIRL(GAIL):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self._expert = Steps(settings, drop_noop=False)
+        self.expert = Steps(settings, drop_noop=False)
 
-    def discriminator(self) -> nn.Module:
+    def new_discriminator(self) -> nn.Module:
         """A new network for f."""
         return Shaped(self.settings.network, len(self.settings.tasks), self.settings.ppo.discount)
 
@@ -184,13 +185,13 @@ class AIRL(GAIL):
         """The logits of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
         with torch.no_grad():
             chances = self._actor(observations[:, :-1], tasks).log_softmax(1)
-        return chances.gather(1, actions[:, None])[:, 0] - self._discriminator(observations, actions, tasks)
+        return chances.gather(1, actions[:, None])[:, 0] - self.discriminator(observations, actions, tasks)
 
     @torch.no_grad()
     def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """g(s, a), shape (n,): the reward function without the potentials that shape it."""
         del following
-        return cast("Shaped", self._discriminator).reward(observations, actions, tasks)
+        return cast("Shaped", self.discriminator).reward(observations, actions, tasks)
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """f(s, a, s') - log pi(a | s), shape (n,)."""

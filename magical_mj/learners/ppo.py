@@ -88,23 +88,23 @@ class PPO:
         self.policy = ActorCritic(actor, critic)
         self.optimizer = torch.optim.Adam(self.policy.parameters(), self.settings.learning_rate, fused=True)
         self.score = 0.0
-        self._generator, self._environments = generator, environments
+        self._generator, self.environments = generator, environments
         self._tasks = torch.as_tensor(environments.tasks, device=critic.bias.device)
         self._rollout_size = self.settings.environments * self.settings.steps
         self._total = self.settings.total_steps // self._rollout_size * self._rollout_size
         self._played = 0
-        self._observations = environments.reset()
+        self.observations = environments.reset()
 
     @torch.no_grad()
     def collect(self, *, pairs: bool = False) -> Rollout:
         """Plays and returns `ppo.steps` steps in each environment. With `pairs`, also returns the following states."""
         rows, scores = [], list[float]()
         for _ in range(self.settings.steps):
-            seen = self._observations
+            seen = self.observations
             distributions, values = self.policy(seen, self._tasks)
             drawn = distributions.sample()
             actions = drawn.cpu().numpy()
-            step = self._environments.step(actions)
+            step = self.environments.step(actions)
             bootstrap = np.zeros(len(actions), np.float32)
             for env in np.flatnonzero(step.ended & ~step.broken):  # a broken state is a termination
                 _, value = self.policy(step.last[env : env + 1], self._tasks[env : env + 1])
@@ -112,7 +112,7 @@ class PPO:
             log_probs = distributions.log_prob(drawn).cpu().numpy()
             rows.append((seen, actions, log_probs, values.cpu().numpy(), step.ended, bootstrap))
             scores += step.scores[step.ended].tolist()
-            self._observations = step.observations
+            self.observations = step.observations
         self.steps = Steps(*map(np.stack, zip(*rows, strict=True)))
         self._played += self._rollout_size
         if scores:
@@ -120,12 +120,12 @@ class PPO:
         seen = self.steps.observations
         if pairs:
             seen = np.concatenate([seen, self.successors()[..., -1:, :]], -2)
-        return Rollout(*map(torch.as_tensor, (seen, self.steps.actions, self._environments.tasks)))
+        return Rollout(*map(torch.as_tensor, (seen, self.steps.actions, self.environments.tasks)))
 
     def successors(self) -> NDArray[Any]:
         """The observation after each step, (steps, environments, ...). After an episode's last step, it is repeated."""
         seen, ended = self.steps.observations, self.steps.ended
-        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], self._observations]))
+        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], self.observations]))
 
     def advantages(self, rewards: NDArray[np.float32]) -> NDArray[np.float32]:
         """Generalised advantage estimation (equations 11 and 12) of the latest rollout.
@@ -136,7 +136,7 @@ class PPO:
         gamma, gae_lambda = self.settings.discount, self.settings.gae_lambda
         rewards = rewards + self.steps.bootstrap
         with torch.no_grad():
-            next_values = self.policy(self._observations, self._tasks)[1].cpu().numpy()
+            next_values = self.policy(self.observations, self._tasks)[1].cpu().numpy()
         advantages, next_advantages = np.empty_like(rewards), np.zeros_like(next_values)
         for t in reversed(range(len(rewards))):
             values, continues = self.steps.values[t], 1.0 - self.steps.ended[t].astype(np.float32)
@@ -166,14 +166,14 @@ class PPO:
         clip = remaining * ppo.clip if ppo.anneal_clip else ppo.clip
         self.optimizer.param_groups[0]["lr"] = remaining * ppo.learning_rate
         advantages = self.advantages(rewards)
-        tasks = np.broadcast_to(self._environments.tasks, rewards.shape)
+        tasks = np.broadcast_to(self.environments.tasks, rewards.shape)
         columns = (steps.actions, tasks, steps.log_probs, advantages, advantages + steps.values)
         columns = [torch.as_tensor(column.reshape(-1)) for column in columns]
         observations = torch.as_tensor(steps.observations).flatten(0, 1)
         entropies, value_losses, divergences = list[float](), list[float](), list[float]()
         for _ in range(ppo.epochs):
             divergences.clear()
-            for rows in even_minibatches(self._environments.tasks, ppo.steps, ppo.minibatch, self._generator):
+            for rows in even_minibatches(self.environments.tasks, ppo.steps, ppo.minibatch, self._generator):
                 batch = (column[rows].to(self._tasks.device) for column in columns)
                 actions, numbers, old_log_probs, gains, returns = batch
                 if ppo.normalise_advantages:
@@ -200,7 +200,7 @@ class PPO:
         return {
             "weights": self.policy.state_dict(),
             "optimizer": self.optimizer.state_dict(),
-            "environments": self._environments.get_state(),
+            "environments": self.environments.get_state(),
             "steps": self._played,
             "score": self.score,
         }
@@ -209,7 +209,7 @@ class PPO:
         """Restores a state from `get_state`."""
         self.policy.load_state_dict(state["weights"])
         restore_optimizer(self.optimizer, state["optimizer"])
-        self._observations = self._environments.set_state(state["environments"])
+        self.observations = self.environments.set_state(state["environments"])
         self._played, self.score = state["steps"], state["score"]
 
 
@@ -233,6 +233,12 @@ class RewardLearner(Learner):
     """Plays, computes rewards, and improves the policy by PPO.
 
     Policy and value receive pictures without augmentation (appendix). Demonstrations keep their no-ops.
+
+    Attributes:
+        expert: the demonstrations.
+        environments: the environments that it plays in.
+        ppo: trains the policy.
+        rng: draws batches and seeds.
     """
 
     parts: ClassVar[tuple[str, ...]] = ("network", "ppo")
@@ -244,21 +250,21 @@ class RewardLearner(Learner):
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
-        self._expert = Dataset(settings, drop_noop=False)
-        self._rng = torch.Generator().manual_seed(settings.seed)
-        self._environments = training_envs(settings)
+        self.expert = Dataset(settings, drop_noop=False)
+        self.rng = torch.Generator().manual_seed(settings.seed)
+        self.environments = training_envs(settings)
         tasks = len(settings.tasks)
         with seeded(settings.seed):
             actor = Actor(settings.network, tasks, states=settings.states).to(self.device)
             if isinstance(actor.torso, Torso):
-                first = self._expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
+                first = self.expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
                 standardise(actor.torso, self.on_device(first)[0])
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
-            self._ppo = PPO(settings, self._environments, actor, critic, self._rng)
-        self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
-        self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._rng}
+            self.ppo = PPO(settings, self.environments, actor, critic, self.rng)
+        self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self.environments.tasks)
+        self.stateful = {"ppo": self.ppo, "average": self._average, "rewards": self._normalise, "draw": self.rng}
 
     @classmethod
     def check_values(cls, settings: TrainingSettings) -> None:
@@ -296,19 +302,19 @@ class RewardLearner(Learner):
 
     def update(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's update. Restores the global generators, which draw the actions."""
-        with seeded(int(torch.randint(2**62, (), generator=self._rng))):
+        with seeded(int(torch.randint(2**62, (), generator=self.rng))):
             rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
             with torch.no_grad():
                 parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
             rewards = torch.cat(parts).double().cpu().numpy().reshape(rollout.actions.shape)
-            metrics |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
+            metrics |= {"reward": float(rewards.mean()), **self.ppo.improve(self._normalise(rewards))}
         self._average.update_parameters(self._actor)
         return metrics
 
     def collect(self) -> Rollout:
         """Plays a rollout, for learning the reward and improving the policy."""
-        return self._ppo.collect(pairs=self.pairs)
+        return self.ppo.collect(pairs=self.pairs)
 
     @abstractmethod
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
@@ -330,7 +336,7 @@ class RewardLearner(Learner):
 
     def close(self) -> None:
         """Closes the environments."""
-        self._environments.close()
+        self.environments.close()
 
 
 class RewardNormaliser:

@@ -159,19 +159,22 @@ class BatchedEnvs(TrainingEnvs):
     """All environments of a run in one batch, on the learner's device.
 
     Observations are copied to the host, where rollouts are kept.
+
+    Attributes:
+        batch: the environments.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
         check_extra("batched environments", "gpu")
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
-        self._batch = BatchedEnv(
+        self.batch = BatchedEnv(
             [(task, settings.reward.variant) for task in tasks_of(settings)],
             preset=settings.preset,
             device=str(device(settings.device)),
             seed=settings.seed,
         )
-        self._arrays = Arrays(self._batch)
+        self._arrays = Arrays(self.batch)
         super().__init__(settings)
 
     def reset(self) -> NDArray[Any]:
@@ -205,7 +208,7 @@ class BatchedEnvs(TrainingEnvs):
 
     def close(self) -> None:
         """Frees the simulation."""
-        self._batch.close()
+        self.batch.close()
 
 
 def training_envs(settings: TrainingSettings) -> TrainingEnvs:

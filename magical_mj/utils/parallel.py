@@ -5,8 +5,9 @@ so that scripts need no guard. A worker's standard input is a pipe from the call
 process ends for any reason. Then the worker ends at once, with all processes that it has forked. On a cluster, each
 thread of a dask worker has one such process.
 
-joblib's loky was tried instead: one dead worker fails all unfinished work items, a killed caller leaves busy workers
-and their forks running, and an interrupted caller waits for them.
+Two libraries were tried instead. With joblib's loky, one dead worker fails all unfinished work items, and with it and
+with pebble's `ProcessPool`, a killed or interrupted caller leaves busy workers and their forks running
+(`test_workers_end_with_their_caller`).
 
 Functions may return a `Timed` or a `Split` instead of a result.
 """

@@ -92,7 +92,7 @@ def test_ten_actions_and_what_is_alone_moves_alike() -> None:
     torch.testing.assert_close(alone.poses[0], physics.poses[1], atol=1e-5, rtol=0.0)
 
 
-def test_overflows_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overflows_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(physics_module, "ROWS", 8)
     scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
     physics = Physics(arrays([scene]))
@@ -106,7 +106,7 @@ def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(physics_module, "ROWS", 8)
     worlds = batched.make("MoveToCorner", "Demo", 1, device="cpu", preset="State")
     worlds.reset()
-    worlds._steps[0] = 79  # nearly over
+    worlds.steps[0] = 79  # nearly over
     with pytest.warns(UserWarning, match="more contacts than the allocated maximum"):
         _, _, _, ended, info = worlds.step([1])
     assert ended.tolist() == info["final_info"]["overflowed"].tolist() == [True]
@@ -160,7 +160,7 @@ def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> N
     single = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))
     worlds.reset(seed=0)
     single.reset(seed=0)
-    worlds._steps[1] = 58  # nearly over
+    worlds.steps[1] = 58  # nearly over
     for step, action in enumerate((1, 13, 10)):
         observation, _, _, ended, _ = worlds.step([action, action])
         assert ended.tolist() == [False, step == 1]
@@ -186,7 +186,7 @@ def test_shifts_are_those_of_the_episodes_seeds() -> None:
         magical_mj.env_id("MoveToRegion", "Jitter", "LoRes4E"), image_size=48, shifts=settings["shifts"]
     )
     observation, _ = worlds.reset(seed=7)
-    seeds = [[7, 8], worlds._sampler._next_seeds([0, 1])]
+    seeds = [[7, 8], worlds.sampler.next_seeds([0, 1])]
     for number in range(2):
         for picture, seed in zip(observation, seeds[number], strict=True):
             assert np.abs(picture.numpy().astype(float) - single.reset(seed=seed)[0]).mean() < 0.05
@@ -204,7 +204,7 @@ def test_other_rules_have_other_horizons_and_scores() -> None:
     for rules, steps, score in (("paper", 320, 0.25), ("released", 240, 0.0)):
         worlds = batched.make("ClusterShape", "Demo", 1, device="cpu", preset="State", rules=rules)
         worlds.reset(seed=0)
-        worlds._steps[0] = steps - 2
+        worlds.steps[0] = steps - 2
         assert worlds.step([0])[3].tolist() == [False]
         *_, ended, info = worlds.step([0])
         assert ended.tolist() == [True]
@@ -213,9 +213,9 @@ def test_other_rules_have_other_horizons_and_scores() -> None:
         worlds.close()
 
 
-def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
+def test_a_state_that_is_not_finite_affects_no_other_environment(env: Any) -> None:
     env.reset(seed=0)
-    env.physics._state["qvel"][1] = float("nan")
+    env.physics.state["qvel"][1] = float("nan")
     _, _, _, truncated, info = env.step([1, 1, 1])
     assert info["final_info"]["broken"].tolist() == truncated.tolist() == [False, True, False]
     assert info["final_info"]["eval_score"][1] == 0.0
@@ -231,7 +231,7 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
         "MoveToRegion", "Layout", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED
     )
     first, _ = worlds.reset(seed=3)
-    worlds._steps[1] = 39  # an episode that is nearly over
+    worlds.steps[1] = 39  # an episode that is nearly over
     _, _, _, truncated, _ = worlds.step([1, 1])
     assert truncated.tolist() == [False, True]
     with pytest.raises(ResetNeeded):
@@ -276,7 +276,7 @@ def test_arrays_are_the_same_with_numpy() -> None:
     worlds.close()
 
 
-def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
+def test_writing_into_an_observation_changes_no_later_one() -> None:
     worlds, twin = (batched.make("FindDupe", "All", 2, device="cpu", image_size=16) for _ in range(2))
     observation, untouched = worlds.reset(seed=0)[0], twin.reset(seed=0)[0]
     for action in (1, 4):
@@ -335,7 +335,7 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         other.step([1] * count)
         with pytest.raises(StateError, match=name):
             worlds.set_state(other.get_state())
-        assert worlds._steps.tolist() == [0, 0], "nothing is changed"
+        assert worlds.steps.tolist() == [0, 0], "nothing is changed"
         other.close()
     worlds.close()
     for use in (worlds.reset, worlds.get_state, lambda: worlds.step([0, 0]), lambda: worlds.set_state({})):

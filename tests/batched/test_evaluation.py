@@ -85,7 +85,7 @@ def test_a_world_that_breaks_is_a_failure() -> None:
     env = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED)
 
     def breaking(_: Any) -> int:
-        env.physics._state["qvel"][1] = float("nan")
+        env.physics.state["qvel"][1] = float("nan")
         return 0
 
     outcomes = list(rollouts(Arrays(env), breaking, [Episode("MoveToRegion", "Demo", seed, 0) for seed in (0, 1)]))
@@ -103,13 +103,13 @@ def test_a_world_that_breaks_is_a_failure() -> None:
         (BATCHED, "noop uses no observations"),
     ],
 )
-def test_what_cannot_be_is_refused(settings: dict[str, Any], says: str) -> None:
+def test_settings_that_batches_do_not_support_are_refused(settings: dict[str, Any], says: str) -> None:
     policy = "noop" if settings is BATCHED else {"demonstrator": Demonstrator()}
     with pytest.raises(SettingsError, match=says):
         magical_mj.evaluate(policy, **settings, **ONE)
 
 
-def test_they_are_no_entries(approximate: Path, tmp_path: Path) -> None:
+def test_batched_evaluations_cannot_be_entries(approximate: Path, tmp_path: Path) -> None:
     assert "batched environments" in verify(approximate).unfit[0]
     assert not verify(approximate).good
     with pytest.raises(EvaluationError, match=r"cannot be an entry.*batched environments"):

@@ -144,7 +144,7 @@ def test_the_kernels_compile_for_an_accelerator(monkeypatch: pytest.MonkeyPatch)
     assert not re.search(r"\bfma\.", code)
 
 
-def test_what_is_missing_for_an_accelerator_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_for_accelerators_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None if name == "numba_cuda" else name)
     check_accelerator("cpu")
     with pytest.raises(MissingExtraError, match=r"pictures on an accelerator need numba_cuda: .*\[gpu\]"):

@@ -45,7 +45,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedEnvs) -> Non
     copies = LocalEnvs(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
     observations, wanted = worlds.reset(), copies.reset()
-    worlds._batch._steps[1] = 38  # an episode that is nearly over
+    worlds.batch.steps[1] = 38  # an episode that is nearly over
     for step in range(2):
         assert observations.dtype == wanted.dtype
         assert np.abs(observations.astype(float) - wanted).mean() < 0.05
@@ -62,7 +62,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedEnvs) -> Non
 def test_nothing_is_expected_after_a_broken_state(worlds: BatchedEnvs) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
-    worlds._batch.physics._state["qvel"][1] = float("nan")
+    worlds.batch.physics.state["qvel"][1] = float("nan")
     step = worlds.step(np.array([1, 1]))
     assert step.ended.tolist() == step.broken.tolist() == [False, True]
 
@@ -74,10 +74,10 @@ def test_histories_of_states_begin_with_their_episode(worlds: BatchedEnvs) -> No
     first = np.tile(single.reset(seed=0)[0], (HISTORY, 1))
     before = worlds.reset()
     assert before.shape == (2, HISTORY, len(STATE_NAMES))
-    assert worlds._batch._steps.tolist() == [0, 20]
+    assert worlds.batch.steps.tolist() == [0, 20]
     np.testing.assert_allclose(before[0], first, atol=1e-6)
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
-    worlds._batch._steps[1] = 39
+    worlds.batch.steps[1] = 39
     observations, ended, last, _, _ = worlds.step(np.array([1, 3]))
     assert ended.tolist() == [False, True]
     np.testing.assert_array_equal(observations[0, :-1], before[0, 1:])
@@ -123,7 +123,7 @@ def test_the_command_line_trains_in_batched_worlds(tmp_path: Path) -> None:
     assert load_policy(out).tasks == tuple(TWO.split(","))
 
 
-def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_simulators_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SettingsError, match="bc cannot choose its simulator"):
         in_batch("bc")
     with pytest.raises(UnknownNameError, match=r"ppo\.simulator 'many'"):
@@ -141,13 +141,13 @@ def test_a_state_is_gone_back_to_in_another_batch() -> None:
     first.reset()
     second.reset()
     observations = first.step([1, 3])[0]
-    first._steps[1] = 98  # an episode that is nearly over
+    first.steps[1] = 98  # an episode that is nearly over
     assert torch.equal(second.set_state(first.get_state()), observations)
     for _ in range(3):
         ours, theirs = first.step([10, 4]), second.step([10, 4])
         assert torch.equal(ours[0], theirs[0])
         assert torch.equal(ours[3], theirs[3])
         assert torch.equal(ours[4]["eval_score"], theirs[4]["eval_score"])
-    assert second._steps.tolist() == [4, 1]
+    assert second.steps.tolist() == [4, 1]
     first.close()
     second.close()

@@ -26,7 +26,7 @@ def test_gails_reward_is_minus_log_d() -> None:
     learner = GAIL(playing())
     samples = torch.rand(3, 12, 96, 96), torch.tensor([1, 2, 3]), torch.zeros(3, dtype=torch.int64)
     with torch.no_grad():
-        torch.testing.assert_close(learner.reward(*samples), -learner._discriminator(*samples).sigmoid().log())
+        torch.testing.assert_close(learner.reward(*samples), -learner.discriminator(*samples).sigmoid().log())
     learner.close()
 
 
@@ -70,10 +70,10 @@ def test_wgails_loss_by_hand() -> None:
     """100 x penalty + E_demonstrations D - E_policy D, and the reward is -D."""
     learner = WGAILGP(playing(**{"discriminator.gradient_penalty": 7}))
     with torch.no_grad():
-        for weights in learner._discriminator.parameters():
+        for weights in learner.discriminator.parameters():
             weights.zero_()
-        learner._discriminator.head.weight.zero_()
-        learner._discriminator.head.bias.fill_(2.5)
+        learner.discriminator.head.weight.zero_()
+        learner.discriminator.head.bias.fill_(2.5)
     samples = torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.zeros(4, dtype=torch.int64)
     loss, metrics = learner.loss(samples)
     assert loss.item() == pytest.approx(7)  # D is 2.5 everywhere, and its gradient 0
@@ -86,7 +86,7 @@ def test_wgails_sides() -> None:
     """The first half is the policy's: D rises there and falls for the demonstrator's."""
     learner = WGAILGP(playing(**{"discriminator.gradient_penalty": 0}))
     samples = torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.zeros(4, dtype=torch.int64)
-    values = learner._discriminator.train()(*samples).detach()
+    values = learner.discriminator.train()(*samples).detach()
     loss, metrics = learner.loss(samples)
     assert loss.item() == pytest.approx((values[2:].mean() - values[:2].mean()).item(), abs=1e-6)
     assert metrics["distance"] == pytest.approx(-loss.item())
@@ -104,27 +104,26 @@ def test_the_weight_vector_is_the_best_of_the_unit_ball() -> None:
 def test_al_weighs_the_features_of_both_sides() -> None:
     """By the formula, from the demonstrations and rollouts that it draws; the policy's latest samples are kept."""
     learner = Apprenticeship(playing(tasks="MoveToRegion,FixColour", **{"features.samples": 40}))
-    first, second = learner._ppo.collect(), learner._ppo.collect()
+    first, second = learner.ppo.collect(), learner.ppo.collect()
     learner.learn_reward(first)
     metrics = learner.learn_reward(second)
-    everything = learner._expert.rows([torch.arange(size) for size in learner._expert.sizes])
-    expert = learner._autoencoder.features(*learner.on_device(everything)[:2])
+    everything = learner.expert.rows([torch.arange(size) for size in learner.expert.sizes])
+    expert = learner.autoencoder.features(*learner.on_device(everything)[:2])
     novice = [
-        learner._autoencoder.features(*learner.on_device(part)[:2])
-        for part in (*first.batches(16), *second.batches(16))
+        learner.autoencoder.features(*learner.on_device(part)[:2]) for part in (*first.batches(16), *second.batches(16))
     ]
     novice = torch.cat(novice).reshape(8, 2, 2, -1)  # steps, tasks, copies of each
-    assert [len(features) for features in learner._latest] == [16, 16]  # of the 20 that are asked for
+    assert [len(features) for features in learner.latest] == [16, 16]  # of the 20 that are asked for
     for task in (0, 1):
         mean = expert[everything.tasks == task].mean(0) - novice[:, task].flatten(0, 1).mean(0)
-        torch.testing.assert_close(learner._weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(learner.weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
     assert metrics["distance"] > 0
-    third = learner._ppo.collect()
+    third = learner.ppo.collect()
     learner.learn_reward(third)
-    assert learner._latest.shape[1] == 20
+    assert learner.latest.shape[1] == 20
     stacks, actions, tasks = learner.on_device(next(third.batches(16)))
     expected = torch.einsum(
-        "nf,nf->n", learner._autoencoder.features(stacks, actions), learner._weights[[0, 0, 1, 1] * 4]
+        "nf,nf->n", learner.autoencoder.features(stacks, actions), learner.weights[[0, 0, 1, 1] * 4]
     )
     torch.testing.assert_close(learner.reward(stacks, actions, tasks), expected)
     learner.close()
@@ -141,7 +140,7 @@ def test_the_autoencoder_is_its_own_mirror(network: NetworkSettings) -> None:
     assert inwards == outwards[::-1]  # a transposed convolution's weights are those of the convolution it mirrors
 
 
-def test_features_that_are_always_0_are_drawn_anew() -> None:
+def test_features_that_are_always_0_are_initialised_again() -> None:
     autoencoder = Autoencoder(playing().network, 6)
     weight, bias = autoencoder.encoder.linear[2].parameters()
     with torch.no_grad():
@@ -165,9 +164,9 @@ def test_the_autoencoder_learns_and_then_stays() -> None:
     losses = [learner.update()["reconstruction"] for _ in range(30)]
     assert losses[-1] < losses[0] / 2
     assert all(map(torch.equal, policy, learner.actor.parameters()))
-    coder = {name: value.clone() for name, value in learner._autoencoder.state_dict().items()}
+    coder = {name: value.clone() for name, value in learner.autoencoder.state_dict().items()}
     assert learner.update()["reconstruction"] == losses[-1]
-    assert all(torch.equal(coder[name], value) for name, value in learner._autoencoder.state_dict().items())
+    assert all(torch.equal(coder[name], value) for name, value in learner.autoencoder.state_dict().items())
     assert not all(map(torch.equal, policy, learner.actor.parameters()))
     learner.close()
 
@@ -179,10 +178,10 @@ def test_batches_are_half_and_half() -> None:
 
     def loss(samples: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, dict[str, float]]:
         tasks.append(samples[2].tolist())
-        return learner._discriminator(*samples).sum(), {}
+        return learner.discriminator(*samples).sum(), {}
 
     learner.loss = loss
-    learner.learn_reward(learner._ppo.collect())
+    learner.learn_reward(learner.ppo.collect())
     assert tasks == [[0, 0, 1, 1, 0, 0, 1, 1]] * 2
     learner.close()
 
@@ -191,15 +190,15 @@ def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
     """As many as the settings say; what is resumed has them all."""
     learner = GAIL(playing(preset="State", **{"discriminator.rollouts": 3}))
     played, sampled = [], []
-    learner._step = lambda rollout: sampled.append(rollout) or {}  # type: ignore[method-assign,func-returns-value]
+    learner.train_discriminator = lambda rollout: sampled.append(rollout) or {}  # type: ignore[method-assign,func-returns-value]
     for _ in range(4):
-        played.append(learner._ppo.collect())
+        played.append(learner.ppo.collect())
         learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.observations for rollout in played[1:]])
     np.testing.assert_array_equal(sampled[-1].observations, expected)
     checkpoint.write(tmp_path / "kept.safetensors", learner.get_state())
     learner.set_state(checkpoint.read(tmp_path / "kept.safetensors"))
-    played.append(learner._ppo.collect())
+    played.append(learner.ppo.collect())
     learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.actions for rollout in played[2:]])
     np.testing.assert_array_equal(sampled[-1].actions, expected)
@@ -208,12 +207,12 @@ def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
 
 def test_rewards_are_of_unaugmented_pictures_by_running_statistics() -> None:
     learner = GAIL(playing())
-    rollout = learner._ppo.collect()
+    rollout = learner.ppo.collect()
     learner.learn_reward(rollout)
     stacks, actions, tasks = learner.on_device(next(rollout.batches(16)))
     with torch.no_grad():
         whole = learner.reward(stacks, actions, tasks)
-        assert not learner._discriminator.training
+        assert not learner.discriminator.training
         alone = learner.reward(stacks[3:4], actions[3:4], tasks[3:4])
     torch.testing.assert_close(whole[3:4], alone)
     learner.close()

@@ -20,10 +20,10 @@ FAST: dict[str, Any] = {"preset": "State", "discriminator.steps": 60, "discrimin
 def test_loss_and_reward_are_the_papers() -> None:
     """D = exp f / (exp f + pi) for the demonstrator, f = g + discount h(s') - h(s), reward log D - log(1 - D)."""
     learner = AIRL(playing("airl", preset="State"))
-    samples = learner.on_device(learner._expert.sample(5, torch.Generator().manual_seed(0)))
+    samples = learner.on_device(learner.expert.sample(5, torch.Generator().manual_seed(0)))
     steps, actions, tasks = samples
     before, after = steps[:, :4], steps[:, 1:]
-    f = learner._discriminator
+    f = learner.discriminator
     assert isinstance(f, Shaped)
     with torch.no_grad():
         values = f.reward(before, actions, tasks) - f.potential(before, tasks)
@@ -36,19 +36,19 @@ def test_loss_and_reward_are_the_papers() -> None:
     learner.close()
 
 
-def test_demonstrations_hold_what_followed() -> None:
+def test_demonstrations_contain_the_following_states() -> None:
     learner = AIRL(playing("airl", preset="State"))
-    (last,) = learner._expert.last
+    (last,) = learner.expert.last
     assert last.sum() == 2
     assert last[-1]
-    rows = learner._expert.rows([torch.arange(len(last))]).observations
+    rows = learner.expert.rows([torch.arange(len(last))]).observations
     inner = ~last[:-1]
     torch.testing.assert_close(rows[:-1, 1:][inner], rows[1:, :-1][inner])
     torch.testing.assert_close(rows[last, 4], rows[last, 3])
     learner.close()
 
 
-def test_rollouts_hold_what_followed() -> None:
+def test_rollouts_contain_the_following_states() -> None:
     """Each step has the state of the next, across rollouts too; the last of an episode has its own again."""
     learner = AIRL(playing("airl", **LONG))
     first, second = learner.collect().observations.numpy(), learner.collect().observations.numpy()
@@ -67,6 +67,6 @@ def test_the_discriminator_learns() -> None:
     learner.close()
 
 
-def test_it_needs_states() -> None:
+def test_airl_needs_states() -> None:
     with pytest.raises(SettingsError, match="preset State"):
         AIRL(load_settings("airl", "MoveToRegion"))

@@ -95,7 +95,7 @@ def test_move_goes_where_it_says() -> None:
     assert down.item() == pytest.approx(10 * sine - 4 * cosine - 1.25, abs=0.02)
 
 
-def test_what_comes_in_is_mirrored() -> None:
+def test_translated_pictures_are_padded_by_reflection() -> None:
     stacks = random_stacks(1)
     result = move(stacks, torch.tensor([[2.0, -1.0]]), torch.zeros(1))
     torch.testing.assert_close(result[..., :-1, 2:], stacks[..., 1:, :-2], atol=1e-4, rtol=0)

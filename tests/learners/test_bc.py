@@ -120,7 +120,7 @@ def test_recalibration_makes_batch_norms_averages_those_of_the_present_weights()
         other.update()
     learner.recalibrate()
     norm = next(layer for layer in learner.actor.modules() if isinstance(layer, torch.nn.BatchNorm2d))
-    images, _, _ = learner._data.rows([torch.arange(learner._data.sizes[0])])
+    images, _, _ = learner.data.rows([torch.arange(learner.data.sizes[0])])
     with torch.no_grad():
         expected = learner.actor.torso.convolutions[0](as_input(images, learner.device)).mean((0, 2, 3))
     torch.testing.assert_close(norm.running_mean, expected, atol=0.02, rtol=0.1)
@@ -144,7 +144,7 @@ def test_it_can_learn_five_demonstrations_by_heart() -> None:
     learner = BehaviouralCloning(tiny(**changes))
     for _ in range(learner.updates):
         learner.update()
-    data = learner._data
+    data = learner.data
     images, actions, tasks = data.rows([torch.arange(data.sizes[0])])
     learner.actor.eval()
     with torch.no_grad():
@@ -158,7 +158,7 @@ def test_it_can_learn_five_demonstrations_by_heart() -> None:
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory otherwise")
-def test_freed_memory_is_not_fetched_anew() -> None:
+def test_freed_memory_is_kept_by_the_process() -> None:
     # in its own process, as trainings are: elsewhere, the heap may be fragmented
     done = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 20_000  # otherwise it would be 200,000
@@ -245,6 +245,6 @@ def test_large_alpha_is_behavioural_cloning() -> None:
     torch.testing.assert_close(loss, torch.nn.functional.cross_entropy(logits, actions))
 
 
-def test_it_needs_states() -> None:
+def test_iq_learn_needs_states() -> None:
     with pytest.raises(SettingsError, match="preset State"):
         IQLearn(load_settings("iq-learn", "MoveToRegion"))

@@ -50,7 +50,7 @@ def convolutions_of(folder: Path) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("tasks", ["MoveToRegion", "MoveToRegion,FixColour"])
-def test_only_what_follows_the_encoder_is_trained(tasks: str, tmp_path: Path) -> None:
+def test_only_layers_after_the_encoder_are_trained(tasks: str, tmp_path: Path) -> None:
     """The weights and the averages of batch norm are those of the file after training, recalibration and loading."""
     encoder = random_encoder(tmp_path / "encoder.safetensors")
     settings = using(tmp_path / "encoder.safetensors", tasks=tasks)
@@ -75,7 +75,7 @@ def test_training_uses_the_encoders_features(tmp_path: Path) -> None:
     reference = Torso(settings.network, batch_norm=True).eval()
     reference.convolutions.load_state_dict(dict(encoder.weights))
     reference.linear.load_state_dict(twin.actor.torso.linear.state_dict())
-    observations, actions, tasks = twin._data.sample(settings.bc.batch_size, twin._rng)
+    observations, actions, tasks = twin.data.sample(settings.bc.batch_size, twin.rng)
     logits = twin.actor.head(reference(observations.permute(0, 3, 1, 2) / 255), tasks)
     wanted = torch.nn.functional.cross_entropy(logits, actions).item()
     assert learner.update()["loss"] == pytest.approx(wanted, rel=1e-4)
@@ -179,7 +179,7 @@ def test_a_missing_encoder_is_reported_at_once(shell: Shell) -> None:
     assert "does not exist" in error
 
 
-def test_what_is_no_encoder_for_the_training_is_refused(tmp_path: Path) -> None:
+def test_encoders_that_do_not_fit_the_training_are_refused(tmp_path: Path) -> None:
     file, run = tmp_path / "encoder.safetensors", tmp_path / "run"
 
     def refused(match: str, kind: type[Exception] = SettingsError, path: Path = file, **changes: Any) -> None:

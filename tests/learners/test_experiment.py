@@ -121,7 +121,7 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
         ({}, "report.md does not belong to an earlier report"),
     ],
 )
-def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], says: str, tmp_path: Path) -> None:
+def test_wrong_experiments_fail_before_the_first_run(change: dict[str, str], says: str, tmp_path: Path) -> None:
     text, out = EXPERIMENT, tmp_path / "out"
     for old, new in change.items():
         text = text.replace(old, new)
@@ -237,7 +237,7 @@ episodes = 1
 
 
 @pytest.mark.slow
-def test_the_papers_sizes_go_on_where_they_were_stopped(tmp_path: Path) -> None:
+def test_trainings_of_the_papers_size_continue_where_they_stopped(tmp_path: Path) -> None:
     """The script's own loop, with small sizes. It is stopped, and called again."""
     (tmp_path / "pixels-bc.toml").write_text(f'methods = ["bc"]\n{SMALL}')
     script = shutil.copy(FULL_SIZE / "accelerator.sh", tmp_path)

@@ -46,7 +46,7 @@ def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     assert {run.settings.ppo.clip for run in planned} == {0.2}
 
 
-def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
+def test_statements_about_learnt_rewards_agree_with_the_figures() -> None:
     text = " ".join((DOCS / "learners.md").read_text().split())
     found = learnt_rewards.means()
     assert found[["Layout", "All"]].to_numpy().max() < found[["Demo", "Colour"]].to_numpy().min()
@@ -61,7 +61,7 @@ def test_what_it_says_about_learnt_rewards_is_in_the_figures() -> None:
     )
 
 
-def test_what_it_says_about_pretraining_is_in_the_figures() -> None:
+def test_statements_about_pretraining_agree_with_the_figures() -> None:
     text = " ".join((DOCS / "learners.md").read_text().split())
     starts = pretraining.stored()
     # As many batches on the held-out task as those of both steps together.

@@ -52,7 +52,7 @@ def test_the_penalty_falls_where_it_weighs() -> None:
     assert last(5.0) < last(0.0)
 
 
-def test_what_it_needs() -> None:
+def test_point_needs_pictures_and_large_batches() -> None:
     with pytest.raises(SettingsError, match="from pictures"):
         Point(load_settings("point", "MoveToRegion", preset="State"))
     with pytest.raises(SettingsError, match="at least 4"):

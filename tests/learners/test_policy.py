@@ -140,7 +140,7 @@ def test_pictures(settings: TrainingSettings, tmp_path: Path) -> None:
     compare_exported(load_policy(tmp_path / "run").actor, file, seen)
 
 
-def test_what_cannot_be_exported(both: Path, tmp_path: Path, shell: Shell) -> None:
+def test_policies_that_cannot_be_exported_say_why(both: Path, tmp_path: Path, shell: Shell) -> None:
     assert "contains no trained network" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
     assert "choose one of MoveToRegion, MakeLine (--task)" in shell.fails(
         2, "export-policy", both, "--out", tmp_path / "a.onnx"

@@ -34,7 +34,7 @@ def improver(settings: TrainingSettings) -> PPO:
 def ppo() -> Iterator[PPO]:
     learner = improver(playing())
     yield learner
-    learner._environments.close()
+    learner.environments.close()
 
 
 def test_copies_are_split_evenly_between_tasks() -> None:
@@ -137,7 +137,7 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     ppo = improver(settings)
     ppo.collect()
     ppo.improve(np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32))
-    seen, tasks, actor = ppo._environments.reset(), torch.tensor([0, 0, 1, 1]), ppo.policy.actor
+    seen, tasks, actor = ppo.environments.reset(), torch.tensor([0, 0, 1, 1]), ppo.policy.actor
     save_policy(tmp_path, actor, settings)
     saved = load_policy(tmp_path)
     with torch.inference_mode():
@@ -148,13 +148,13 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     assert logits.shape == (4, ONE_HOT)
     saved.reset_batch([Episode("FixColour", "Demo", 0, 0)] * 2)
     assert saved.act_batch(seen[2:]).shape == (2,)
-    ppo._environments.close()
+    ppo.environments.close()
 
 
 def test_a_task_trains_its_own_heads_only() -> None:
     """PPO's loss for samples of the second task has no gradient in the first task's heads."""
     ppo = improver(playing(tasks="MoveToRegion,FixColour"))
-    distributions, values = ppo.policy(ppo._environments.reset()[2:], torch.tensor([1, 1]))
+    distributions, values = ppo.policy(ppo.environments.reset()[2:], torch.tensor([1, 1]))
     (values.sum() + distributions.log_prob(torch.tensor([3, 4])).sum() + distributions.entropy().sum()).backward()
     for heads in (ppo.policy.actor.head, ppo.policy.critic):
         for weights in heads.parameters():
@@ -162,7 +162,7 @@ def test_a_task_trains_its_own_heads_only() -> None:
             assert not weights.grad[0].any()
             assert weights.grad[1].any()
     assert ppo.policy.actor.torso.linear[0].weight.grad.any()
-    ppo._environments.close()
+    ppo.environments.close()
 
 
 def test_new_policies_tell_pictures_apart() -> None:
@@ -192,7 +192,7 @@ def test_rewards_from_outside_become_returns(ppo: PPO) -> None:
     rewards = rng.normal(size=(4, 4)).astype(np.float32)
     steps, gamma, decay = ppo.steps, ppo.settings.discount, ppo.settings.discount * ppo.settings.gae_lambda
     with torch.no_grad():
-        following = ppo.policy(ppo._observations, torch.zeros(4, dtype=torch.int64))[1].numpy()
+        following = ppo.policy(ppo.observations, torch.zeros(4, dtype=torch.int64))[1].numpy()
     assert np.flatnonzero(steps.bootstrap).tolist() == np.flatnonzero(steps.ended).tolist() == [1 * 4 + 3]
     expected, after = np.zeros((4, 4)), np.zeros(4)
     for step in (3, 2, 1, 0):

@@ -106,7 +106,7 @@ def test_the_rewards_of_all_methods_are_judged_on_the_same_episodes(
     assert frame.groupby("method")["sum"].nunique().min() >= 6  # tiny policies may play equal episodes
 
 
-def test_what_has_no_reward_is_refused(tmp_path: Path) -> None:
+def test_trainings_without_a_reward_are_refused(tmp_path: Path) -> None:
     train(from_states(), tmp_path / "bc")
     with pytest.raises(SettingsError, match=r"none of these trainings has learnt a reward: give a training of .*gail"):
         evaluate_rewards(str(tmp_path / "bc"))
@@ -125,7 +125,7 @@ def test_ppo_learns_from_a_learnt_reward_in_another_variant(tmp_path: Path) -> N
     train(playing("gail", preset="State"), tmp_path / "gail")
     settings = playing("ppo", preset="State", **{"reward.run": tmp_path / "gail", "reward.variant": "Layout"})
     learner = OnLearntReward(settings)
-    starts = learner._environments.reset()[:, -1]
+    starts = learner.environments.reset()[:, -1]
     assert len({tuple(box) for box in starts[:, BOX].tolist()}) == len(starts)  # each has a layout of its own
     reward = learner_of_reward(tmp_path / "gail", playing("gail", preset="State"))
     rollout = learner.collect()
@@ -168,7 +168,7 @@ def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: 
 
 
 @pytest.mark.parametrize("variants", [["All", "Layout"], "all of them"])
-def test_what_a_policy_says_about_its_training_is_checked(variants: object, tmp_path: Path) -> None:
+def test_attributes_about_a_policys_training_are_checked(variants: object, tmp_path: Path) -> None:
     def policy(_: object) -> int:
         return 0
 

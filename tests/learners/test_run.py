@@ -80,7 +80,7 @@ def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
     assert is_done(run)
 
 
-def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_a_killed_run_continues_with_the_same_result(tmp_path: Path) -> None:
     """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
     settings = "tiny(preset='State', **{'bc.batches': 60, 'checkpoints': 10})"
     train(eval(settings), tmp_path / "whole")
@@ -144,7 +144,7 @@ def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
     assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
 
 
-def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
+def test_a_run_does_not_continue_on_another_kind_of_device(tmp_path: Path) -> None:
     """It would end otherwise than without the interruption. Its policy is at hand everywhere, once it is finished."""
     stopped(tmp_path / "begun", from_states())
     train(from_states(), tmp_path / "finished")
@@ -193,7 +193,7 @@ def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(tmp_pat
             train(from_states(), tmp_path / "run", resume=True)
 
 
-def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
+def test_an_existing_training_is_never_overwritten(tmp_path: Path) -> None:
     train(from_states(), tmp_path / "run")
     with pytest.raises(TrainingError, match="already contains a training; --resume"):
         train(from_states(), tmp_path / "run")
@@ -209,7 +209,7 @@ def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
         train(from_states(), tmp_path / "mine" / "thesis.tex" / "run")
 
 
-def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
+def test_a_training_that_cannot_start_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="has no device 'abacus'"):
         train(tiny(device="abacus"), tmp_path / "run")
     with pytest.raises(UnknownNameError, match="Did you mean 'bc'"):
@@ -217,7 +217,7 @@ def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+def test_a_loss_of_nan_stops_the_training_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e6, "bc.final_learning_rate": 1e6}
     with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
         train(from_states(**wild, checkpoints=12), tmp_path / "run")
@@ -264,7 +264,7 @@ def with_tree(path: Path, tree: str) -> None:
     save_file(tensors, path, {"tree": tree})
 
 
-def test_what_a_killed_training_left_unfinished_is_no_obstacle(tmp_path: Path) -> None:
+def test_unfinished_files_of_a_killed_training_are_no_obstacle(tmp_path: Path) -> None:
     """It was killed while it wrote its first file; a file of somebody else with a like name is one."""
     left = tmp_path / "run" / ".config.0123abcd-4567cdef.part.toml"
     left.parent.mkdir()
@@ -356,7 +356,7 @@ def test_without_its_checkpoint_a_training_begins_anew_only_when_told(tmp_path: 
 
 
 @pytest.mark.parametrize(("checkpoints", "written"), [(1, 0), (1, 1), (4, 7)])
-def test_a_training_that_ends_before_or_between_its_files_goes_on(
+def test_a_training_killed_between_its_files_continues(
     checkpoints: int, written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There are rows of metrics, and perhaps a checkpoint, but no policy yet; or not the last of both."""
@@ -378,7 +378,7 @@ def test_a_training_that_ends_before_or_between_its_files_goes_on(
     assert is_done(tmp_path / "run")
 
 
-def test_a_training_goes_on_with_as_many_threads_as_it_began(tmp_path: Path) -> None:
+def test_a_training_continues_with_the_same_number_of_threads(tmp_path: Path) -> None:
     """On pictures: with another number, sums are rounded differently."""
     before, numbers = torch.get_num_threads(), set[int]()
     try:
@@ -404,7 +404,7 @@ class Greedy(BehaviouralCloning):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_lack_of_memory_is_told(seed: int, tmp_path: Path) -> None:
+def test_a_lack_of_memory_is_explained(seed: int, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"not enough memory .*smaller sizes"):
         train(from_states(seed=seed), tmp_path / "run", learner=Greedy)
 
@@ -419,7 +419,7 @@ def test_other_errors_of_a_learner_are_its_own(tmp_path: Path) -> None:
     assert not isinstance(error.value, MagicalError)
 
 
-def test_a_training_goes_on_whatever_stood_in_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_continues_whatever_its_command_contained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["magical-mj", "train", "--out", "runs/\U0001f389", "\udcff"])
     stopped(tmp_path / "run", from_states())
     train(from_states(), tmp_path / "run", resume=True)

@@ -36,7 +36,7 @@ def test_defaults_are_the_papers() -> None:
     assert len(chosen(settings, "FindDupe")) == 10
 
 
-def test_quick_changes_only_what_it_says() -> None:
+def test_quick_changes_only_the_settings_of_its_table() -> None:
     full, quick = load_settings("bc", "all"), load_settings("bc", "all", quick=True)
     assert quick == changed(full, QUICK) != full
     assert quick.tasks == TASKS
@@ -68,7 +68,7 @@ def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None
     assert to_toml(from_toml(path)) == to_toml(settings)
 
 
-def test_toml_holds_what_means_something_to_the_method() -> None:
+def test_toml_contains_the_settings_that_the_method_uses() -> None:
     text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",), demonstrations=10, renderer="software"))
     for name in described(TrainingSettings):
         assert f"{name.rpartition('.')[2]} = " in text
@@ -118,7 +118,7 @@ def test_networks_that_are_too_large_are_not_built(changes: dict[str, Any], stat
         Actor(network, 1, states=states)
 
 
-def test_cloning_does_not_mind_what_playing_needs() -> None:
+def test_cloning_does_not_check_settings_of_ppo() -> None:
     assert tiny("bc", "FindDupe,MakeLine,FixColour", **{"ppo.minibatch": 100}).tasks == (
         "FindDupe", "MakeLine", "FixColour"
     )  # fmt: skip
@@ -138,7 +138,7 @@ def test_cloning_does_not_mind_what_playing_needs() -> None:
         f"a = {'[' * 10_000}",
     ],
 )
-def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> None:
+def test_files_without_valid_settings_are_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(text, "latin-1")
     with pytest.raises((SettingsError, UnknownNameError)):

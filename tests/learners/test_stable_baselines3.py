@@ -151,7 +151,7 @@ def test_a_training_equals_that_of_stable_baselines3(changes: dict[str, Any], mo
     generator = torch.Generator().manual_seed(0)
 
     def permutation(count: int) -> NDArray[np.int64]:
-        order = torch.cat(list(even_minibatches(ours._environments.tasks, ppo.steps, ppo.minibatch, generator))).numpy()
+        order = torch.cat(list(even_minibatches(ours.environments.tasks, ppo.steps, ppo.minibatch, generator))).numpy()
         assert len(order) == count
         return order % ppo.environments * ppo.steps + order // ppo.environments
 
@@ -191,5 +191,5 @@ def test_a_training_equals_that_of_stable_baselines3(changes: dict[str, Any], mo
     assert metrics["entropy"] == pytest.approx(-logged["train/entropy_loss"], rel=1e-6)
     assert metrics["value loss"] == pytest.approx(logged["train/value_loss"], rel=1e-6)
     assert metrics["kl"] == pytest.approx(logged["train/approx_kl"], rel=1e-4, abs=1e-8)
-    ours._environments.close()
+    ours.environments.close()
     theirs.env.close()

@@ -66,7 +66,7 @@ def test_histories_begin_with_the_first_state() -> None:
 
 
 @pytest.mark.parametrize(("angle", "x", "y"), [(0.0, 0.1, 0.7), (math.pi / 2, -0.5, 0.2), (math.pi, 0.1, -0.3)])
-def test_what_is_half_a_unit_ahead_is_half_a_unit_ahead(angle: float, x: float, y: float) -> None:
+def test_positions_are_in_the_robots_frame(angle: float, x: float, y: float) -> None:
     """Angle 0 faces +y, and angles run counter-clockwise."""
     seen = history(
         robot_x=0.1 if x == 0.1 else 0.0, robot_y=0.2, robot_angle=angle, block4_present=1, block4_x=x, block4_y=y

@@ -64,9 +64,9 @@ class InverseDynamics(BehaviouralCloning):
 
     def drawn(self) -> tuple[Tensor, Tensor, Tensor]:
         """Augmented stacks and their next frame (n, 3k + 3, 96, 96), the actions before it (n,), and the tasks (n,)."""
-        indices = [usable(self._data, task) for task in range(len(self.settings.tasks))]
-        batch, following = successive(self._data, indices, self.settings.bc.batch_size, self._rng)
-        frames = self._augmented(torch.cat([batch.observations, following[..., -FRAME:]], 3), self._noise_rng)
+        indices = [usable(self.data, task) for task in range(len(self.settings.tasks))]
+        batch, following = successive(self.data, indices, self.settings.bc.batch_size, self.rng)
+        frames = self.augmented(torch.cat([batch.observations, following[..., -FRAME:]], 3), self.noise_rng)
         return frames, batch.actions.to(self.device), batch.tasks.to(self.device)
 
 
@@ -81,7 +81,7 @@ class NextFrame(InverseDynamics):
             nn.init.normal_(self.embedding.weight, 1, 0.3)
             self.decoder = decoder(channels, math.isqrt(flat // channels))
         for layer in (self.embedding, self.decoder):
-            self._optimizer.add_param_group({"params": layer.to(self.device).parameters()})
+            self.optimizer.add_param_group({"params": layer.to(self.device).parameters()})
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss relative to the frames' variance, and negative errors for all actions of the first samples."""

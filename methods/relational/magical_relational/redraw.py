@@ -85,7 +85,7 @@ class Redraw(BehaviouralCloning):
             self.updates = self._teacher.updates + self._batches
             return metrics
         if self._count % BATCHES == 0:
-            self._data.renew()
+            self.data.renew()
         self._count += 1
         return super().update()
 
@@ -106,7 +106,7 @@ class Redraw(BehaviouralCloning):
 
     def get_state(self) -> dict[str, Any]:
         """The states of both policies, and the generator's state at the start of the current pool."""
-        own = {"count": self._count, "begun": self._data.begun, "teacher": self._teacher.get_state()}
+        own = {"count": self._count, "begun": self.data.begun, "teacher": self._teacher.get_state()}
         return super().get_state() | own
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -117,7 +117,7 @@ class Redraw(BehaviouralCloning):
         self._count = state["count"]
         if self._count:
             self._teacher.draw.set_state(state["begun"])
-            self._data.renew()
+            self.data.renew()
 
 
 class Pool:
