@@ -28,7 +28,7 @@ def test_hostile_cases_are_refused_or_harmless(kind: str) -> None:
     assert refused > 0 or kind in ("states", "hands", "clients")
 
 
-def test_what_must_not_be_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzing_campaign_finds_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The campaign itself can fail: by exceptions of other kinds, errors without words, and processes that die."""
     monkeypatch.syspath_prepend(str(FUZZ))
     cases = importlib.import_module("cases")

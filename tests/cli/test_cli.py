@@ -108,7 +108,7 @@ def test_help_and_version(shell: Shell) -> None:
     assert shell("--version") == (0, f"magical-mj {magical_mj.__version__}\n", "")
 
 
-def test_both_ways_to_start_it() -> None:
+def test_the_command_starts_as_a_script_and_as_a_module() -> None:
     script = Path(sys.executable).with_name("magical-mj")
     for command in ([sys.executable, script], [sys.executable, "-m", "magical_mj"]):
         result = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
@@ -169,7 +169,7 @@ def test_view_grid(shell: Shell, tmp_path: Path) -> None:
     assert opened(tmp_path / "environments-0.png").size == tuple(size)
 
 
-def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
+def test_a_demo_does_not_touch_the_folder_of_another(shell: Shell, tmp_path: Path) -> None:
     """Another demo is running."""
     command = ("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
     with files.locked(tmp_path):
@@ -289,7 +289,7 @@ def test_long_titles_fit() -> None:
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_what_appears_under_a_videos_name_meanwhile_is_kept(tmp_path: Path, overwrite: bool) -> None:
+def test_a_file_that_appears_under_a_videos_name_is_kept(tmp_path: Path, overwrite: bool) -> None:
     path, picture = tmp_path / "a.mp4", np.zeros((32, 32, 3), np.uint8)
     with (
         nullcontext() if overwrite else pytest.raises(FileExistsError, match="exists already"),

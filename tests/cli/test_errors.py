@@ -107,7 +107,9 @@ def test_a_value_error_of_the_parser_is_not_shown_as_one(shell: Shell, line: str
         "demo --out {}",
     ],
 )
-def test_unwritable_path_is_said_before_the_work(shell: Shell, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unwritable_path_is_an_error_before_the_work(
+    shell: Shell, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def no_work(*_: object, **__: object) -> None:
         pytest.fail("the path was not checked first")
 

@@ -118,7 +118,7 @@ def test_an_episode_is_played_recorded_and_read_again(
 
 
 @pytest.mark.parametrize("discard", [True, False])
-def test_what_was_played_is_kept_at_once_and_discarded_on_request(
+def test_episodes_are_saved_at_once_and_discarded_on_request(
     window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], discard: bool
 ) -> None:
     env = magical_mj.Engine("MoveToRegion", seed=0)

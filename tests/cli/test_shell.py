@@ -65,7 +65,7 @@ def test_terminals_that_cannot_show_every_sign(monkeypatch: pytest.MonkeyPatch) 
         assert main(command) == code
 
 
-def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
+def test_a_command_continues_when_its_output_is_closed(tmp_path: Path) -> None:
     """The work is done as usual, and the exit code reports its result."""
     (tmp_path / "bad.npz").write_bytes(b"no demonstration")
     commands = "rollout MoveToRegion --video v.mp4 --size 32", "demos verify bad.npz"

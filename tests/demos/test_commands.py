@@ -106,7 +106,7 @@ def test_generate_takes_what_another_process_was_faster_to_make(demo: Demonstrat
     assert (tmp_path / "demo.npz").read_bytes() == before
 
 
-def test_a_damaged_file_is_told(demo: Demonstration, shell: Shell) -> None:
+def test_a_damaged_file_is_reported(demo: Demonstration, shell: Shell) -> None:
     path = Path("MoveToRegion-Demo-000.npz")
     demos.write(demo, path)
     path.write_bytes(path.read_bytes()[:-10])
@@ -155,7 +155,7 @@ def test_verify_counts_what_it_cannot_replay_by_itself(demo: Demonstration, shel
     )
 
 
-def test_strangers_tasks_run_only_if_they_are_named(demo: Demonstration, shell: Shell) -> None:
+def test_tasks_in_files_run_only_if_the_user_names_them(demo: Demonstration, shell: Shell) -> None:
     """And do not matter beside those that were asked for."""
     for name in ("one.npz", "other.npz"):
         demos.write(demo, name)

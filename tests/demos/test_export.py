@@ -250,7 +250,7 @@ def test_bad_minari_ids_leave_nothing(demo: Demonstration, minari: Any, name: st
 
 
 @pytest.mark.parametrize(("preset", "settings"), [("LoRes4E", {"jpeg_encoding": False}), ("LoResCHW4E", {})])
-def test_what_minaris_collector_stores_are_the_pictures(
+def test_minaris_collector_stores_the_exact_pictures(
     preset: str, settings: dict[str, Any], minari: Any, tmp_path: Path
 ) -> None:
     """Exactly, in a stack of frames, as docs/integrations.md says; by the collector's storage, since it needs jax."""
@@ -269,7 +269,7 @@ def test_what_minaris_collector_stores_are_the_pictures(
 
 
 @pytest.mark.parametrize("given", [None, "FixColour", [3]])
-def test_what_are_no_demonstrations_is_said(given: Any, demo: Demonstration, tmp_path: Path) -> None:
+def test_exports_of_other_objects_are_refused(given: Any, demo: Demonstration, tmp_path: Path) -> None:
     for one in (given, demo):
         for call in (demos.to_npz, to_robomimic):
             with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):

@@ -255,7 +255,9 @@ def test_packed_demonstrations_are_the_same_and_tell_of_damage(tmp_path: Path, m
         demos.load("FixColour")
 
 
-def test_what_was_packed_is_read_to_the_bit_under_any_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packed_demonstrations_are_read_to_the_bit_under_any_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The smallest numbers, in a process that takes the smallest ones for 0, and whose numpy raises errors."""
     demo, rng = demos.load("MoveToRegion")[0], np.random.default_rng(0)
     sizes = 10.0 ** rng.uniform(-330, -280, (2, *demo.qpos.shape))

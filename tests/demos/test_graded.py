@@ -81,7 +81,7 @@ def test_they_are_shown_and_exported_like_others(shell: Shell) -> None:
     assert facts["demonstrators"] == ["disturbed", "mistaken", "stopped"]
 
 
-def test_what_is_not_there_says_what_is() -> None:
+def test_errors_of_load_list_the_sets_and_tasks() -> None:
     with pytest.raises(UnknownNameError, match=r"unknown set of demonstrations 'grades'.* 1, 2, 'graded'"):
         magical_mj.demos.load("FindDupe", set="grades")  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="leave out the folder"):

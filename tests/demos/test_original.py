@@ -166,7 +166,7 @@ def test_damaged_and_forged_pickles_are_refused(tmp_path: Path, content: bytes, 
         from_original(path)
 
 
-def test_wrong_episodes_say_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_episodes_are_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = episode("MoveToRegion", np.zeros(40, np.int64))
     for change, message in (
         ({"env_name": "MoveToRegion-TestAll-v0"}, "only episodes in the demo scenes"),

@@ -46,7 +46,7 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
         demos.Recorder(env)
 
 
-def test_what_a_recorder_did_not_see_is_no_demonstration() -> None:
+def test_episodes_that_were_not_fully_recorded_are_refused() -> None:
     """Not episodes that were stepped or begun anew without it, and not those that began in a scene of no seed."""
     env = magical_mj.Engine("ClusterShape", "Layout", seed=5, rules="released")
     env.reset()
@@ -73,7 +73,7 @@ def test_numbers_of_numpy_are_seeds_too(tmp_path: Path) -> None:
         demos.demonstrate("MoveToRegion", "Demo", -1)
 
 
-def test_what_no_expert_reaches_is_no_demonstration() -> None:
+def test_a_score_that_no_expert_reaches_is_an_error() -> None:
     with pytest.raises(DemonstrationError, match=r"10 experts tried MoveToRegion-Demo .*; the best reached 1\.00"):
         demos.demonstrate("MoveToRegion", "Demo", 0, least_score=1.5)
 
@@ -151,13 +151,13 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {  # types are msgspec's matter
 }
 
 
-def test_what_does_not_fit_is_refused(saved: dict[str, Any]) -> None:
+def test_recordings_that_do_not_fit_are_refused(saved: dict[str, Any]) -> None:
     for change, hint in REFUSED.values():
         with pytest.raises(MagicalError, match=hint):
             demos.from_recording(json.dumps(saved | change))
 
 
-def test_what_is_no_recording_is_refused() -> None:
+def test_texts_that_are_not_recordings_are_refused() -> None:
     contents: tuple[Any, ...] = (
         *(b"", b"\xff\xfe\x00", b"[" * (MAX_BYTES - 1), b'{"deep": ' + b"[" * (MAX_BYTES - 9), b"[]", b"null"),
         *(b'{"format": 1', b'{"format": NaN}', b'{"seed": ' + b"9" * 5000 + b"}", b" " * (MAX_BYTES + 1)),

@@ -319,7 +319,7 @@ def test_files_can_be_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_what_is_rounded_does_not_move_anything(body: str, tmp_path: Path) -> None:
+def test_rounded_coordinates_do_not_change_the_physics(body: str, tmp_path: Path) -> None:
     """All physics parameters equal the environment's to the bit. Names, colours and visual geoms differ."""
     blocks = tuple(Block(shape, "red", 0.4 * index - 0.6, 0.5, 0.3) for index, shape in enumerate(SHAPES))
     scene = Scene(

@@ -118,7 +118,7 @@ def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
         assert np.abs(ahead - ahead[0]).max() < 0.06  # stars slip a little
 
 
-def test_rough_hands_break_nothing() -> None:
+def test_random_actions_do_not_break_the_physics() -> None:
     """In 100 episodes of random actions; `python tools/fuzz --kinds hands` plays more."""
     for number in range(100):
         measured = worst(number)
@@ -141,14 +141,14 @@ def with_caps(**caps: float) -> Scene:
     return Scene(Robot(0, -0.5, 0), (Block("circle", "red", 0.5, 0.5, 0),), dynamics=Dynamics(**caps))
 
 
-def test_drive_force_is_what_accelerates() -> None:
+def test_the_drive_force_determines_acceleration() -> None:
     """From rest, under the full force: distance = force / mass * time^2 / 2, one substep late."""
     gone = [Rollouts(with_caps(drive_force=force)).roll([FORWARD])[0][-1, 0, 1] + 0.5 for force in (1.5, 3.0)]
     assert gone[1] == pytest.approx(2 * gone[0], rel=0.02)
     assert gone[1] == pytest.approx(0.0169, rel=0.05)  # as measured in the original
 
 
-def test_turn_torque_is_what_turns() -> None:
+def test_the_turn_torque_determines_turning() -> None:
     torques = (0.02, 0.04)  # too weak to reach full speed within one action
     distances = [Rollouts(with_caps(turn_torque=torque)).roll([LEFT])[0][-1, 0, 2] for torque in torques]
     assert distances[1] == pytest.approx(2 * distances[0], rel=0.05)
@@ -172,12 +172,12 @@ def test_a_finger_closes_against_less_than_its_torque() -> None:
         assert (world.world.fingers(world.data.qpos)[0] < start - 0.1) == closes
 
 
-def test_block_friction_is_what_stops_blocks() -> None:
+def test_block_friction_stops_blocks() -> None:
     distances = [slide(with_caps(block_friction_force=force), "block0", (0.5, 0.0)) for force in (1.0, 1.8)]
     assert distances[0] == pytest.approx(1.8 * distances[1], rel=0.08)
 
 
-def test_block_friction_torque_is_what_stops_their_spin() -> None:
+def test_block_friction_torque_stops_rotation() -> None:
     distances = []
     for torque in (0.07, 0.14):
         world = Rollouts(with_caps(block_friction_torque=torque))

@@ -33,7 +33,7 @@ def trajectory(env: Any, plan: Sequence[int]) -> list[bytes]:
     return [b"".join(array.tobytes() for array in arrays) for action in plan if env.step(action) is not None]
 
 
-def test_what_follows_a_state_is_the_same_to_the_bit() -> None:
+def test_an_episode_restored_from_a_state_continues_to_the_bit() -> None:
     """In the same engine, after another scene, in an engine with another seed, and in copies."""
     for task, variant in TWO_EACH:
         engine, fresh = Engine(task, variant, seed=2), Engine(task, variant, seed=9)
@@ -214,7 +214,7 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
 
 
 @pytest.mark.parametrize("change", ["body_mass", "timestep"])
-def test_what_a_copy_would_lack_is_refused(change: str) -> None:
+def test_models_changed_by_hand_are_not_copied(change: str) -> None:
     """A model that was changed by hand: the copy would have another future. Resets and shifts are no such changes."""
     engine = magical_mj.Engine("ClusterShape", "All", seed=0, shifts="camera:3+palette:2+friction:1")
     for seed in range(1, 5):  # also of other structures

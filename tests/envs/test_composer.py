@@ -135,7 +135,7 @@ def test_the_tree_is_one_of_entities_and_compiles_to_the_engines_model() -> None
         env.reset(seed=1)
 
 
-def test_what_users_add_to_the_trees_stays() -> None:
+def test_additions_to_the_trees_stay_after_resets() -> None:
     env = magical_mj.load("FindDupe", "CountPlus", seed=0, observations=())
     arena = env.task.root_entity
     arena.mjcf_model.worldbody.add("site", name="mark", pos=(0.1, 0.2, 0))
@@ -267,7 +267,7 @@ def test_states_go_from_here_to_engines_and_back() -> None:
     assert env.get_state() == good
 
 
-def test_errors_say_what_is_wrong() -> None:
+def test_wrong_arguments_of_load_are_refused() -> None:
     for arguments in ({"observations": ("egg",)}, {"reward": "thick"}, {"rules": "old"}, {"variant": "Layot"}):
         with pytest.raises(UnknownNameError):
             magical_mj.load("FindDupe", **arguments)
@@ -321,7 +321,7 @@ def test_arenas_show_one_scene_after_another() -> None:
 
 
 @pytest.mark.parametrize("shifts", [None, "clutter:3,latency:2,words:4"])
-def test_copies_go_on_exactly_alike(shifts: str | None) -> None:
+def test_copies_continue_in_exactly_the_same_way(shifts: str | None) -> None:
     with magical_mj.load("FixColour", "All", seed=3, observations=("state",), shifts=shifts) as env:
         for seed in (0, 5, 3):
             env.reset(seed=seed)

@@ -407,7 +407,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("what", sorted(CHANGES))
-def test_what_cannot_be_copied_is_named(what: str) -> None:
+def test_a_clone_names_changes_that_it_cannot_copy(what: str) -> None:
     with magical_mj.load("MoveToRegion", seed=0, observations=("state",)) as env:
         env.reset()
         CHANGES[what](env)

@@ -159,7 +159,7 @@ def names_of(entity: composer.Entity) -> list[str]:
     return list(entity.observables.as_dict(fully_qualified=False))
 
 
-def test_what_was_enabled_stays_enabled_where_its_entity_is() -> None:
+def test_enabled_observables_stay_enabled_for_their_entity() -> None:
     """With its options, for each shape of the block, and after episodes without it; users' observables as well."""
     scenes = [magical_mj.sample_scene("FixColour", "All", seed) for seed in (1, 5, 2)]
     assert [[block.shape for block in scene.blocks] for scene in scenes] == [

@@ -87,7 +87,7 @@ OWNED: dict[str, Change] = {
 """The attribute that the error names first -> a change."""
 
 
-def test_what_the_scene_owns_is_refused_and_written_anew() -> None:
+def test_changes_of_attributes_of_the_scene_are_refused_and_undone() -> None:
     scene = Scene(Robot(0, -0.5, 0), (Block("star", "red", 0, 0, 0),), (GoalRegion("blue", -0.9, 0.1, -0.3, 0.9),))
     env = magical_mj.load_scene(scene, observations=())
     env.reset()
@@ -132,7 +132,7 @@ def test_noise_of_an_observable_stays_out_of_poses() -> None:
     np.testing.assert_array_equal(robot.get_pose(env.physics)[0][:2], env.scene.robot.pose[:2])
 
 
-def test_what_persists_in_the_compiled_model() -> None:
+def test_changes_of_the_compiled_model_last_until_it_is_compiled_again() -> None:
     """Until the model is compiled again; with a shift that changes the model, until the next reset."""
     scenes = [magical_mj.sample_scene("MoveToCorner", "Shape", seed) for seed in range(6)]
     same = [scene for scene in scenes if scene.blocks[0].shape == scenes[0].blocks[0].shape]

@@ -172,7 +172,8 @@ def test_fingers_are_seen_in_scenes_that_the_state_vector_cannot_hold() -> None:
 def test_episodes_are_truncated_at_the_horizon(task: str) -> None:
     env = gymnasium.make(magical_mj.env_id(task, "Demo", "State"))
     _, info = env.reset(seed=0)
-    assert info == {"eval_score": 0.0, "is_success": False}
+    keys = info.keys()
+    assert (info["eval_score"], info["is_success"]) == (0.0, False)
     horizon = task_spec(task).horizon()
     initial = env.unwrapped.scene
     for step in range(1, horizon + 1):
@@ -181,7 +182,7 @@ def test_episodes_are_truncated_at_the_horizon(task: str) -> None:
         assert type(truncated) is bool
         assert type(reward) is float
         assert reward == 0.0
-        assert set(info) == {"eval_score", "is_success"}
+        assert info.keys() == keys
         if step < horizon:
             assert info["eval_score"] == 0.0
     assert env.unwrapped.initial_scene == magical_mj.sample_scene(task, "Demo", 0)
@@ -308,7 +309,7 @@ def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
         assert (played_steps[-1][0], played_steps[-1][2]["eval_score"]) == (paid, 0.25)
 
 
-def test_episodes_without_a_score_are_told_once() -> None:
+def test_episodes_without_a_score_cause_one_warning() -> None:
     """The environment cannot see the wrapper. The reset after the third such episode warns."""
     region = "magical_mj/MoveToRegion-Demo-State-v0"
     cut, scored = (
@@ -363,7 +364,6 @@ def test_other_packages_environments_have_no_score() -> None:
 def test_the_score_at_every_step() -> None:
     env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", score_every_step=True)
     _, info = env.reset(seed=0)
-    assert set(info) == {"eval_score", "is_success", "score"}
     assert info["score"] == 0.0
     for step in range(40):
         info = env.step(1)[-1]
@@ -439,7 +439,7 @@ def _pictures(observation: Any) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("preset", ["", "LoRes4E", "LoRes3EA", "LoResStack", "LoResCHW4E", "State"])
-def test_what_users_do_to_observations_changes_none_of_the_later_ones(preset: str) -> None:
+def test_writing_into_an_observation_changes_no_later_one(preset: str) -> None:
     env, twin = (gymnasium.make(magical_mj.env_id("FindDupe", "All", preset), image_size=16) for _ in range(2))
     observation, untouched = env.reset(seed=0)[0], twin.reset(seed=0)[0]
     for action in (1, 4, 10, 1):

@@ -148,7 +148,7 @@ def test_all_interfaces_give_the_same_rewards_which_add_up() -> None:
         assert got == pytest.approx([*rewards[:29], rewards[29] + demo.rescored(30)])
 
 
-def test_rewards_go_on_from_states() -> None:
+def test_rewards_continue_from_states() -> None:
     demo = magical_mj.demos.load("MatchRegions")[0]
     inner = magical_mj.MagicalEnv("MatchRegions", preset="State", reward="dense")
     env = ScoreAtTheEnd(inner)

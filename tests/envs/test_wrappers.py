@@ -76,7 +76,7 @@ def test_a_wrong_vector_is_refused(make: Any, action: Any) -> None:
     env.close()
 
 
-def test_tensors_that_are_no_arrays_are_refused() -> None:
+def test_tensors_that_numpy_cannot_convert_are_refused() -> None:
     """Valid ones are accepted, by each interface."""
     torch = pytest.importorskip("torch")
     zeros = torch.zeros(3)

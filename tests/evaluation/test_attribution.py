@@ -90,7 +90,7 @@ def test_the_rivals_of_a_failed_episode_hold_at_its_end_and_not_at_its_start() -
     assert reached
 
 
-def test_what_remains_is_the_length_of_the_plan() -> None:
+def test_remaining_is_the_length_of_the_rest_of_the_plan() -> None:
     episode = played("MoveToRegion", "Demo", 0, [])
     result = attributed(episode)
     assert result.ending == {"nothing": 1.0}
@@ -102,7 +102,7 @@ def test_what_remains_is_the_length_of_the_plan() -> None:
     assert remaining(episode, (demonstration[0], demonstration[-1])) == 0.0
 
 
-def test_what_cannot_be_explained_says_why() -> None:
+def test_episodes_that_cannot_be_explained_say_why() -> None:
     good = played("MoveToRegion", "Demo", 0, [])
     for changed, why in (
         (replace(good, shift="latency:1"), "the shift latency:1"),

@@ -68,7 +68,7 @@ class Copying:
 
 
 @pytest.mark.parametrize("preset", ["State", "LoRes4E", "LoResFingers"])
-def test_demonstrations_are_what_the_policy_would_see(preset: str) -> None:
+def test_demonstrations_have_the_observations_of_the_policy(preset: str) -> None:
     (row,) = evaluate(Copying(preset), preset=preset, demonstrations=2, **DEMO).to_dict("records")
     assert (row["failure"], row["score"], row["given"]) == (None, 1.0, "2 demonstrations")
 
@@ -132,7 +132,9 @@ def test_resuming_with_other_demonstrations_is_refused(tmp_path: Path) -> None:
         (agents.Nearest, {"tasks": INTENT, "demonstrations": 9, "scenes": 9}, IntentError, "demos=N from 1 to 8"),
     ],
 )
-def test_what_cannot_be_given_is_refused(policy: Any, settings: dict[str, Any], error: type, message: str) -> None:
+def test_unsuitable_demonstrations_and_controls_are_refused(
+    policy: Any, settings: dict[str, Any], error: type, message: str
+) -> None:
     with pytest.raises(error, match=message):
         evaluate(policy, **{**DEMO, **settings})
 

@@ -115,7 +115,7 @@ def test_the_first_planned_episodes_decide_whether_a_policy_works(tmp_path: Path
     assert '"run": 1' not in (tmp_path / SCORES).read_text()
 
 
-def test_what_a_policy_forked_does_not_keep_the_scores_locked(tmp_path: Path) -> None:
+def test_processes_forked_by_a_policy_do_not_keep_the_scores_locked(tmp_path: Path) -> None:
     policy = Forking()
     first = evaluate(policy, out=tmp_path, **STATE)
     assert policy.helper.is_alive()
@@ -169,7 +169,7 @@ def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("kind", [Remembering, Linear])
-def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, kind: Any) -> None:
+def test_errors_of_a_task_do_not_count_as_failures_of_a_policy(excessive: str, kind: Any) -> None:
     with pytest.raises(TaskError, match=r"Excessive.score must return a number in \[0, 1\], but returned 2.0"):
         magical_mj.evaluate(kind(), tasks=f"{excessive}:SPEC", variants="Jitter", episodes=6, **STATE)
     with pytest.raises(TaskError, match=r"Broken.score failed: ZeroDivisionError: division by zero \(.*excessive_"):
@@ -181,7 +181,7 @@ def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, kind: Any)
 
 
 @pytest.mark.parametrize("side_by_side", [False, True])
-def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: bool) -> None:
+def test_errors_of_the_environment_do_not_count_as_failures_of_a_policy(side_by_side: bool) -> None:
     name = "magical_mj/MoveToRegion-Demo-State-v0"
 
     def make(kind: str = name, **settings: Any) -> Any:
@@ -369,7 +369,7 @@ def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
         ("mine:Other", "with the same 18 actions"),
     ],
 )
-def test_what_is_no_wrapper_is_refused(wrap: str, problem: str) -> None:
+def test_invalid_wrappers_are_refused(wrap: str, problem: str) -> None:
     with pytest.raises(SettingsError, match=problem):
         magical_mj.evaluate("noop", wrap=wrap, **SMALL)
 
@@ -400,7 +400,7 @@ def test_errors_of_policies_are_chained_and_placed(jobs: int, tmp_path: Path) ->
     assert 'theirs.py", line 5, in act' in "".join(traceback.format_exception(caught.value))
 
 
-def test_a_missing_package_is_no_failure() -> None:
+def test_a_missing_package_does_not_count_as_a_failure() -> None:
     def act(observation: Any) -> int:
         import no_such_package  # noqa: F401
 

@@ -86,7 +86,7 @@ def test_rollouts_say_in_what_they_were_played(tmp_path: Path) -> None:
         ({"shift": "body:snake"}, {}, "snake"),
     ],
 )
-def test_what_cannot_be_played_again_is_known(change: dict[str, Any], recorded: dict[str, Any], reason: str) -> None:
+def test_obstacles_to_a_replay_are_named(change: dict[str, Any], recorded: dict[str, Any], reason: str) -> None:
     assert reason in (obstacle(replace(TEMPLATE, **change), recorded) or "none")
 
 

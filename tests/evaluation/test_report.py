@@ -286,7 +286,7 @@ def test_the_papers_methods_keep_their_names(tmp_path: Path) -> None:
     assert "| BC (ST) |" in report([folder], tmp_path / "out").read_text()
 
 
-def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
+def test_folders_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     scores = write(tmp_path / "scores", example())
     again = write(tmp_path / "again", [*example()[:3], replace(example()[3], score=1.0, failure=None)])
     rules = write(tmp_path / "rules", [replace(score, run=2 + score.run, rules="released") for score in example()])

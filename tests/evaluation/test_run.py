@@ -58,7 +58,7 @@ def test_scores_are_those_of_a_plain_loop() -> None:
         assert (row.score, row.steps, actions_of(row.actions)) == (info["eval_score"], 40, taken)
 
 
-def test_playing_goes_on_where_it_was_abandoned(tmp_path: Path) -> None:
+def test_playing_continues_where_it_was_left(tmp_path: Path) -> None:
     evaluation, late = (
         Evaluation(
             "noop", EvaluationSettings(tasks="FixColour", variants="Demo", episodes=3, out=tmp_path, resume=True)
@@ -196,7 +196,7 @@ def test_of_a_batch_that_takes_too_long_only_the_slow_episode_fails() -> None:
     assert frame["actions"][0] == good["actions"][0]
 
 
-def test_a_failure_side_by_side_costs_nobody_else() -> None:
+def test_one_failure_in_a_batch_does_not_fail_the_others() -> None:
     class Half(agents.Batch):
         def reset(self, episode: Episode) -> None:
             self.seed = episode.seed

@@ -158,7 +158,7 @@ def test_no_scene_of_dev_is_one_of_test() -> None:
     assert {variant for _, variant in drawn} == {"Jitter", "Layout", "CountPlus", "Dynamics", "All"}
 
 
-def test_dev_is_said_in_every_row_and_test_in_none(tmp_path: Path) -> None:
+def test_every_row_of_the_dev_split_says_so(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("noop", out=tmp_path / "dev", split="dev", first_seed=5, **SMALL)
     first = SPLITS["dev"] + 5
     assert sorted(set(frame["seed"])) == [first, first + 1, first + 2]

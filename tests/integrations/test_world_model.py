@@ -137,7 +137,7 @@ def test_success_is_the_full_score_at_the_horizon(world: Callable[..., Any]) -> 
 
 
 @needs_library
-def test_wrong_inputs_of_worlds_say_what_is_wrong(world: Callable[..., Any]) -> None:
+def test_wrong_inputs_of_worlds_are_explained(world: Callable[..., Any]) -> None:
     from magical_mj.integrations.world_model import WorldEnv
 
     with pytest.raises(SettingsError, match="WorldEnv needs an environment of magical_mj"):

@@ -97,7 +97,7 @@ def test_a_larger_data_set_adds_to_the_file(made: Path, tmp_path: Path) -> None:
     assert len({example.demonstration.digest for example in more}) == 3
 
 
-def test_what_is_wrong_is_refused(made: Path, tmp_path: Path) -> None:
+def test_wrong_arguments_of_a_data_set_are_refused(made: Path, tmp_path: Path) -> None:
     for wrong, error in (
         ({"intents": "robot at(home)"}, IntentError),
         ({"scenes": 9}, IntentError),
@@ -124,7 +124,7 @@ def test_demonstrations_of_another_version_are_refused(made: Path, tmp_path: Pat
         data[0]
 
 
-def test_what_cannot_be_made_is_named_and_all_others_kept(made: Path, tmp_path: Path) -> None:
+def test_failed_demonstrations_are_named_and_all_others_stored(made: Path, tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes((made / FILE).read_bytes())
     keys = [("intent:robot in()", "Demo", 0), ("intent:robot in()", "Nowhere", 0)]
     with pytest.raises(DemonstrationError, match=r"1 of 2 demonstrations could not be made: unknown variant 'Nowhere'"):

@@ -221,7 +221,7 @@ def test_equal_meanings_have_one_text() -> None:
         ("robot wall(any) & robot wall(left)", "robot wall(left)"),
     ],
 )
-def test_what_follows_from_another_relation_is_left_out(text: str, canonical: str | None) -> None:
+def test_relations_implied_by_another_are_left_out(text: str, canonical: str | None) -> None:
     shorter = "in(any, colour=red, shape=star, region)" if canonical is None else canonical
     assert str(parse(text)) == shorter
 

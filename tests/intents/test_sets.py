@@ -72,7 +72,7 @@ def test_scenes_of_some_intents_are_good_starts(name: str) -> None:
             assert accepts(task.intent, vary(spec, variant, 1)), (task, variant)
 
 
-def test_they_have_names() -> None:
+def test_members_of_sets_have_names() -> None:
     text = str(SETS["combined"][17])
     assert task_name("intent:combined/17") == f"intent:{text}"
     assert task_name("intent:combined/17 [demos=4, contrasting]") == f"intent:{text} [demos=4, contrasting]"

@@ -50,7 +50,7 @@ def test_two_intents_have_different_digests_and_names() -> None:
 @pytest.mark.parametrize(
     "wrong", ["in(colour=pink, region)", "in(colour=red, region) [demos=9]", "in(colour=red, region) [x]", "nothing"]
 )
-def test_texts_that_are_no_tasks_are_errors(wrong: str) -> None:
+def test_texts_that_are_not_tasks_are_errors(wrong: str) -> None:
     with pytest.raises(IntentError):
         task_spec(f"intent:{wrong}")
 

@@ -96,7 +96,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     assert "Liar" not in text
 
 
-def test_names_are_what_they_look_like(folder: Path, tmp_path: Path) -> None:
+def test_names_have_no_hidden_characters(folder: Path, tmp_path: Path) -> None:
     """Neither a card nor an entry's file may name a method so that it looks like another line of a table."""
     entry = whole(runs=1)
     entry = replace(entry, episodes=entry.episodes[:1])
@@ -116,7 +116,7 @@ def test_an_honest_evaluation_replays_and_what_it_lacks_is_said(folder: Path) ->
     assert len(findings.missing) == sum(task == "MoveToRegion" for task, _ in ENVIRONMENTS)
 
 
-def test_what_was_to_be_played_and_was_not_is_said(folder: Path) -> None:
+def test_planned_episodes_that_were_not_played_are_reported(folder: Path) -> None:
     """A policy, or a task, whose turn a killed evaluation has never reached."""
     settings = json.loads((folder / SETTINGS).read_text())
     settings["policies"].append({"name": "noop", "run": 1, "origin": "noop"})
@@ -147,7 +147,7 @@ def test_episodes_that_contradict_the_settings_are_named(folder: Path) -> None:
         assert problem in sentence
 
 
-def test_what_was_tampered_with_is_named(folder: Path) -> None:
+def test_altered_episodes_are_named(folder: Path) -> None:
     episodes = (folder / SCORES).read_bytes()
     for change, problem in TAMPERED:
         (folder / SCORES).write_bytes(episodes)

@@ -96,7 +96,7 @@ ALTERED: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path) -> None:
+def test_files_that_are_not_entries_are_named(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "entry.json.xz"
     submit([folder], path)
     original = content(path)
@@ -199,7 +199,7 @@ def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path)
     assert not list(tmp_path.glob("entry*"))
 
 
-def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path: Path) -> None:
+def test_folders_that_cannot_be_an_entry_are_explained(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match=r"holds an episode twice: .* again with another --run"):
         submit([folder, folder], tmp_path / "entry.json.xz")
     training = tmp_path / "training"

@@ -182,7 +182,7 @@ def test_the_weakest_variant_is_found_on_tasks_that_have_all() -> None:
     assert standing(replace(whole(), episodes=alone)).weakest is None
 
 
-def test_what_is_missing_stands_beside_the_scores() -> None:
+def test_missing_episodes_are_noted_beside_the_scores() -> None:
     alone = [episode for episode in whole().episodes if episode.task == "MoveToRegion"]
     (scores, *_) = tables([standing(replace(whole(), episodes=alone))])
     ((_, (row,)),) = scores.groups

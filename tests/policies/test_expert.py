@@ -60,7 +60,7 @@ def test_a_plan_without_a_position_ends_the_attempt_and_not_the_episode() -> Non
 # paths
 
 
-def test_a_way_is_what_the_robot_can_drive() -> None:
+def test_paths_can_be_driven_by_the_robot() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
     costs = cell_costs(obstacles(scene), EMPTY)
     tree = explore(scene.robot.pose, costs, 60)
@@ -140,7 +140,7 @@ def test_a_person_is_late_now_and_then() -> None:
 # lookahead
 
 
-def test_lookahead_is_what_happens() -> None:
+def test_the_lookahead_predicts_the_simulation() -> None:
     env = env_of("ClusterColour", "All", 3)
     world = Lookahead(env)
     rng = np.random.default_rng(0)
@@ -152,7 +152,7 @@ def test_lookahead_is_what_happens() -> None:
     assert world.scene() == env.scene
 
 
-def test_what_is_remembered_happens_again() -> None:
+def test_a_restored_lookahead_repeats_itself() -> None:
     """To the bit, though some blocks sleep at that moment, and others push one another."""
     env = env_of("ClusterColour", "All", 3)
     for _ in range(20):
@@ -297,7 +297,7 @@ def test_sticks_push_what_they_cannot_get_behind(body: str) -> None:
             assert engine.score() == 1.0
 
 
-def test_a_place_out_of_reach_is_approached() -> None:
+def test_a_position_out_of_reach_is_approached() -> None:
     """As after random actions, when the paths that the robot can see end before the place."""
     tree = SearchTree(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)

@@ -175,7 +175,7 @@ def test_a_policy_that_fails_is_told_what_it_was_given() -> None:
             magical_mj.evaluate(act, preset=preset, **SMALL)
 
 
-def test_what_a_policy_may_be_is_listed() -> None:
+def test_errors_list_the_kinds_of_policies() -> None:
     with pytest.raises(UnknownNameError, match=r"module:object, FILE.zip, FILE.onnx, a run's folder"):
         magical_mj.evaluate("somebody", **SMALL)
     with pytest.raises(SettingsError, match=r"or a run's folder"):

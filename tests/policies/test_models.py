@@ -275,7 +275,7 @@ def test_small_files_of_large_models_are_refused(tmp_path: Path, monkeypatch: py
         load_sb3(tmp_path / "bomb.zip")
 
 
-def test_what_is_not_a_plain_file_is_refused(tmp_path: Path) -> None:
+def test_model_files_that_are_pipes_or_folders_are_refused(tmp_path: Path) -> None:
     """Reading a pipe would wait without end."""
     os.mkfifo(tmp_path / "pipe.zip")
     (tmp_path / "link.onnx").symlink_to(tmp_path / "pipe.zip")
@@ -285,7 +285,7 @@ def test_what_is_not_a_plain_file_is_refused(tmp_path: Path) -> None:
             magical_mj.evaluate(tmp_path / name, **SMALL)
 
 
-def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.policies", None)
     with pytest.raises(MissingExtraError, match=r"model\.zip needs stable-baselines3: pip install"):
         load_sb3(tmp_path / "model.zip")

@@ -71,7 +71,7 @@ def test_opengl_is_named_before_the_first_picture() -> None:
     ],
     ids=["exit", "exception", "daemon", "dm_control"],
 )
-def test_nothing_is_said_at_exit(ending: str, code: int, last_line: str) -> None:
+def test_nothing_is_printed_at_exit(ending: str, code: int, last_line: str) -> None:
     if ending == DM_CONTROL:
         pytest.importorskip("dm_control", reason="dm_control does not install with this Python or MuJoCo")
     result = python(f"{FIRST_FRAME}{ending}")
@@ -186,7 +186,7 @@ assert dict(os.environ) == before
     ],
     ids=["usual", "glx", "osmesa"],
 )
-def test_what_needs_no_pictures_needs_no_opengl(variables: dict[str, str], tmp_path: Path) -> None:
+def test_episodes_without_pictures_need_no_opengl(variables: dict[str, str], tmp_path: Path) -> None:
     """Nor does an import, or an episode, change anything that other code of the process looks at."""
     result = subprocess.run(
         [sys.executable, "-c", UNTOUCHED, str(tmp_path)],

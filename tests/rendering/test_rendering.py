@@ -146,7 +146,7 @@ def test_the_first_picture_of_the_scene_is_as_the_next() -> None:
     np.testing.assert_array_equal(engine.render("scene", 384), engine.render("scene", 384))
 
 
-def test_the_solid_view_disturbs_nobody() -> None:
+def test_the_solid_view_does_not_change_other_pictures() -> None:
     simulation = Simulation.of(GALLERY)
     before = {view: simulation.draw(view, 96) for view in VIEWS}
     solid = simulation.draw("scene", 64)
@@ -251,7 +251,7 @@ def test_things_that_users_add_are_drawn() -> None:
     assert tuple(picture[allo_pixel(-0.5, 0.5, 96)]) == (0, 0, 255)
 
 
-def test_drawing_beside_dm_control_disturbs_nobody() -> None:
+def test_drawing_does_not_disturb_dm_control() -> None:
     """It expects its OpenGL context to stay current."""
     pytest.importorskip("dm_control", reason="dm_control does not install here")
     env = magical_mj.load_scene(GALLERY, image_size=64)
@@ -263,7 +263,7 @@ def test_drawing_beside_dm_control_disturbs_nobody() -> None:
     np.testing.assert_array_equal(draw(GALLERY, "ego", 64), ours)
 
 
-def test_drawing_beside_mujocos_renderers_disturbs_nobody() -> None:
+def test_drawing_does_not_disturb_mujocos_renderers() -> None:
     """They free their things in whichever OpenGL context is current, sometimes ours."""
     env = magical_mj.Engine.of_scene(GALLERY)
     ours = env.render("ego", 64)

@@ -75,7 +75,7 @@ def test_neighbours_share_no_sample_and_leave_none() -> None:
         np.testing.assert_array_equal(sum(parts), np.ones((8, 8)))
 
 
-def test_what_is_partly_or_wholly_outside_is_clipped() -> None:
+def test_polygons_outside_the_picture_are_clipped() -> None:
     np.testing.assert_array_equal(covered([(-900, -900), (900, -900), (900, 900), (-900, 900)]), np.ones((8, 8)))
     assert covered([(-3, -3), (1, -3), (1, 1), (-3, 1)]).sum() == 1
     for beside in ((9, 0), (-9, 0), (0, 9), (0, -9)):
@@ -243,7 +243,7 @@ def test_the_variable_chooses_for_the_process(monkeypatch: pytest.MonkeyPatch) -
         Views(model)
 
 
-def test_what_users_add_is_left_to_opengl() -> None:
+def test_geoms_of_users_are_drawn_by_opengl_only() -> None:
     ball = '<geom name="ball" size="0.2" group="0" rgba="0 0 1 1" pos="0 0.5 0"/></worldbody>'
     model = mujoco.MjModel.from_xml_string(scene_mjcf(CORNER).replace("</worldbody>", ball, 1))
     data = mujoco.MjData(model)

@@ -76,12 +76,12 @@ def test_thresholds_of_vectors(vector: list[float], action: Action) -> None:
     "vector",
     [[0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], [[0.0, 0.0, 0.0]], "abc", None, 3, [1, 2, "x"], [10**400] * 3],
 )
-def test_what_is_no_vector_is_refused(vector: object) -> None:
+def test_malformed_vectors_are_refused(vector: object) -> None:
     with pytest.raises(InvalidActionError, match="three"):
         to_discrete(vector)
 
 
 @pytest.mark.parametrize("numbers", [18, -1, 1.0, [0, 18], None, True, [[1], [1, 2]], [10**5000]])
-def test_what_is_no_number_has_no_vector(numbers: object) -> None:
+def test_numbers_outside_0_to_17_have_no_vector(numbers: object) -> None:
     with pytest.raises(InvalidActionError, match=r"0\.\.17"):
         to_vector(numbers)

@@ -146,7 +146,7 @@ def test_a_region_contains_centres_borders_included() -> None:
         (SCENE.moved, (None, [(0, 0, 0), (0, math.nan, 0)]), "finite"),
     ],
 )
-def test_what_is_not_a_scene_is_refused(make: Callable[..., Any], arguments: tuple[Any, ...], word: str) -> None:
+def test_malformed_scenes_are_refused(make: Callable[..., Any], arguments: tuple[Any, ...], word: str) -> None:
     with pytest.raises(InvalidSceneError, match=word) as caught:
         make(*arguments)
     assert len(str(caught.value)) < 250

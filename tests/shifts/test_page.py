@@ -20,7 +20,7 @@ def halved(scores: list[float]) -> int | None:
     return next((strength for strength, score in enumerate(scores) if score < scores[0] / 2), None)
 
 
-def test_what_breaks_cloning_from_pictures() -> None:
+def test_the_page_names_the_shifts_that_break_cloning_from_pictures() -> None:
     table = rows("From pictures, BC, five runs")
     first = {name: halved([float(cell) for cell in cells[:6]]) for name, cells in table.items()}
     assert {name: cells[6].replace(NEVER, "None") for name, cells in table.items()} == {
@@ -33,7 +33,7 @@ def test_what_breaks_cloning_from_pictures() -> None:
     }
 
 
-def test_what_breaks_cloning_from_states() -> None:
+def test_the_page_names_the_shifts_that_break_cloning_from_states() -> None:
     table = {name: [float(cell) for cell in cells] for name, cells in rows("From states, BC").items()}
     assert halved(table["pose (seven tasks)"]) == 3
     assert 1 - table["latency"][1] / table["latency"][0] > 1 / 3

@@ -157,7 +157,7 @@ def test_evaluations_name_several_settings() -> None:
         ("tests.shifts.test_shifts:Equal:3", ShiftError, "must be a tuple of one or more .* by default, the strength"),
     ],
 )
-def test_what_is_no_shift_is_refused(shifts: Any, error: type[MagicalError], message: str) -> None:
+def test_unknown_shifts_and_strengths_are_refused(shifts: Any, error: type[MagicalError], message: str) -> None:
     with pytest.raises(error, match=message):
         magical_mj.Engine("FindDupe", seed=0, shifts=shifts)
 
@@ -334,7 +334,7 @@ def test_dm_env_takes_a_body_among_the_shifts() -> None:
 
 
 @pytest.mark.parametrize("renderer", ["software", "opengl"])
-def test_states_copies_and_both_doors_go_on_alike(renderer: str) -> None:
+def test_states_copies_and_both_interfaces_continue_in_the_same_way(renderer: str) -> None:
     pytest.importorskip("dm_control", reason="dm_control does not install with this Python or MuJoCo")
     with closing(magical_mj.Engine("FindDupe", seed=3, shifts=EVERYTHING, renderer=renderer)) as env:
         composer = magical_mj.load("FindDupe", seed=3, shifts=EVERYTHING)

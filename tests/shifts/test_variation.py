@@ -102,7 +102,7 @@ def test_samples_of_the_space_can_be_played(task: str) -> None:
         ({"seed": "x"}, InvalidSeedError),
     ],
 )
-def test_what_is_not_in_the_space_is_refused(variation: Any, error: type[Exception]) -> None:
+def test_variations_outside_the_space_are_refused(variation: Any, error: type[Exception]) -> None:
     with closing(environment()) as env:
         env.reset(seed=5)
         state = env.unwrapped.get_state()

@@ -359,7 +359,7 @@ def check_replays(result: EpisodeResult) -> None:
     assert "the score is 1, but its actions lead to" in difference
 
 
-def test_what_lacks_the_trajectory_is_refused_by_name(in_order: Any) -> None:
+def test_calls_without_the_trajectory_name_the_task(in_order: Any) -> None:
     scene = in_order.SPEC.demo
     with pytest.raises(SettingsError, match=r"InOrder|in_order.*score_trajectory"):
         magical_mj.score(ORDER, scene, scene)

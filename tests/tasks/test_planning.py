@@ -34,7 +34,7 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
 
 
-def test_what_is_solved_by_one_set_of_rules_may_not_be_by_the_other() -> None:
+def test_a_scene_solved_by_one_set_of_rules_has_subgoals_by_the_other() -> None:
     half = replace(task_spec("FindDupe"), score=lambda initial, final, rules: 1.0 if rules == "paper" else 0.5)
     assert half.subgoals((half.demo, half.demo), noise()) == ()
     assert half.subgoals((half.demo, half.demo), noise(), "released") != ()

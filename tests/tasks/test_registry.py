@@ -247,7 +247,7 @@ def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:
         pytest.param(10**5000, "type int", id="many digits"),
     ],
 )
-def test_what_is_no_task_is_refused(task: Any, word: str) -> None:
+def test_unknown_tasks_are_refused(task: Any, word: str) -> None:
     with pytest.raises(UnknownNameError, match=word):
         task_spec(task)
 

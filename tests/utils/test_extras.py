@@ -46,7 +46,7 @@ def imported(folder: Path) -> set[str]:
     return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"magical_mj"}
 
 
-def test_what_is_required_is_imported_and_what_is_imported_is_required() -> None:
+def test_required_packages_are_exactly_those_that_are_imported() -> None:
     extras = {name: modules(listed) for name, listed in PROJECT["optional-dependencies"].items()}
     site, used = extras.pop("site"), imported(ROOT / "magical_mj")
     required = modules(PROJECT["dependencies"]).union(*extras.values())

@@ -24,7 +24,7 @@ BYTES: Final[Any] = b"a path"
 
 
 @pytest.mark.parametrize("data", ["äö\n", b"\x00\xff", ""])
-def test_what_is_written_is_there(tmp_path: Path, data: str | bytes) -> None:
+def test_written_content_is_read_back(tmp_path: Path, data: str | bytes) -> None:
     files.write(tmp_path / "a.txt", data)
     assert (tmp_path / "a.txt").read_bytes() == (data.encode() if isinstance(data, str) else data)
     assert list(tmp_path.iterdir()) == [tmp_path / "a.txt"]
@@ -91,7 +91,7 @@ def test_a_link_leads_to_the_new_content(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_folder_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool) -> None:
+def test_a_folder_is_not_accepted_as_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool) -> None:
     monkeypatch.chdir(tmp_path)
     for folder in (".", "..", tmp_path):
         with pytest.raises(IsADirectoryError, match="is a folder"):
@@ -189,7 +189,7 @@ def test_files_of_others_are_plain_and_of_bounded_size(tmp_path: Path) -> None:
         files.read_toml(tmp_path / "pipe")
 
 
-def test_whoever_writes_may_go_to_another_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writers_may_change_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a policy that is played does; relative paths are those of the beginning, and errors name what was given."""
     (tmp_path / "elsewhere").mkdir()
     for name in ("a.txt", "set", "lock"):
@@ -283,6 +283,6 @@ def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -
         lambda: load_policy(BYTES),
     ],
 )
-def test_what_is_no_path_is_refused_in_words(call: Callable[[], object]) -> None:
+def test_arguments_that_are_not_paths_are_refused(call: Callable[[], object]) -> None:
     with pytest.raises(SettingsError, match="a path must be"):
         call()

@@ -30,7 +30,7 @@ def test_after_a_full_disk_only_whole_lines_remain_and_more_can_follow(tmp_path:
     assert lines_in(path) == [*whole, LINE]
 
 
-def test_what_a_kill_left_is_ignored_and_removed_before_the_next_line(tmp_path: Path) -> None:
+def test_an_incomplete_last_line_is_ignored_and_removed(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     for half in (b"{", LINE[:-1], b"\0" * 100_000):
         path.write_bytes(LINE + half)

@@ -62,7 +62,7 @@ def fail(error: Exception) -> None:
     raise error
 
 
-def test_errors_come_back_with_their_origin_and_the_worker_goes_on() -> None:
+def test_errors_have_their_origin_and_the_worker_continues() -> None:
     """Those that cannot be sent, with their words in another."""
     pool = Pool(1)
     for work, kind, reason in (

@@ -57,7 +57,7 @@ def test_values_become_pythons_own() -> None:
         ({"oven": 3}, "oven must be of the type Oven, not 3"),
     ],
 )
-def test_errors_say_what_is_allowed(values: dict[str, Any], problem: str) -> None:
+def test_errors_list_the_allowed_values(values: dict[str, Any], problem: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError)) as caught:
         with_values(Cake, values)
     assert problem in str(caught.value)

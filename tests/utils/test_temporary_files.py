@@ -16,7 +16,7 @@ FAILING = "def test_failing(tmp_path): assert not (tmp_path / 'a').mkdir() and F
 
 
 @pytest.mark.parametrize(("test", "code", "processes"), [(TIDY, 0, 1), (UNTIDY, 1, 0), (UNTIDY, 1, 1), (FAILING, 1, 0)])
-def test_what_stays_makes_the_tests_fail(test: str, code: int, processes: int, tmp_path: Path) -> None:
+def test_temporary_files_that_stay_make_the_tests_fail(test: str, code: int, processes: int, tmp_path: Path) -> None:
     system, tests = tmp_path / "system", tmp_path / "tests"
     system.mkdir()
     tests.mkdir()

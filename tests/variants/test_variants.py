@@ -135,7 +135,7 @@ def test_variants_go_by_their_names_in_the_ids_too() -> None:
         ("MoveToCorner", "TestCountPlus", "layout and count"),
     ],
 )
-def test_what_does_not_exist_is_refused_with_what_does(task: str, variant: Any, word: str) -> None:
+def test_unknown_environments_are_refused_with_the_known_ones(task: str, variant: Any, word: str) -> None:
     with pytest.raises(UnknownNameError, match=word):
         sample_scene(task, variant, 0)
 

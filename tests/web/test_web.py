@@ -180,7 +180,7 @@ def test_a_study_has_practice_a_least_score_and_a_code(tmp_path: Path) -> None:
     assert len(list(tmp_path.rglob("*.npz"))) == 1
 
 
-def test_a_studys_folder_that_is_damaged_is_said(tmp_path: Path) -> None:
+def test_a_damaged_folder_of_a_study_is_reported(tmp_path: Path) -> None:
     study = Study({"MoveToRegion-Demo": 3})
     collection = Collection(tmp_path, study)
     collection.next(collection.participant(None))
@@ -218,7 +218,7 @@ def test_a_studys_folder_that_is_damaged_is_said(tmp_path: Path) -> None:
         ("color = 1\n[environments]\nFindDupe-Demo = 1", "color"),
     ],
 )
-def test_a_wrong_study_file_is_said(text: str, complaint: str, tmp_path: Path) -> None:
+def test_a_wrong_study_file_is_explained(text: str, complaint: str, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(text)
     with pytest.raises(magical_mj.utils.errors.SettingsError, match=re.escape(complaint)):
         read_study(tmp_path / "study.toml")
@@ -272,11 +272,11 @@ def test_an_ipv6_address_is_played_at() -> None:
         (["--web", "--port", "99999"], "port"),
     ],
 )
-def test_wrong_options_are_said(options: list[str], complaint: str, shell: Shell) -> None:
+def test_wrong_options_are_explained(options: list[str], complaint: str, shell: Shell) -> None:
     assert complaint in shell.fails(2, "play", *options)
 
 
-def test_a_host_or_port_that_cannot_be_had_is_said(shell: Shell) -> None:
+def test_an_unusable_host_or_port_is_an_error(shell: Shell) -> None:
     assert "give another --host" in shell.fails(1, "play", "--web", "--host", "127..0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         error = shell.fails(1, "play", "--web", "--port", taken.getsockname()[1])
@@ -308,7 +308,7 @@ def ask(seat: ClientConnection, message: Any) -> Any:
     return json.loads(seat.recv())
 
 
-def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
+def test_requests_without_the_token_are_refused(server: tuple[Any, str, Path]) -> None:
     _, address, folder = server
     for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
         with pytest.raises(HTTPError, match=r"40[34]"):
@@ -416,7 +416,7 @@ def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
     assert list(model_files(model)) == ["model.xml"]  # the page says what is wrong
 
 
-def test_a_model_that_is_not_there_is_said(shell: Shell) -> None:
+def test_a_missing_model_is_named(shell: Shell) -> None:
     assert "the file nothing.xml does not exist" in shell.fails(2, "inspect", "nothing.xml")
     assert "only with TASK" in shell.fails(2, "inspect", "nothing.xml", "--seed", 2)
 

@@ -134,7 +134,7 @@ def test_seeds_that_the_original_cannot_have_are_refused(seed: Any) -> None:
         env.reset(seed=seed)
 
 
-def test_what_stores_no_speeds_says_so_of_the_expert() -> None:
+def test_commands_that_cannot_store_speeds_refuse_the_expert() -> None:
     with pytest.raises(MagicalError, match="acts by speeds"):
         magical_mj.evaluate("expert", tasks="SweepToTop", variants="Demo", episodes=1)
 

@@ -46,7 +46,7 @@ def examples(task: str, seed: int) -> list[Ends]:
 
 
 @pytest.mark.parametrize("task", INFERRED)
-def test_what_the_shipped_demonstrations_show(task: str) -> None:
+def test_intents_are_inferred_from_the_shipped_demonstrations(task: str) -> None:
     first, *others = infer(examples(task, 0))
     assert str(first.intent) == INFERRED[task]
     assert all(first.saved >= other.saved for other in others)
@@ -173,7 +173,7 @@ def test_pictures_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_whoever_installs_the_package_has_the_method(tmp_path: Path) -> None:
+def test_the_installed_package_announces_the_method(tmp_path: Path) -> None:
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", "site"]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PROJECT)], cwd=tmp_path, check=True)
     path = os.pathsep.join(filter(None, (str(tmp_path / "site"), os.environ.get("PYTHONPATH"))))

@@ -153,7 +153,7 @@ def in_front(states: torch.Tensor, chosen: torch.Tensor) -> torch.Tensor:
     return away[:, 1] * states[:, 2].cos() - away[:, 0] * states[:, 2].sin()
 
 
-def test_what_is_only_bumped_is_not_delivered() -> None:
+def test_blocks_that_are_only_bumped_are_not_delivered() -> None:
     """In FindDupe the duplicate is delivered. On the way the robot bumps the star, which may be displaced."""
     demonstrations = shipped("FindDupe")[:4]
     duplicate, star = 5, 4
@@ -427,7 +427,7 @@ def test_it_learns_the_demonstrations() -> None:
         ("MoveToRegion", {"preset": "State", "relational.assumptions": "mirror"}, SettingsError, "egocentric before"),
     ],
 )
-def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
+def test_mistakes_are_explained(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
     with pytest.raises(error, match=message):
         train(load_settings("relational", tasks, **changes), tmp_path / "run")
 
@@ -443,7 +443,7 @@ def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_what_was_seen_is_seen_again(task: str) -> None:
+def test_pictures_are_redrawn_from_states(task: str) -> None:
     demonstration = shipped(task)[0]
     states = np.asarray(demos.transitions([demonstration], preset="State")[0])
     seen = np.asarray(demos.transitions([demonstration], preset="LoRes4E", renderer="software")[0])
@@ -452,7 +452,7 @@ def test_what_was_seen_is_seen_again(task: str) -> None:
     assert (again != seen[steps][..., 9:]).mean() < 1e-3  # states are rounded to single precision
 
 
-def test_what_is_missing_is_not_seen() -> None:
+def test_absent_blocks_and_regions_are_not_drawn() -> None:
     scene = shipped("FixColour")[0].scene
     states = torch.from_numpy(Engine.of_scene(scene).state_vector()[None].copy())
     blocks_of(states)[0, 1, 0] = regions_of(states)[0, 0, 0] = 0
