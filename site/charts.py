@@ -9,7 +9,7 @@ from html import escape
 from typing import Final
 from zlib import crc32
 
-from magical_mj.leaderboard.standings import Estimate
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.shifts import SHIFTS
 
 COLOURS: Final = (

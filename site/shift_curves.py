@@ -7,7 +7,7 @@ from typing import Final
 
 from charts import Chart
 
-from magical_mj.leaderboard.standings import Estimate
+from magical_mj.evaluation.reports.intervals import Estimate
 
 SHIFTS: Final = Path(__file__).parent.parent / "docs" / "shifts.md"
 STRENGTHS: Final = tuple("012345")

@@ -23,7 +23,6 @@ from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
     COLUMNS,
-    Estimate,
     Standing,
     improvement,
     own_standings,
@@ -71,7 +70,7 @@ GLOSSARY: Final = {
     "Generalisation": "mean score in Layout, CountPlus and All, which move, add and remove objects",
     ABOVE: "generalisation on a scale from 0, doing nothing, to 1, the full score",
     USES: "what a method uses besides the demonstrations as its policy observes them",
-    "[0.10, 0.12]": "95 % interval over runs and scenes, from three runs on",
+    "[0.10, 0.12]": "95 % interval over scenes and runs; of one run over scenes only",
     "(2/8)": "mean over two of the eight tasks, which does not compare with others; such methods are always last",
 }
 FULL_SIZE: Final = {
@@ -241,7 +240,7 @@ def _dots(methods: Iterable[Standing]) -> str:
     return f"{about}. The list below switches methods on and off.\n\n{chart.html()}"
 
 
-Chances = Mapping[tuple[str, str], Estimate]
+Chances = Mapping[tuple[str, str], float]
 """Two methods -> the probability that a run of the first beats one of the second."""
 
 
@@ -249,7 +248,7 @@ def _comparison(methods: Mapping[str, Standing], beats: Chances) -> str:
     """A form in which two methods are chosen; site.js fills in their scores, and shows their episodes."""
     data = {
         "scores": {name: {column: text(one.scores[column]) for column in COLUMNS} for name, one in methods.items()},
-        "beats": {f"{a} {b}": text(chance) for (a, b), chance in beats.items()},
+        "beats": {f"{a} {b}": f"{chance:.2f}" for (a, b), chance in beats.items()},
         "watched": {name: ["-".join(pair) for pair in _stored(one)] for name, one in methods.items()},
     }
     options = "".join(f'<option value="{name}">{escape(one.name)}</option>' for name, one in methods.items())
@@ -271,14 +270,7 @@ def _comparison(methods: Mapping[str, Standing], beats: Chances) -> str:
 
 def _beats(methods: Mapping[str, Standing]) -> Chances:
     """The probability that a run of the first method beats one of the second, for each pair by the same rules."""
-    chances: dict[tuple[str, str], Estimate] = {}
-    for a, b in permutations(methods, 2):
-        if (b, a) in chances:
-            other = chances[b, a]
-            chances[a, b] = Estimate(1 - other.value, 1 - other.high, 1 - other.low)
-        else:
-            chances[a, b] = improvement(methods[a], methods[b])
-    return chances
+    return {(a, b): improvement(methods[a], methods[b]) for a, b in permutations(methods, 2)}
 
 
 def _duels(methods: Mapping[str, Standing], beats: Chances) -> str:
@@ -305,8 +297,8 @@ def _duels(methods: Mapping[str, Standing], beats: Chances) -> str:
     return "\n\n".join(parts)
 
 
-def _chance(chance: Estimate) -> str:
-    return f'<td class="figure" style="--share: {round(100 * chance.value)}%">{chance.value:.2f}</td>'
+def _chance(chance: float) -> str:
+    return f'<td class="figure" style="--share: {round(100 * chance)}%">{chance:.2f}</td>'
 
 
 def _costs(methods: Iterable[Standing]) -> str:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from magical_mj import TASKS
 from magical_mj.evaluation.entry import read_entry
-from magical_mj.evaluation.reports.statistics import percentile_interval, resample
+from magical_mj.evaluation.reports.intervals import mean_over
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from tools.pages import ROOT, table
@@ -89,9 +89,8 @@ def lost(entry: str, tasks: Collection[str], variant: str = "Demo") -> tuple[flo
 
 def mean_and_interval(scores: Scores, variant: str, tasks: Collection[str]) -> str:
     """The mean over these tasks that have the variant, with its 95 % interval."""
-    value = mean(scores, variant, tasks)
     pairs = [(task, variant) for task in tasks if (task, variant) in ENVIRONMENTS]
-    low, high = percentile_interval(resample([[*scores[pair].values()] for pair in pairs]).mean(axis=0))
+    value, low, high = mean_over((pair, pair, np.stack([*scores[pair].values()])) for pair in pairs)
     return f"{value:.2f} [{low:.2f}, {high:.2f}]"
 
 

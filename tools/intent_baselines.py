@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
 from magical_mj.evaluation.replay import replay
-from magical_mj.evaluation.reports.statistics import percentile_interval, resample
+from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.evaluation.scores import parse as episode_in
 from magical_mj.evaluation.settings import EvaluationSettings
@@ -240,9 +240,9 @@ def by_set_and_run(means: Iterable[Mean]) -> list[list[NDArray[Any]]]:
     return [[over_intents(m for m in every if (m.set, m.run) == (group, run)) for run in runs] for group in TESTS]
 
 
-def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> tuple[float, float, float]:
-    """The mean of values by set and run, and its 95 % interval over runs and intents."""
-    return float(np.mean(groups)), *percentile_interval(resample(groups).mean(axis=0))
+def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> Estimate:
+    """The mean of values by set and run, with its 95 % interval over runs and intents."""
+    return mean_over([("", "", np.concatenate([np.stack(runs) for runs in groups], axis=1))])  # sets of equal size
 
 
 def baselines(means: Sequence[Mean], columns: Sequence[str] = TESTS) -> str:

@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple
 import magical_mj
 from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.replay import engine_for, replay_problem
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import task_spec
 from tools.intent_baselines import BASELINES, SECONDS, Mean, by_set_and_run, episodes_of, interval, played
@@ -136,7 +137,7 @@ def means(checks: Sequence[Check], name: str, check: str, field: str) -> tuple[f
     return interval(by_set_and_run(every)) if known else ()
 
 
-def right(baselines: Sequence[Mean], name: str) -> tuple[float, float, float]:
+def right(baselines: Sequence[Mean], name: str) -> Estimate:
     """The mean score of the first run with the right information in the scenes of "wrong", and its interval."""
     chosen = [m for m in baselines if (m.baseline, m.run) == (name, 0) and m.variant in CHECKS["wrong"]["variants"]]
     return interval(by_set_and_run(chosen))

@@ -19,9 +19,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from magical_mj.evaluation.reports.statistics import percentile_interval, resample
+from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.learners.settings import STATE
 from magical_mj.variants import VARIANTS
 from tools.pages import ROOT, table
@@ -37,7 +36,6 @@ NAMES: Final = {
     "next-random": "frozen: next frame",
 }
 """Start -> its name in the table. Those of encoders end with the policy whose episodes they learnt from."""
-Floats = NDArray[np.float64]
 
 
 class Start(NamedTuple):
@@ -90,17 +88,16 @@ def stored(file: Path = FILE) -> Scores:
     return found
 
 
-def mean_and_draws(scores: Scores, start: Start, variant: str) -> tuple[float, Floats]:
-    """The mean over the held-out tasks that have the variant, and its bootstrap draws."""
-    runs = [found for (_, name), found in scores[start].items() if name == variant]
-    return float(np.mean([np.mean([one.mean() for one in task]) for task in runs])), resample(runs).mean(axis=0)
+def cells(scores: Scores, start: Start, variant: str, sign: int = 1) -> list[Cell]:
+    """The scores in the held-out tasks that have the variant, with equal weights."""
+    runs = {task: np.stack(found) for (task, name), found in scores[start].items() if name == variant}
+    return [Cell(found, sign / len(runs), (start, task), task) for task, found in runs.items()]
 
 
-def gain(start: Start, before: Start, variant: str) -> tuple[float, float, float]:
-    """How much better policies are than with another start, with its 95 % interval."""
+def gain(start: Start, before: Start, variant: str) -> Estimate:
+    """How much better policies are than with another start."""
     scores = stored()
-    (mean, draws), (mean_before, draws_before) = (mean_and_draws(scores, one, variant) for one in (start, before))
-    return mean - mean_before, *percentile_interval(draws - draws_before)
+    return estimate([*cells(scores, start, variant), *cells(scores, before, variant, -1)])
 
 
 def learnt(start: str, file: Path = FILE) -> float:
@@ -116,13 +113,12 @@ def tables() -> dict[str, str]:
     variants = [variant for variant in VARIANTS if variant in known]
     names, rows = list(NAMES), []
     for start in sorted(scores, key=lambda one: (one.preset != STATE, names.index(one.start), one.tasks, one.batches)):
-        cells = []
+        figures = []
         for variant in variants:
-            mean, draws = mean_and_draws(scores, start, variant)
-            low, high = percentile_interval(draws)
-            cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
+            mean, low, high = estimate(cells(scores, start, variant))
+            figures.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
         observations = "states" if start.preset == STATE else "pictures"
-        rows.append((observations, NAMES[start.start].format(start.tasks), f"{start.batches:,}", *cells))
+        rows.append((observations, NAMES[start.start].format(start.tasks), f"{start.batches:,}", *figures))
     return {"pretraining": table(("From", "Start", "Batches", *variants), rows)}
 
 

@@ -138,6 +138,8 @@ def make_comparison(a: Side, b: Side) -> None:
     screen.print(table)
     if (split := comparison.attrs["split"]) != "test":
         screen.print(f"on the split {split}: not by the official protocol")
+    if (comparison["runs"] == 1).any():
+        screen.print("one run: the intervals cover scenes, not the randomness of training")
     unpaired = comparison["unpaired"].iloc[-1]
     if unpaired:
         screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")

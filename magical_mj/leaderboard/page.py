@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from importlib.resources import files as resources
-from itertools import combinations
 from pathlib import Path
 from typing import Final
 
 from magical_mj.evaluation.entry import SHIFT_SEEDS, Demonstrations, track
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
@@ -18,10 +18,9 @@ from magical_mj.leaderboard.standings import (
     BLOCKS,
     COLUMNS,
     COMMON,
-    LEAST_FOR_INTERVALS,
     LEAST_RUNS,
-    Estimate,
     Standing,
+    difference,
     improvement,
 )
 from magical_mj.shifts import SHIFTS
@@ -33,6 +32,8 @@ from magical_mj.utils.escape import html
 
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 STAR: Final = "★"
+UNDECIDED: Final = "?"
+"""The mark of a comparison that the interval does not decide."""
 INTRODUCTION: Final = (
     "Each entry contains every episode of every run with its actions, and was checked by replaying a sample of them. "
     "Scores are between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested with other "
@@ -131,7 +132,7 @@ def chips(text: str) -> str:
 
 def _cell(text: str, shaded: bool) -> str:
     """A table cell. A number has its interval and its share of the environments below it, and a shade by its size."""
-    figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\))?", text)
+    figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\)| \?)?", text)
     if figure is None:
         return f"<td>{html(text)}</td>"
     share = round(60 * min(1.0, abs(float(figure[1])))) if shaded else 0
@@ -218,7 +219,7 @@ def _scores(methods: Sequence[Standing]) -> Table:
         f"CountPlus, All) are means over the {len(COMMON)} tasks that have all variants. Columns of variants are means "
         f"over the tasks that have the variant, with their number if some are missing. {ABOVE}: the generalisation "
         "group's mean of (score - n) / (1 - n), where n is the score of doing nothing. In brackets, 95 % intervals "
-        f"over runs and scenes, from {LEAST_FOR_INTERVALS} runs on",
+        "over scenes and runs; where an environment has one run, over its scenes only",
         ("Method", USES, "runs", *COLUMNS),
         _grouped(methods, cells),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
@@ -250,17 +251,18 @@ def _drops(methods: Sequence[Standing]) -> Table:
 
 def _improvements(methods: Sequence[Standing]) -> Table:
     entered = _entered(methods)
-    chances: dict[tuple[int, int], Estimate] = {}
-    for a, b in combinations(range(len(entered)), 2):
-        chance = chances[a, b] = improvement(entered[a], entered[b])
-        chances[b, a] = Estimate(1 - chance.value, 1 - chance.high, 1 - chance.low)  # the two probabilities add up to 1
-    rows = [
-        (label(method), *(_text(chances.get((a, b))) for b in range(len(entered)))) for a, method in enumerate(entered)
-    ]
+
+    def cell(first: Standing, second: Standing) -> str:
+        if first is second or math.isnan(chance := improvement(first, second)):
+            return NONE
+        return f"{chance:.2f}" + ("" if difference(first, second).decided else f" {UNDECIDED}")
+
+    rows = [(label(method), *(cell(method, other) for other in entered)) for method in entered]
     return Table(
         "improvement",
         "Probability that a run of the method on the left beats one of the method above, over the environments "
-        f"that both have played ({NONE} if there are none, or they were scored by different rules)",
+        f"that both have played ({NONE} if there are none, or they were scored by different rules). {UNDECIDED}: the "
+        "95 % interval of the difference of their mean scores contains 0",
         ("Method", *(method.name for method in entered)),
         (("", tuple(rows)),),
     )

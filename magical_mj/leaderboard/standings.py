@@ -13,8 +13,8 @@ import numpy as np
 
 from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
-from magical_mj.evaluation.reports.statistics import Floats, bootstrap, percentile_interval, resample
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
@@ -36,13 +36,10 @@ BLOCKS: Final[Mapping[str, str]] = {
     "released": "By the rules of the paper's released code",
 }
 """Methods are compared within a block: by the rules, what the policy observes, and what else the method may use."""
-USUAL: Final = {"states", "simulator in training"}
-"""The privileges of the paper's setting, apart from what the policy observes."""
-
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
-LEAST_FOR_INTERVALS: Final = 3
-"""The least number of runs of a score with an interval. Fewer say too little about the randomness of training."""
+USUAL: Final = {"states", "simulator in training"}
+"""The privileges of the paper's setting, apart from what the policy observes."""
 
 GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "Memory": ("Demo", "Jitter", "Dynamics"),
@@ -65,15 +62,6 @@ COLUMNS: Final[Mapping[str, tuple[Pair, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A figure with its 95 % interval; NaN for missing values."""
-
-    value: float
-    low: float = np.nan
-    high: float = np.nan
-
-
-@dataclass(frozen=True)
 class Standing:
     """One method on the leaderboard.
 
@@ -82,7 +70,8 @@ class Standing:
         entry: the entry; those of published methods have no episodes.
         gaps: the reasons why a partial entry is not official.
         means: mean score of each run in each environment; for published methods only the mean of five runs.
-        episodes: score of each episode of each run in each environment, by seed; empty for published methods.
+        episodes: environment -> run -> the scores of its episodes by seed, NaN for missing ones; empty for published
+            methods.
         printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
 
@@ -142,21 +131,22 @@ class Standing:
             above: whether to take the mean of (score - n) / (1 - n), where n is the score of doing nothing.
         """
         played = [pair for pair in pairs if pair in self.means]
-        floors = np.array([floor(*pair, self.entry.rules) if above else 0.0 for pair in played])
-
-        def mean(scores: Floats) -> Any:
-            return ((scores.T - floors) / (1 - floors)).mean(axis=-1)
-
-        value = round(float(mean(np.array([self.means[pair].mean() for pair in played]))), 9)
-        if not played or any(len(self.episodes.get(pair, ())) < LEAST_FOR_INTERVALS for pair in played):
+        floors = [floor(*pair, self.entry.rules) if above else 0.0 for pair in played]
+        scores = [self.means[pair].mean() for pair in played]
+        value = round(float(np.mean([(x - n) / (1 - n) for x, n in zip(scores, floors, strict=True)])), 9)
+        if not played or not all(pair in self.episodes for pair in played):
             return Estimate(value)
-        return Estimate(value, *percentile_interval(mean(np.stack([self._draws[pair] for pair in played]))))
+        weights = [1 / (len(played) * (1 - n)) for n in floors]
+        found = estimate(self.cells(dict(zip(played, weights, strict=True))))
+        shift = value - found.value
+        return Estimate(value, found.low + shift, found.high + shift)
 
-    @cached_property
-    def _draws(self) -> Mapping[Pair, Floats]:
-        """Bootstrap draws of the mean score in each environment."""
-        draws = resample([[*runs.values()] for runs in self.episodes.values()])
-        return dict(zip(self.episodes, draws, strict=True))
+    def cells(self, weights: Mapping[Pair, float], side: str = "") -> list[Cell]:
+        """The scores in some environments, each with the weight of its mean. `side` tells two methods apart."""
+        return [
+            Cell(np.stack([*self.episodes[pair].values()]), weight, (side, pair[0]), pair)
+            for pair, weight in weights.items()
+        ]
 
     def lacks(self, column: str) -> str:
         """How many of a column's environments were played, such as "(2/8)". Empty for all and for none."""
@@ -219,17 +209,20 @@ class Standing:
 
 def standing(entry: Entry) -> Standing:
     """The standing of an entry."""
-    scores: dict[Pair, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for episode in sorted(entry.counted, key=lambda episode: episode.seed):
-        scores[episode.task, episode.variant][episode.run].append(episode.score)
-    episodes = {
-        pair: {run: np.array(scores[pair][run]) for run in sorted(scores[pair])}
-        for pair in ENVIRONMENTS
-        if pair in scores
+    scores: dict[Pair, dict[int, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
+    for episode in entry.counted:
+        scores[episode.task, episode.variant][episode.run][episode.seed] = episode.score
+    episodes = {pair: _by_run(scores[pair]) for pair in ENVIRONMENTS if pair in scores}
+    means: dict[Pair, Floats] = {
+        pair: np.array([float(np.nanmean(row)) for row in runs.values()]) for pair, runs in episodes.items()
     }
-    means = {pair: np.array([values.mean() for values in runs.values()]) for pair, runs in episodes.items()}
     missing = tuple(gaps(entry))
     return Standing("partial" if missing else "official", entry, missing, means, episodes)
+
+
+def _by_run(scores: Mapping[int, Mapping[int, float]]) -> dict[int, Floats]:
+    seeds = sorted({seed for of_run in scores.values() for seed in of_run})
+    return {run: np.array([scores[run].get(seed, np.nan) for seed in seeds]) for run in sorted(scores)}
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
@@ -271,7 +264,7 @@ def published() -> list[Standing]:
     return methods
 
 
-def improvement(first: Standing, second: Standing) -> Estimate:
+def improvement(first: Standing, second: Standing) -> float:
     """The probability that a run of the first method beats one of the second in an environment (Agarwal et al., 2021).
 
     It is averaged over the environments that both have played. Equal scores count one half. It is NaN if there are no
@@ -279,14 +272,16 @@ def improvement(first: Standing, second: Standing) -> Estimate:
     """
     pairs = [pair for pair in first.means if pair in second.means]
     if not pairs or first.entry.rules != second.entry.rules:
-        return Estimate(np.nan)
-    strata = [values for pair in pairs for values in (first.means[pair], second.means[pair])]
+        return np.nan
+    return float(np.mean([_better(first.means[pair], second.means[pair]) for pair in pairs]))
 
-    def chance(*drawn: Floats, axis: int = -1) -> Any:
-        del axis  # always the last
-        return np.mean([_better(x, y) for x, y in zip(drawn[::2], drawn[1::2], strict=True)], axis=0)
 
-    return Estimate(float(chance(*strata)), *bootstrap(strata, chance, resamples=500))
+def difference(first: Standing, second: Standing, pairs: Iterable[Pair] = ENVIRONMENTS) -> Estimate:
+    """How much higher the first method's mean score is, over those of the environments that both have played."""
+    common = [pair for pair in pairs if pair in first.episodes and pair in second.episodes]
+    weight = 1 / max(len(common), 1)
+    weights = dict.fromkeys(common, weight), dict.fromkeys(common, -weight)
+    return estimate([*first.cells(weights[0], "first"), *second.cells(weights[1], "second")])
 
 
 def _better(first: Floats, second: Floats) -> Any:

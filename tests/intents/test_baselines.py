@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.intents import parse
 from magical_mj.intents.names import tasks_in
 from tools import intent_baselines, intent_checks, intent_scenes
@@ -23,7 +23,6 @@ from tools.intent_baselines import (
     by_set_and_run,
     differences,
     gather,
-    interval,
     kept,
     misreading,
     over_intents,
@@ -48,11 +47,17 @@ def score(name: str, *groups: str) -> float:
     return float(over_intents(chosen).mean())
 
 
-def gain(name: str, other: str) -> tuple[float, float, float]:
+def gain(name: str, other: str) -> Estimate:
     """The mean difference of one row from another over the intents that both played, and its interval."""
     number = min(BASELINES[one].intents for one in (name, other))
     rows = [by_set_and_run(m for m in MEANS if m.baseline == one and m.number < number) for one in (name, other)]
-    return interval([list(np.array(first) - np.array(second)) for first, second in zip(*rows, strict=True)])
+    return less(*([np.stack(runs) for runs in one] for one in rows))
+
+
+def less(first: list[np.ndarray], second: list[np.ndarray]) -> Estimate:
+    """The mean difference over intents, given for each set: shape (runs, intents)."""
+    every = (np.concatenate(side, axis=1) for side in (first, second))
+    return estimate([Cell(scores, sign, sign, "") for sign, scores in zip((1, -1), every, strict=True)])
 
 
 def right(name: str) -> int:
@@ -63,11 +68,11 @@ def in_scenes(number: int, kind: str = "random") -> list[Outcome]:
     return [row for row in OUTCOMES if (row.scenes, row.kind) == (number, kind)]
 
 
-def scenes_gain(number: int, kind: str, other: int, other_kind: str) -> tuple[float, float, float]:
+def scenes_gain(number: int, kind: str, other: int, other_kind: str) -> Estimate:
     """The mean difference in score between numbers and kinds of demo scenes, over the same intents."""
     rows = [in_scenes(number, kind), in_scenes(other, other_kind)]
-    pairs = [np.array([a.score - b.score for a, b in zip(*rows, strict=True) if a.set == group]) for group in TESTS]
-    return (float(np.concatenate(pairs).mean()), *mean_interval(pairs))
+    first, second = ([np.array([[row.score for row in side if row.set == group]]) for group in TESTS] for side in rows)
+    return less(first, second)
 
 
 def statements() -> list[str]:

@@ -148,21 +148,22 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     listed = {**links, **{text: name for name, text in FILES.items() if name in made}}
     captions = [". ".join(filter(None, (table.caption, data.mark))) for table in tables]
     marked_tables = [markdown(replace(table, caption=text)) for table, text in zip(tables, captions, strict=True)]
+    of_environments = [table.name for table in tables].index("environments")
     parts = [
         TITLE,
         *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
         *([f"**{escape.markdown(data.mark)}.**"] if data.mark else []),
         _settings(data),
         "## Variants",
-        *marked_tables[:2],
+        *marked_tables[:of_environments],
         "![Mean scores over tasks](bars.png)",
         "## Environments",
         "![Mean scores](heat_map.png)",
-        marked_tables[2],
+        marked_tables[of_environments],
         *(["## Controls", *map(markdown, controls)] if controls else []),
         *(["## Shifts"] if len(shifts) else []),
         *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
-        *marked_tables[3:],
+        *marked_tables[of_environments + 1 :],
         "## Files",
         "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in listed.items()),
     ]

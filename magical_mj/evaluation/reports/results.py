@@ -20,7 +20,7 @@ from magical_mj.evaluation.entry import is_entry, read_entry
 from magical_mj.evaluation.folder import check_trainings, recorded_settings
 from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.provenance import Provenance, provenance
-from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
+from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, difference
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS, VARIANTS, Pair, in_order
 from magical_mj.tasks.spec import Rules
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
 """The columns that identify an episode."""
+SCENE: Final = ["variant", "shift", "task", "seed"]
+"""The columns that identify a scene."""
 KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
 NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl", "given", "other")
 """The text columns, stored as categories. One more, `folder`, holds the folder of each episode."""
@@ -382,18 +384,17 @@ def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
 def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     """How much better the first policy is than the second, in each variant and shift, on the scenes that both played.
 
-    Scores of several runs in one scene are averaged first. The interval of the difference comes from a bootstrap that
-    resamples the scenes within each environment; all environments have equal weight.
-
     Args:
         first: the folder of an evaluation, or ``DIR:POLICY`` if it holds several policies.
         second: the other policy, in the same form.
 
     Returns:
         A row for each variant and shift, and one over all variants without shifts. Columns: the mean scores (`first`,
-        `second`), their `difference` and its 95 % interval (`low`, `high`), in how many scenes the first was `better`
-        or `worse`, the numbers of common `scenes` and `environments`, and the number of scenes that only one of them
-        has played (`unpaired`). Its `attrs` hold the names of the `policies` and the `split`.
+        `second`), their `difference` and its 95 % interval (`low`, `high`; see
+        `magical_mj.evaluation.reports.intervals`), in how many scenes the mean over runs of the first was `better` or
+        `worse`, the smaller number of `runs`, the numbers of common `scenes` and `environments`, and the number of
+        scenes that only one of them has played (`unpaired`). Its `attrs` hold the names of the `policies` and the
+        `split`.
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
@@ -404,36 +405,42 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     import pandas as pd
 
     (name, ours), (other, others) = choose(first), choose(second)
-    played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, others)], ignore_index=True)
+    sides = [side.astype(dict.fromkeys(NAMES, object)) for side in (ours, others)]
+    played = pd.concat(sides, ignore_index=True)
     check_alike(played)
-    keys = ["variant", "shift", "task", "seed"]
-    sides = [side.astype(dict.fromkeys(keys[:-1], str)).groupby(keys)["score"].mean() for side in (ours, others)]
-    both = pd.concat(sides, axis=1, keys=["first", "second"])
-    paired = both.dropna()
-    if paired.empty:
+    scenes = [side[SCENE].drop_duplicates() for side in sides]
+    both = scenes[0].merge(scenes[1])
+    if both.empty:
         raise EvaluationError(f"{first} and {second} have no scene in common")
+    every = pd.concat(scenes).drop_duplicates()
+    paired = [side.merge(both) for side in sides]
 
     def rank(pair: tuple[str, str]) -> tuple[bool, int, str]:
         variant, shift = pair
         return shift != "", EVERY_VARIANT.index(variant), shift
 
-    groups = sorted(set(paired.index.droplevel([2, 3])), key=rank)
-    rows = [_comparison(" ".join(filter(None, pair)), both.loc[pair], paired.loc[pair]) for pair in groups]
-    if "" in paired.index.get_level_values("shift"):
-        unshifted = (table.xs("", level="shift") for table in (both, paired))
-        rows.append(_comparison(ALL, *unshifted))
+    def row(title: str, chosen: Callable[[pd.DataFrame], pd.Series[bool]]) -> dict[str, Any]:
+        compared = [side[chosen(side)] for side in paired]
+        means = [side.groupby(SCENE)["score"].mean() for side in compared]
+        better = means[0] - means[1]
+        return {
+            "variant": title,
+            **difference(*compared, same_runs=False),
+            "better": int((better > SCORE_TOLERANCE).sum()),
+            "worse": int((better < -SCORE_TOLERANCE).sum()),
+            "unpaired": int(chosen(every).sum() - chosen(both).sum()),
+        }
+
+    groups = sorted(set(both[["variant", "shift"]].itertuples(index=False, name=None)), key=rank)
+    rows = [
+        row(
+            " ".join(filter(None, pair)),
+            lambda side, pair=pair: (side["variant"] == pair[0]) & (side["shift"] == pair[1]),
+        )
+        for pair in groups
+    ]
+    if (both["shift"] == "").any():
+        rows.append(row(ALL, lambda side: side["shift"] == ""))
     table = pd.DataFrame(rows)
     table.attrs |= {"policies": (name, other), "split": str(played["split"].iloc[0])}
     return table
-
-
-def _comparison(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
-    """A row of a comparison. `both` has the mean scores in all scenes, `paired` those in the common scenes."""
-    difference = paired["first"] - paired["second"]
-    return {
-        "variant": variant,
-        **paired_means(paired, "first", "second"),
-        "better": int((difference > SCORE_TOLERANCE).sum()),
-        "worse": int((difference < -SCORE_TOLERANCE).sum()),
-        "unpaired": len(both) - len(paired),
-    }

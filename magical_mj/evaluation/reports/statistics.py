@@ -1,14 +1,12 @@
-"""Means, spreads, interquartile means and confidence intervals of scores.
+"""Means, spreads and interquartile means of scores, by environment, variant and shift, and their differences.
 
 The unit of the paper's statistics is the run mean: the mean score of one run (one trained policy) in one environment.
-A method's score is the mean over environments of the mean over runs; environments have equal weight. Its 95 % interval
-resamples runs and scenes (`resample`). With one run, it resamples scenes only, and does not cover the randomness of
-training. A spread is the standard deviation of run means (ddof = 0): within an environment over runs, and within a
-variant over tasks and runs.
+A method's score is the mean over environments of the mean over runs; environments have equal weight. Its interval
+covers scenes and training (`intervals`). A spread is the standard deviation of run means (ddof = 0): within an
+environment over runs, and within a variant over tasks and runs.
 
-The interquartile mean leaves out the lowest and the highest quarter of the run means, or of the task means if some
-tasks have more runs than others. Its interval resamples the runs of each task (Agarwal et al., NeurIPS 2021), or the
-episodes of a task that has only one run.
+The interquartile mean leaves out the lowest and the highest quarter of the run means of all tasks (Agarwal et al.,
+NeurIPS 2021). It needs at least `LEAST_RUNS` runs of each task.
 
 Shifts are compared with strength 0, the control: the same policies in the same scenes without the shift.
 """
@@ -20,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from magical_mj.evaluation.reports.intervals import Cell, Floats, estimate, mean_over
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
@@ -29,139 +27,80 @@ from magical_mj.shifts.shift import STRENGTHS
 if TYPE_CHECKING:
     import pandas as pd
 
-Floats = NDArray[np.float64]
-
-RESAMPLES: Final = 2000
-CONFIDENCE: Final = 0.95
-AT_ONCE: Final = 50_000_000
-"""The largest number of resampled values in memory at a time. Each takes 16 bytes."""
+LEAST_RUNS: Final = 5
+"""The least number of runs of an interquartile mean."""
 
 
 class Summary(NamedTuple):
-    """The mean and the interquartile mean of run means with their intervals. NaN where there are too few runs."""
+    """The mean with its interval, the spread and the interquartile mean. NaN where there are too few runs."""
 
     mean: float
     std: float
     low: float
     high: float
     iqm: float
-    iqm_low: float
-    iqm_high: float
 
 
-def interquartile_mean(values: Floats, axis: int = -1) -> Any:
+def interquartile_mean(values: Floats) -> float:
     """The mean without the lowest and the highest quarter of the values (each rounded down to whole values)."""
     from scipy.stats import trim_mean
 
-    return trim_mean(values, 0.25, axis=axis)
+    return float(trim_mean(values, 0.25))
 
 
-def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
-    """The statistics over tasks, which have equal weight. `tasks[i][j]` are the episode scores of run j in task i."""
-    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
-    mean = float(_mean_of_means(*means))
+def summarise(environments: Sequence[Floats]) -> Summary:
+    """The statistics over environments of different tasks. `environments[i]` are scores of shape (runs, scenes)."""
+    means = [np.nanmean(scores, axis=1) for scores in environments]
+    mean, low, high = mean_over((task, task, scores) for task, scores in enumerate(environments))
     variance = np.mean([np.square(values - mean).mean() for values in means])
     std = float(np.sqrt(variance)) if sum(map(len, means)) > 1 else np.nan
-    counts = {len(runs) for runs in tasks}
-    statistic = _iqm_of_means if 1 in counts or len(counts) > 1 else _iqm_of_values
-    strata = [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
-    iqm = float(statistic(*means)), *bootstrap(strata, statistic)
-    return Summary(mean, std, *percentile_interval(resample(tasks).mean(axis=0)), *iqm)
+    counts = {*map(len, means)}
+    iqm = interquartile_mean(np.concatenate(means)) if len(counts) == 1 and min(counts) >= LEAST_RUNS else np.nan
+    return Summary(mean, std, low, high, iqm)
 
 
-def resample(environments: Sequence[Sequence[Floats]]) -> Floats:
-    """Bootstrap draws of each environment's mean score. Shape (environments, RESAMPLES).
-
-    Runs are drawn with replacement, the same in all environments with the same number of runs, because a run's policy
-    is the same in several environments. The scenes of each environment are drawn as well, the same for all its runs.
-
-    Args:
-        environments: `environments[i][j]` are the episode scores of run j in environment i, in the order of scenes.
-
-    Returns:
-        The draws, which are the same for the same scores. NaN for an environment with a single episode.
-    """
-    rng = np.random.default_rng(0)
-    shares: dict[int, Floats] = {}
-    draws = np.empty((len(environments), RESAMPLES))
-    for row, runs in zip(draws, environments, strict=True):
-        count = len(runs)
-        if count not in shares:
-            shares[count] = rng.multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
-        scenes = {size: rng.integers(size, size=(RESAMPLES, size)) for size in sorted({*map(len, runs)})}
-        means = np.stack([scores[scenes[len(scores)]].mean(axis=1) for scores in runs], axis=1)
-        row[:] = (means * shares[count]).sum(axis=1) if sum(map(len, runs)) > 1 else np.nan
-    return draws
+def by_run_and_scene(scores: pd.DataFrame) -> Floats:
+    """The scores of an environment, shape (runs, scenes), from a row for each episode. NaN for missing episodes."""
+    return scores.pivot(index="run", columns="seed", values="score").to_numpy(float)
 
 
-def percentile_interval(draws: Floats) -> tuple[float, float]:
-    """The 95 % interval of a statistic from its bootstrap draws."""
-    low, high = np.percentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)])
-    return float(low), float(high)
-
-
-def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """The percentile interval of a statistic. Each stratum is resampled separately. NaN if one has a single value.
-
-    The statistic is called as ``statistic(*strata, axis=-1)``.
-    """
-    from scipy.stats import bootstrap as scipy_bootstrap
-
-    if min(map(len, strata)) < 2:
-        return np.nan, np.nan
-    size = sum(map(len, strata))
-    interval = scipy_bootstrap(
-        tuple(strata),
-        statistic,
-        vectorized=True,
-        n_resamples=resamples,
-        batch=None if size * resamples <= AT_ONCE else max(1, AT_ONCE // size),
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        rng=np.random.default_rng(0),  # the same scores always have the same interval
-    ).confidence_interval
-    return float(interval.low), float(interval.high)
-
-
-def mean_interval(strata: Sequence[Floats]) -> tuple[float, float]:
-    """The interval of the mean of the strata's means."""
-    return bootstrap(strata, _mean_of_means)
-
-
-def paired_means(pairs: pd.DataFrame, first: str, second: str) -> dict[str, Any]:
-    """Compares the mean scores of two policies in the same scenes. All environments have equal weight.
+def difference(first: pd.DataFrame, second: pd.DataFrame, same_runs: bool) -> dict[str, Any]:
+    """Compares the mean scores of two policies, or of one with and without a shift, in the scenes that both played.
 
     Args:
-        pairs: a row for each scene with the two scores. The index holds the environment, and the scene as `seed`.
-        first: the column of one policy.
-        second: the column of the other policy.
+        first: a row for each episode.
+        second: the same for the other policy. Both have an episode of each scene.
+        same_runs: whether a run is the same trained policy in both.
 
     Returns:
-        Both means, the `difference` of the first from the second and its 95 % interval (`low`, `high`), which resamples
-        the scenes of each environment, and the numbers of `scenes` and `environments`.
+        The mean of each, the `difference` of the first from the second and its 95 % interval (`low`, `high`), the
+        smaller number of `runs`, and the numbers of `scenes` and `environments`, which have equal weight.
     """
-    groups = pairs.groupby([name for name in pairs.index.names if name != "seed"])
-    means = groups.mean().mean()
-    low, high = mean_interval([(group[first] - group[second]).to_numpy() for _, group in groups])
-    difference = float(means[first] - means[second])
-    counts = {"scenes": len(pairs), "environments": len(groups)}
-    return {**means.to_dict(), "difference": difference, "low": low, "high": high, **counts}
-
-
-def _means(strata: Sequence[Floats], axis: int) -> Floats:
-    return np.stack([values.mean(axis=axis) for values in strata])
-
-
-def _mean_of_means(*strata: Floats, axis: int = -1) -> Any:
-    return _means(strata, axis).mean(axis=0)
-
-
-def _iqm_of_means(*strata: Floats, axis: int = -1) -> Any:
-    return interquartile_mean(_means(strata, axis), axis=0)
-
-
-def _iqm_of_values(*strata: Floats, axis: int = -1) -> Any:
-    return interquartile_mean(np.concatenate(strata, axis=axis), axis=axis)
+    where = ["task", "variant"]
+    sides = [dict(list(side.groupby(where, observed=True))) for side in (first, second)]
+    cells = [
+        Cell(by_run_and_scene(group), sign / len(sides[0]), (pair[0], same_runs or sign), pair)
+        for sign, groups in zip((1, -1), sides, strict=True)
+        for pair, group in groups.items()
+    ]
+    value, low, high = estimate(cells)
+    means = [
+        float(np.mean([np.nanmean(np.nanmean(cell.scores, axis=1)) for cell in cells if cell.weight * sign > 0]))
+        for sign in (1, -1)
+    ]
+    counts = {
+        "runs": min(len(cell.scores) for cell in cells),
+        "scenes": sum(cell.scores.shape[1] for cell in cells) // 2,
+    }
+    return {
+        "first": means[0],
+        "second": means[1],
+        "difference": value,
+        "low": low,
+        "high": high,
+        **counts,
+        "environments": len(sides[0]),
+    }
 
 
 def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> float:
@@ -200,10 +139,7 @@ def _by(keys: list[str], scores: pd.DataFrame) -> pd.DataFrame:
 
     rows = []
     for values, group in scores.groupby(keys, sort=False, observed=True):
-        tasks = [
-            [run.to_numpy(float) for _, run in task.groupby("run")["score"]]
-            for _, task in group.groupby("task", observed=True)
-        ]
+        tasks = [by_run_and_scene(task) for _, task in group.groupby("task", observed=True)]
         counts = {"tasks": len(tasks), "runs": max(map(len, tasks)), "episodes": len(group)}
         failures = int(group["failure"].notna().sum())
         rows.append(
@@ -220,31 +156,30 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         A row for each policy and shift: the `axis` and its `strength` (NaN for combined shifts and for bodies), the
-        mean score with the shift (`mean`) and without it (`without`), the `difference` and its 95 % interval (`low`,
-        `high`), and the numbers of `scenes` and `environments`. The interval resamples the scenes of each environment.
-        Scores of several runs in one scene are averaged first. All environments have equal weight.
+        mean score with the shift (`mean`) and without it (`without`), and the other columns of `difference`.
     """
     import pandas as pd
 
-    played = scores.astype(dict.fromkeys(["policy", "task", "variant", "shift"], str)).set_index(
-        ["policy", "run", "task", "variant", "seed"]
-    )
-    without = played[played["shift"] == ""]["score"]
+    played = scores.astype(dict.fromkeys(["policy", "task", "variant", "shift"], str))
+    episode = ["policy", "run", "task", "variant", "seed"]
+    without = played[played["shift"] == ""]
     rows: list[dict[str, Any]] = []
     for (policy, shift), group in played[played["shift"] != ""].groupby(["policy", "shift"]):
-        both = pd.concat([without, group["score"]], axis=1, join="inner", keys=["without", "mean"])
-        both = both.groupby(["task", "variant", "seed"]).mean()
+        both = group[episode].merge(without[episode])
         if both.empty:
             continue
         axis, _, strength = str(shift).rpartition(":")
         graded = "+" not in str(shift) and strength.isdigit()
+        compared = difference(group.merge(both), without.merge(both), same_runs=True)
         rows.append(
             {
                 "policy": policy,
                 "shift": shift,
                 "axis": axis if graded else shift,
                 "strength": int(strength) if graded else math.nan,
-                **paired_means(both, "mean", "without"),
+                "without": compared.pop("second"),
+                "mean": compared.pop("first"),
+                **compared,
             }
         )
     order = list(SHIFTS)

@@ -16,7 +16,7 @@ from magical_mj.evaluation.reports.results import (
     counted_tasks,
     expected_environments,
 )
-from magical_mj.evaluation.reports.statistics import area, curve, half_lost
+from magical_mj.evaluation.reports.statistics import LEAST_RUNS, area, curve, half_lost
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
@@ -69,7 +69,7 @@ def csv(frame: pd.DataFrame) -> str:
 
 
 def result_tables(results: Results) -> list[Table]:
-    """The paper's Table 1, the interquartile means, and the table of all environments."""
+    """The paper's Table 1, means with intervals, all environments, and interquartile means if there are enough runs."""
     tasks = counted_tasks(results.scores["task"].cat.categories)
     over = "all tasks" if len(tasks) > 1 and set(tasks) & set(TASKS) else " and ".join(tasks)
     over = over if len(tasks) <= len(TASKS) else counted(len(tasks), "task")
@@ -82,11 +82,20 @@ def result_tables(results: Results) -> list[Table]:
         tuple(notes(results)),
     )
     own = results.variants[~results.variants["published"]]
+    covered = Table(
+        "intervals",
+        f"Mean score over {over}, with its 95 % interval (over scenes and runs; with one run, over scenes only)",
+        header,
+        _by_given(results, lambda rows: _interval_rows(results, rows), own),
+    )
+    several = own[own["iqm"].notna()]
     robust = Table(
         "interquartile",
-        f"Interquartile mean of the run means over {over}, with its 95 % interval (stratified bootstrap)",
+        f"Interquartile mean of the run means over {over}, of methods with at least {LEAST_RUNS} runs in each task",
         header,
-        _by_given(results, lambda rows: _iqm_rows(results, rows), own),
+        _by_given(
+            results, lambda rows: _rows(results, rows, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip()), several
+        ),
     )
     by_task = results.environments.groupby("task")
     every = Table(
@@ -95,7 +104,7 @@ def result_tables(results: Results) -> list[Table]:
         header,
         tuple((task, _rows(results, by_task.get_group(task), _mean_and_std, task)) for task in results.tasks),
     )
-    return [spread, robust, every]
+    return [spread, covered, *([robust] if len(several) else []), every]
 
 
 def control_tables(results: Results) -> Iterator[Table]:
@@ -144,10 +153,10 @@ def _by_given(results: Results, rows: Callable[[pd.DataFrame], Rows], frame: pd.
     return tuple((heading, cells) for heading, cells in groups if cells)
 
 
-def _iqm_rows(results: Results, own: pd.DataFrame) -> Rows:
-    """Two rows for each method: the interquartile means, and below them their intervals."""
-    means = _rows(results, own, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
-    intervals = _rows(results, own, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
+def _interval_rows(results: Results, own: pd.DataFrame) -> Rows:
+    """Two rows for each method: the means, and below them their intervals."""
+    means = _rows(results, own, lambda row: f"{row.mean:.2f} {share(row)}".rstrip())
+    intervals = _rows(results, own, lambda row: f"[{row.low:.2f}, {row.high:.2f}]".replace("[nan, nan]", NONE))
     return tuple(row for mean, interval in zip(means, intervals, strict=True) for row in (mean, ("", *interval[1:])))
 
 
@@ -215,14 +224,16 @@ def _gaps(variants: pd.DataFrame, existing: Collection[str]) -> Iterator[str]:
 
 
 def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:
-    """Which policies have fewer runs in some environments than in others, and which have only one."""
+    """Which policies have fewer runs in some environments than in others, and what intervals of few runs cover."""
     ours = environments[~environments["published"]].groupby("policy", sort=False)["runs"].agg(["min", "max"])
     for row in ours[ours["min"] < ours["max"]].itertuples():
-        lone = "; where there is only one, intervals resample its episodes" if row.min == 1 else ""
+        lone = "; where there is only one, intervals cover scenes only" if row.min == 1 else ""
         yield f"{row.Index}: between {row.min} and {row.max} runs, depending on the environment{lone}."
     if single := [str(policy) for policy in ours.index[ours["max"] == 1]]:
         whose = "its" if len(single) == 1 else "their"
-        yield f"Only one run of {', '.join(single)}: {whose} intervals cover episodes and say nothing about training."
+        yield f"One run of {', '.join(single)}: {whose} intervals cover scenes, not the randomness of training."
+    if double := [str(policy) for policy in ours.index[ours["max"] == 2]]:
+        yield f"Two runs of {', '.join(double)}: intervals assume a usual variance between trainings."
 
 
 def _failures(scores: pd.DataFrame) -> Iterator[str]:
@@ -245,8 +256,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
         )
         yield Table(
             "differences",
-            "Difference of the mean score from that at strength 0 in the same scenes, with its 95 % interval "
-            "(bootstrap of the scenes within each environment)",
+            "Difference of the mean score from that at strength 0 in the same scenes, with its 95 % interval",
             ("Method", *strengths[1:]),
             _by_axis(single, _losses),
         )
