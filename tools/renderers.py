@@ -26,7 +26,7 @@ import numpy as np
 
 import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.robot import control_signal
+from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.opengl import OpenGLRenderer, opengl_name
@@ -48,7 +48,7 @@ def states(task: str, variant: str, seed: int, count: int) -> Iterator[tuple[muj
     for number in range(count):
         yield model, data
         action = int(rng.integers(18)) if number % 4 == 0 else action
-        data.ctrl[:] = control_signal(action)
+        data.ctrl[:] = controls()[action]
         mujoco.mj_step(model, data, SUBSTEPS)
         mujoco.mj_forward(model, data)
 

@@ -269,11 +269,6 @@ def controls(body: str = GRIPPER, veer: float = 0.0, settings: PhysicsSettings =
     return signals
 
 
-def control_signal(action: int, body: str = GRIPPER, veer: float = 0.0) -> NDArray[np.float64]:
-    """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,), without fingers (4,)."""
-    return controls(body, veer)[action]
-
-
 TURN_GAIN: Final = 0.5 / TIMESTEP
 """Gain of x-magical's heading servo: turning speed (rad/s) per radian between its target and the robot's heading."""
 FINGER_GAIN: Final = 10.0

@@ -13,7 +13,7 @@ from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
-from magical_mj.envs.presets import Stacks, copying, preset_named
+from magical_mj.envs.presets import copying, frame_stacks, preset_named
 from magical_mj.envs.registration import env_id
 from magical_mj.policies.interface import Observations, Transitions
 from magical_mj.scene.bodies import GRIPPER
@@ -87,19 +87,16 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
             return np.array(
                 [encode(model.poses(qpos), model.velocities(qvel), model.fingers(qpos)) for qpos, qvel in states]
             )
-        stacks = Stacks(kind, kind.image_size)
+        stacks = frame_stacks(kind)
         rows: dict[str, NDArray[Any]] = {
-            name: np.empty((len(demo.qpos), *shape), np.uint8) for name, shape in stacks.shapes.items()
+            name: np.empty((len(demo.qpos), *stack.shape), np.uint8) for name, stack in stacks.items()
         }
         for number, pictures in enumerate(
             render_demo(demo, [view for view, _ in kind.frames], kind.image_size, renderer)
         ):
-            if number == 0:
-                stacks.start(copying(pictures))
-            else:
-                stacks.push(copying(pictures))
-            for name, latest in stacks.latest.items():
-                rows[name][number] = latest
+            for name, stack in stacks.items():
+                (stack.push if number else stack.start)(copying(pictures))
+                rows[name][number] = stack.latest
         if kind.layout != "dict":
             return next(iter(rows.values()))
         if kind.fingers:

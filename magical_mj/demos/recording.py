@@ -91,7 +91,7 @@ class Recorder:
         """
         self._check_complete()
         if self._env.setup.speeds:
-            size = 3 if self._env.simulation.scene_model.has_fingers else 2
+            size = 3 if self._env.scene_model.has_fingers else 2
             is_number = np.ndim(action) == 0 or isinstance(action, Action)
             action = np.asarray(to_vector(action_number(action))[:size] if is_number else action, np.float32)
         over = self._env.step(action)

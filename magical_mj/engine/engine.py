@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.episode import Setup, State
+from magical_mj.assets.scene_model import SceneModel
+from magical_mj.engine.episode import PLAIN, Setup, State
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture
@@ -25,8 +26,11 @@ from magical_mj.utils.errors import ClosedError, PhysicsError, SettingsError, St
 from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
+_EPISODE: Final = ("scene_model", "model", "data", "episode_shifts", "steps", "trajectory", "_renderers")
+"""The attributes of an engine that `close` frees."""
 
-class Engine:
+
+class Engine(Simulation):
     """An environment of the benchmark without observations and rewards. The Gymnasium and dm_env environments wrap it.
 
     A new engine is at the start of its first episode: in `scene` if given, otherwise in
@@ -77,18 +81,17 @@ class Engine:
         setup.check_start(seed=seed, scene=scene)
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
-        self._construct(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
+        self._begin(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
         self._seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
         """An engine for a plain scene, without score and horizon. Raises `InvalidSceneError` if it is illegal."""
-        engine, setup = cls.__new__(cls), Setup(None)
-        setup.check(scene)
-        engine._construct(setup, scene, EpisodeShifts(), renderer, {})
+        engine = cls.__new__(cls)
+        engine._begin(PLAIN, PLAIN.check(scene), EpisodeShifts(), renderer, {})
         return engine
 
-    def _construct(
+    def _begin(
         self,
         setup: Setup,
         scene: Scene,
@@ -98,31 +101,32 @@ class Engine:
     ) -> None:
         """Initialises the engine at the start of an episode with this scene and these shifts."""
         check_renderer(renderer)
-        self._setup, self._shifts = setup, FrozenDict(strengths)
+        super().__init__(setup, SceneModel(scene), renderer=renderer)
+        self.start(scene, episode_shifts)
         self.limit = setup.horizon
-        self._simulation: Simulation | None = Simulation.of(scene, renderer, episode_shifts, setup)
+        self._shifts: Mapping[str, int] = FrozenDict(strengths)
         self._seed: int | None = None
         self._broken = False
 
     @property
-    def setup(self) -> Setup:
-        """Task, variant, rules and body, and the properties that follow from them."""
-        return self._setup
-
-    @property
     def task(self) -> str | None:
         """The task; None for plain scenes."""
-        return self._setup.task
+        return self.setup.task
 
     @property
     def variant(self) -> str:
         """The variant."""
-        return self._setup.variant
+        return self.setup.variant
 
     @property
     def rules(self) -> Rules:
         """The rules of score and horizon."""
-        return self._setup.rules
+        return self.setup.rules
+
+    @property
+    def horizon(self) -> int | None:
+        """The number of actions of an episode; None if it never ends, as in plain scenes."""
+        return self.setup.horizon
 
     @property
     def seed(self) -> int | None:
@@ -130,62 +134,14 @@ class Engine:
         return self._seed
 
     @property
-    def horizon(self) -> int | None:
-        """The number of actions of an episode; None if it never ends, as in plain scenes."""
-        return self._setup.horizon
-
-    @property
     def shifts(self) -> Mapping[str, int]:
         """The strengths of the shifts by name, without `body`."""
         return self._shifts
 
     @property
-    def simulation(self) -> Simulation:
-        """The simulation."""
-        if self._simulation is None:
-            raise ClosedError("the environment is closed; make another one")
-        return self._simulation
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """MuJoCo's model. A reset overwrites all numbers that depend on the scene, and may replace the model."""
-        return self.simulation.model
-
-    @property
-    def data(self) -> mujoco.MjData:
-        """MuJoCo's data."""
-        return self.simulation.data
-
-    @property
-    def scene(self) -> Scene:
-        """The current scene, with the poses of robot, blocks and fingers."""
-        return self.simulation.scene
-
-    @property
-    def initial_scene(self) -> Scene:
-        """The initial scene of this episode."""
-        return self.simulation.scene_model.scene
-
-    @property
-    def steps(self) -> int:
-        """The number of actions since the start of the episode."""
-        return self.simulation.steps
-
-    @property
-    def draws(self) -> Draws:
-        """The values that the shifts of this episode have drawn: for each shift its factors and its seed."""
-        return self.simulation.shifts.draws
-
-    @property
-    def instruction(self) -> str:
-        """The sentence that describes the task in this episode; "" for plain scenes."""
-        return self.setup.instruction(self.simulation.shifts)
-
-    @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        steps = self.steps
-        return self._broken or (self.limit is not None and steps >= self.limit)
+        return self._broken or (self.limit is not None and self.steps >= self.limit)
 
     def reset(
         self,
@@ -209,7 +165,6 @@ class Engine:
             StateError: if the state does not fit the task, or its episode has ended.
             SettingsError: if more than one of seed, scene and state is given.
         """
-        simulation = self.simulation
         self.setup.check_start(seed=seed, scene=scene, state=state, limit=self.limit)
         if state is not None:
             self.set_state(state)
@@ -220,7 +175,7 @@ class Engine:
             scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
         start = self.setup.scene_and_shifts(self.shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
-        simulation.start(*start)
+        self.start(*start)
         self._seed, self._broken = seed, False
 
     def step(self, action: Any) -> bool:
@@ -231,50 +186,14 @@ class Engine:
             StateError: if the episode had ended before.
             PhysicsError: if the simulation becomes unstable. This ends the episode.
         """
-        simulation = self.simulation
         if self.over:
             raise StateError("the episode is over: call reset() before the next step")
         try:
-            simulation.act(action)
+            self.act(action)
         except PhysicsError:
             self._broken = True
             raise
         return self.over
-
-    @property
-    def scored_scenes(self) -> tuple[Scene, ...]:
-        """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
-        return self.simulation.scored_scenes
-
-    def score(self) -> float:
-        """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
-        return self.simulation.score()
-
-    def remaining(self) -> float:
-        """The remaining distance to the goal, in world units. It is 0 if and only if the score is 1.
-
-        The module of each task defines it.
-
-        Raises:
-            InvalidSceneError: without a task.
-            TaskError: if the task does not define it.
-        """
-        return self.simulation.remaining()
-
-    def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
-        """The state vector, in a fresh array of shape (len(STATE_NAMES),).
-
-        `magical_mj.observations.STATE_NAMES` describes its entries. With `start`, the poses in the initial scene follow
-        as `magical_mj.observations.START_NAMES` describes them.
-
-        Raises:
-            InvalidSceneError: if the scene has more blocks or regions than the vector has entries for.
-        """
-        return self.simulation.state_vector(start=start)
-
-    def fingers(self) -> NDArray[np.float64]:
-        """Angles of the left and the right finger, rad. Shape (2,)."""
-        return self.simulation.scene_model.fingers(self.data.qpos)
 
     def render(self, view: str = "allo", size: int = 384, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the current state. Shape (size, size, 3), uint8 RGB, top row first.
@@ -290,11 +209,7 @@ class Engine:
             SettingsError: if the size is invalid, or the array has another shape or type.
             RenderingError: if the picture needs OpenGL, and OpenGL does not work.
         """
-        return self.simulation.draw(view, check_picture(view, size, out), out)
-
-    def get_state(self) -> State:
-        """The exact current state of the episode. Takes about 1/40 of a step's time."""
-        return self.simulation.state()
+        return self.draw(view, check_picture(view, size, out), out)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine or of another one with the same task. The episode continues exactly.
@@ -307,14 +222,13 @@ class Engine:
                 scene, the current episode ends.
             InvalidSceneError: if the state's scene does not belong to this task.
         """
-        simulation = self.simulation
         self.setup.check_state(state)  # before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
             start = self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws)
             self._broken = True  # until everything below has succeeded
-            simulation.start(*start)
+            self.start(*start)
             self._seed = None
-        simulation.resume(state)
+        self.resume(state)
         self._broken = False
 
     def clone(self) -> Engine:
@@ -336,13 +250,13 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For pickling. Raises a `StateError` if `model` was changed by hand."""
-        self._check_model(Simulation.of(self.initial_scene, None, EpisodeShifts(self.draws), self.setup).model)
+        self._check_model(Simulation.of(self.initial_scene, EpisodeShifts(self.draws)).model)
         return restored, self._parts()
 
     def _parts(self) -> tuple[Any, ...]:
         """The arguments of `restored` for a copy."""
         episode = self.seed, self.get_state(), self._broken, self.limit
-        return self.setup, self.shifts, *episode, self.simulation.renderer
+        return self.setup, self.shifts, *episode, self.renderer
 
     def _check_model(self, expected: mujoco.MjModel) -> None:
         """Raises a `StateError` if the model differs from that of an unchanged engine in this episode."""
@@ -358,9 +272,16 @@ class Engine:
         Methods and properties of the episode, such as `score`, `scene` and `steps`, then raise a `ClosedError`. Those
         of the engine, such as `task` and `limit`, do not.
         """
-        if self._simulation is not None:
-            self._simulation.free()
-        self._simulation = None
+        for name in _EPISODE:
+            vars(self).pop(name, None)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Raises a `ClosedError` for what `close` has freed."""
+            if name in _EPISODE:
+                raise ClosedError("the environment is closed; make another one")
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
 
 def restored(
@@ -374,7 +295,7 @@ def restored(
 ) -> Engine:
     """A copy of an engine, made from the values of `Engine._parts`."""
     engine = Engine.__new__(Engine)
-    engine._construct(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
+    engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
     engine._seed, engine._broken, engine.limit = seed, broken, limit
     return engine

@@ -5,18 +5,19 @@ Restoring a `State` continues its episode: for search, for an expert's correctio
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene import Robot, Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, as_integer, short_repr
 from magical_mj.utils.frozen import FrozenDict, frozen
 
@@ -73,10 +74,7 @@ class State:
 
 @dataclass(frozen=True)
 class Setup:
-    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes.
-
-    The task is None for plain scenes: these have no score and no horizon, and contain the robot's body.
-    """
+    """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes."""
 
     task: str | None
     variant: str = "Demo"
@@ -91,30 +89,29 @@ class Setup:
             object.__setattr__(self, "variant", variant_name(self.variant))
             environment_axes(self.task, self.variant)
             check_body_name(self.body)
-            object.__setattr__(self, "speeds", self.speeds or task_spec(self.task).speeds)
+        object.__setattr__(self, "speeds", self.speeds or self.spec.speeds)
         check_rules(self.rules)
+
+    @property
+    def spec(self) -> TaskSpec:
+        """The task's definition."""
+        return NO_TASK if self.task is None else task_spec(self.task)
 
     @property
     def horizon(self) -> int | None:
         """The number of actions of an episode; None if it never ends."""
-        return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
-
-    @property
-    def keeps_trajectory(self) -> bool:
-        """Whether the score depends on the scenes of all steps."""
-        return self.task is not None and task_spec(self.task).trajectory
+        return None if self.task is None else self.spec.horizon(self.rules, self.body)
 
     def check(self, scene: object) -> Scene:
         """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
         scene = check_scene_type(scene)
         check_scene(scene)
-        if self.task is not None:
-            task_spec(self.task).check(scene)
-            if scene.robot.body != self.body:
-                raise InvalidSceneError(
-                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
-                    f"{self.body!r}: make another environment with body={scene.robot.body!r}"
-                )
+        self.spec.check(scene)
+        if self.task is not None and scene.robot.body != self.body:
+            raise InvalidSceneError(
+                f"the robot of this scene has the body {scene.robot.body!r}, and this environment was made for "
+                f"{self.body!r}: make another environment with body={scene.robot.body!r}"
+            )
         return scene
 
     def sample(self, seed: int) -> Scene:
@@ -143,24 +140,6 @@ class Setup:
         if scene is not None or seed is None:
             return self.check(scene), episode
         return episode.scene(self.sample(seed), str(self.task)), episode
-
-    def instruction(self, shifts: EpisodeShifts) -> str:
-        """The sentence that describes the task in an episode with these shifts; "" for plain scenes."""
-        return "" if self.task is None else shifts.instruction(task_spec(self.task).summary, self.task)
-
-    @np.errstate(all="ignore")  # no result depends on the caller's settings
-    def score(self, scenes: Sequence[Scene]) -> float:
-        """The score in [0, 1] of an episode with these scenes. Raises an `InvalidSceneError` without a task."""
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no score: give a task, or use magical_mj.score(task, ...)")
-        return task_spec(self.task).checked_score(scenes, self.rules)
-
-    @np.errstate(all="ignore")
-    def remaining(self, scenes: Sequence[Scene]) -> float:
-        """The remaining distance in an episode with these scenes; see `Engine.remaining`."""
-        if self.task is None:
-            raise InvalidSceneError("a plain scene has no goal, and so no remaining distance: give a task")
-        return task_spec(self.task).remaining(scenes, self.rules)
 
     def check_start(
         self, *, seed: object = None, scene: object = None, state: State | None = None, limit: int | None = None
@@ -203,8 +182,28 @@ class Setup:
                 f"numbers, and frames by name; not {short_repr(state)}"
             )
         first, number = state.trajectory[:1], len(state.trajectory)
-        if self.keeps_trajectory and (first != (state.scene,) or number != state.steps + 1):
+        if self.spec.trajectory and (first != (state.scene,) or number != state.steps + 1):
             raise StateError(
                 f"this state lacks the scenes of earlier steps, and the score of {self.task} depends on them: "
                 f"give a state from get_state() of an environment of {self.task}"
             )
+
+
+def _no_score(*_: object) -> float:
+    raise InvalidSceneError(
+        "a plain scene has no task, and so no score: give a task, or use magical_mj.score(task, ...)"
+    )
+
+
+NO_TASK: Final = TaskSpec(
+    name="plain",
+    summary="",
+    demo=Scene(Robot(0.0, 0.0, 0.0)),
+    steps=1,
+    check=lambda _: None,
+    score=_no_score,
+    distance=_no_score,
+)
+"""The definition of plain scenes, which have neither score nor horizon."""
+PLAIN: Final = Setup(None)
+"""The setup of plain scenes, with any body of the robot."""

@@ -132,7 +132,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
 
 def _check_physics(engine: Engine) -> None:
     """Raises a `SettingsError` if the model's physics is not that of the scene."""
-    differing = different_numbers(engine.model, Simulation.of(engine.initial_scene, setup=engine.setup).model)
+    differing = different_numbers(engine.model, Simulation.of(engine.initial_scene).model)
     if changes := [name for name in differing if not name.startswith(PICTURES)]:
         raise SettingsError(
             f"the engine's model was changed ({', '.join(changes[:5])}), by a shift or by hand, and a file would "

@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.robot import control_signal, speed_signal
+from magical_mj.assets.robot import controls, speed_signal
 from magical_mj.assets.scene_model import SceneModel, compiled_model
-from magical_mj.engine.episode import Setup, State
+from magical_mj.engine.episode import PLAIN, Setup, State
 from magical_mj.rendering.picture import Picture
-from magical_mj.rendering.renderer import Views
+from magical_mj.rendering.renderer import KINDS, Renderer, new_renderer
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.scene.state_vector import VIEWS, StateEncoder
-from magical_mj.shifts.episode import EpisodeShifts
+from magical_mj.shifts.episode import Draws, EpisodeShifts
 from magical_mj.shifts.shift import Frame
 from magical_mj.utils.errors import PhysicsError, StateError
 
@@ -38,7 +38,7 @@ class Simulation:
     Args:
         setup: the setup of the episodes.
         scene_model: the initial scene and its coordinates.
-        model: the scene's compiled model.
+        model: the compiled model of a scene with this structure; None: a new one.
         data: MuJoCo's data of this model; None: new data.
         renderer: "opengl", "software" or None, as for `magical_mj.Engine`.
         cameras: the names of the views' cameras in the model, where they differ from the views' names.
@@ -56,54 +56,66 @@ class Simulation:
         self,
         setup: Setup,
         scene_model: SceneModel,
-        model: mujoco.MjModel,
+        model: mujoco.MjModel | None = None,
         data: mujoco.MjData | None = None,
         renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        self.setup, self.scene_model = setup, scene_model
-        self.model, self.data = model, data or mujoco.MjData(model)
+        self._setup, self.scene_model = setup, scene_model
+        self.model = copy(compiled_model(scene_model.structure)) if model is None else model
+        self.data = mujoco.MjData(self.model) if data is None else data
         self.renderer, self._cameras = renderer, cameras
-        self.shifts = EpisodeShifts()
+        self.episode_shifts = EpisodeShifts()
         self.steps, self.trajectory = 0, list[Scene]()
         self._last_remaining: tuple[Any, float] = None, 0.0  # (steps, positions), and the distance there
-        self._views: Views | None = None
+        self._renderers: dict[str, Renderer] = {}
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        renderer: str | None = None,
-        shifts: EpisodeShifts | None = None,
-        setup: Setup | None = None,
-    ) -> Simulation:
-        """The simulation of an episode that starts in this scene, with these shifts."""
-        scene_model = SceneModel(scene)
-        model = copy(compiled_model(scene_model.structure))
-        simulation = cls(setup or Setup(None), scene_model, model, renderer=renderer)
-        if shifts is not None:
-            simulation.shifts = shifts
-        simulation._write_scene()
+    def of(cls, scene: Scene, shifts: EpisodeShifts | None = None, renderer: str | None = None) -> Simulation:
+        """The simulation of a plain scene with these shifts, at its start."""
+        simulation = Simulation(PLAIN, SceneModel(scene), renderer=renderer)
+        simulation.start(scene, shifts)
         return simulation
+
+    @property
+    def setup(self) -> Setup:
+        """Task, variant, rules and body, and the properties that follow from them."""
+        return self._setup
 
     @property
     def scene(self) -> Scene:
         """The current scene, with the poses of robot, blocks and fingers."""
         return self.scene_model.read(self.data.qpos)
 
+    @property
+    def initial_scene(self) -> Scene:
+        """The initial scene of this episode."""
+        return self.scene_model.scene
+
+    @property
+    def draws(self) -> Draws:
+        """The values that the shifts of this episode have drawn: for each shift its factors and its seed."""
+        return self.episode_shifts.draws
+
+    @property
+    def instruction(self) -> str:
+        """The sentence that describes the task in this episode; "" for plain scenes."""
+        return self.episode_shifts.instruction(self._setup.spec.summary, str(self._setup.task))
+
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
         """Starts an episode in this scene with these shifts. The result equals that of a newly compiled model.
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ only in numbers.
         """
-        changed, before = self.shifts.changes_model, self.scene_model.structure
-        self.shifts = shifts or EpisodeShifts()
+        changed, before = self.episode_shifts.changes_model, self.scene_model.structure
+        self.episode_shifts = shifts or EpisodeShifts()
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
             self.model = copy(compiled_model(self.scene_model.structure))
             self.data = mujoco.MjData(self.model)
+            self._renderers = {}
         elif changed:
             write_numbers(self.model, compiled_model(before))
         self._write_scene()
@@ -115,7 +127,7 @@ class Simulation:
         state. Protocol 1 includes it.
         """
         model, data = self.model, self.data
-        self.scene_model.rewrite(model, data, change=self.shifts.model)
+        self.scene_model.rewrite(model, data, change=self.episode_shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
@@ -129,15 +141,17 @@ class Simulation:
     def clear_records(self) -> None:
         """Sets the number of steps to 0, and the trajectory to the initial scene if the score depends on it."""
         self.steps = 0
-        self.trajectory = [self.scene_model.scene] if self.setup.keeps_trajectory else []
+        self.trajectory = [self.scene_model.scene] if self._setup.spec.trajectory else []
         self._last_remaining = None, 0.0
 
-    def copy(self) -> Simulation:
-        """A copy of the model and data. It has no shifts and no records, and executes actions as commanded."""
-        return Simulation(self.setup, self.scene_model, self.model, copy(self.data), self.renderer, self._cameras)
+    def physics_copy(self) -> Simulation:
+        """A copy of the model's current state. It has no shifts and no records, and executes actions as commanded."""
+        twin = Simulation(self._setup, self.scene_model, self.model, renderer=self.renderer, cameras=self._cameras)
+        twin.restore(self.save())
+        return twin
 
     def act(self, action: Any) -> None:
-        """Simulates one action of 1/8 s; see `command`, `advance` and `record`."""
+        """Simulates one action of 1/8 s: ten steps of MuJoCo. For errors, see `command` and `advance`."""
         self.command(action)
         self.advance(SUBSTEPS)
         self.record()
@@ -154,19 +168,19 @@ class Simulation:
         Raises:
             InvalidActionError: if the action is neither one of the 18 nor, with `speeds`, a vector of speeds.
         """
-        if self.setup.speeds:
+        if self._setup.speeds:
             self._command_speeds(action)
             return
-        scene = self.scene_model.scene
-        controls = control_signal(self.shifts.action(action_number(action)), scene.robot.body, scene.dynamics.veer)
-        self.data.ctrl[self.scene_model.coordinates.ctrl] = controls
+        scene_model = self.scene_model
+        table = controls(scene_model.scene.robot.body, scene_model.scene.dynamics.veer)
+        self.data.ctrl[scene_model.coordinates.ctrl] = table[self.episode_shifts.action(action_number(action))]
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
         scene_model, data = self.scene_model, self.data
         size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
-            vector = to_vector(self.shifts.action(action_number(action)))[:size]
+            vector = to_vector(self.episode_shifts.action(action_number(action)))[:size]
         else:
             vector = as_speeds(action, size)
         fingers = scene_model.fingers(data.qpos) if scene_model.has_fingers else None
@@ -197,25 +211,37 @@ class Simulation:
             raise PhysicsError(f"the simulation has become unstable (MuJoCo's warning: {names}): reset the environment")
 
     def state_vector(self, *, start: bool = False) -> NDArray[np.float32]:
-        """See `magical_mj.Engine.state_vector`."""
-        scene_model, data = self.scene_model, self.data
-        if self._encoder is None or self._encoder[0] is not scene_model.scene or self._encoder[1] != start:
-            self._encoder = scene_model.scene, start, StateEncoder(scene_model.scene, start=start)
-        return self._encoder[2](
-            scene_model.poses(data.qpos), scene_model.velocities(data.qvel), scene_model.fingers(data.qpos)
-        )
+        """The state vector, in a fresh array of shape (len(STATE_NAMES),).
+
+        `magical_mj.observations.STATE_NAMES` describes its entries. With `start`, the poses in the initial scene follow
+        as `magical_mj.observations.START_NAMES` describes them.
+
+        Raises:
+            InvalidSceneError: if the scene has more blocks or regions than the vector has entries for.
+        """
+        scene, data, at = self.scene_model.scene, self.data, self.scene_model.coordinates
+        if self._encoder is None or self._encoder[0] is not scene or self._encoder[1] != start:
+            self._encoder = scene, start, StateEncoder(scene, start=start)
+        return self._encoder[2](data.qpos[at.qpos], data.qvel[at.qvel], data.qpos[at.fingers])
+
+    def fingers(self) -> NDArray[np.float64]:
+        """Angles of the left and the right finger, rad. Shape (2,)."""
+        return self.scene_model.fingers(self.data.qpos)
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
-        """A picture of the current state, in a fresh array or in `out`; see `rendering.renderer.Views.draw`."""
-        if self._views is None or self._views.model is not self.model:
-            self._views = Views(self.model, self.renderer, self._cameras)
-        if not self.shifts.changes_pictures or view not in VIEWS:
-            return self._views.draw(self.data, view, size, out)
-        uncovered = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
-        target = None if self.shifts.filters else out  # filters need a contiguous array, and `out` may have gaps
-        picture = self._views.draw(self.data, view, size, target, uncovered)
-        frame = self._frame(view, self.shifts.steps)
-        picture = self.shifts.picture(picture, frame, uncovered, self.scene_model.scene.half_width)
+        """A picture of the current state, as `magical_mj.Engine.render` without a check of its arguments."""
+        kind, camera = KINDS[view], self._cameras.get(view, view)
+        if (renderer := self._renderers.get(kind)) is None:
+            renderer = self._renderers[kind] = new_renderer(self.model, kind, self.renderer)
+        if not self.episode_shifts.changes_pictures or view not in VIEWS:
+            return renderer.draw(self.data, camera, size, out)
+        uncovered = np.empty((size, size), np.uint8) if self.episode_shifts.changes_ground else None
+        target = (
+            None if self.episode_shifts.filters else out
+        )  # filters need a contiguous array, and `out` may have gaps
+        picture = renderer.draw(self.data, camera, size, target, uncovered)
+        frame = self._frame(view, self.episode_shifts.steps)
+        picture = self.episode_shifts.picture(picture, frame, uncovered, self.scene_model.scene.half_width)
         if out is None or target is out:
             return picture
         for channel in range(3):  # three strided copies are faster than one copy of triples
@@ -229,33 +255,42 @@ class Simulation:
         return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self.model.cam_fovy[camera])))
 
     def free(self) -> None:
-        """Frees the simulation's renderer. The drawing context is shared and remains."""
-        self._views = None
+        """Frees the simulation's renderers. The drawing context is shared and remains."""
+        self._renderers = {}
 
     @property
     def scored_scenes(self) -> tuple[Scene, ...]:
         """The scenes that the score depends on: the initial and the current scene, or the scenes of all steps."""
         return tuple(self.trajectory) or (self.scene_model.scene, self.scene)
 
+    @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self) -> float:
-        """The score if the episode ended now."""
-        return self.setup.score(self.scored_scenes)
+        """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
+        return self._setup.spec.checked_score(self.scored_scenes, self._setup.rules)
 
+    @np.errstate(all="ignore")
     def remaining(self) -> float:
-        """The remaining distance; see `magical_mj.Engine.remaining`."""
+        """The remaining distance to the goal, in world units. It is 0 if and only if the score is 1.
+
+        The module of each task defines it.
+
+        Raises:
+            InvalidSceneError: without a task.
+            TaskError: if the task does not define it.
+        """
         now = self.steps, self.data.qpos.tobytes()
         if self._last_remaining[0] != now:  # dense rewards ask before and after each step
-            self._last_remaining = now, self.setup.remaining(self.scored_scenes)
+            self._last_remaining = now, self._setup.spec.remaining(self.scored_scenes, self._setup.rules)
         return self._last_remaining[1]
 
-    def state(self) -> State:
-        """The current state of the episode."""
+    def get_state(self) -> State:
+        """The exact current state of the episode. Takes about 1/40 of a step's time."""
         return State(
             self.scene_model.scene,
             self.steps,
             self.save(),
-            draws=self.shifts.draws,
-            commands={name: tuple(last) for name, last in self.shifts.commands.items()},
+            draws=self.episode_shifts.draws,
+            commands={name: tuple(last) for name, last in self.episode_shifts.commands.items()},
             trajectory=tuple(self.trajectory),
         )
 
@@ -263,9 +298,9 @@ class Simulation:
         """Continues from a state of an episode with the same initial scene and the same values of shifts."""
         self.restore(state.simulation)
         self.steps = int(state.steps)
-        self.trajectory = list(state.trajectory) if self.setup.keeps_trajectory else []
+        self.trajectory = list(state.trajectory) if self._setup.spec.trajectory else []
         self._last_remaining = None, 0.0
-        self.shifts.resume(self.steps, state.commands)
+        self.episode_shifts.resume(self.steps, state.commands)
 
     def save(self) -> NDArray[np.float64]:
         """MuJoCo's complete current state in a fresh array. Shape (state size + number of trees,).

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
 from magical_mj.envs.old_names import with_old_names
-from magical_mj.envs.presets import PRESETS, Images, Preset, Stacks, observation_space, preset_named
+from magical_mj.envs.presets import (
+    PRESETS,
+    Images,
+    Preset,
+    frame_stacks,
+    observation_space,
+    preset_named,
+    saved_frames,
+)
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, vectors
 from magical_mj.rendering.backend import drawn_by
@@ -125,7 +133,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._render_size = check_size(render_size, "render_size")
         self._preset = preset if isinstance(preset, Preset) else preset_named(preset)
         size = self._preset.image_size if image_size is None else check_size(image_size)
-        self._stacks = Stacks(self._preset, size)
+        self._stacks = frame_stacks(self._preset, size)
         named = (name for name, known in PRESETS.items() if known == self._preset and size == known.image_size)
         self._preset_name = next(filter(None, named), None)
         check_name("reward", reward, REWARDS)
@@ -138,10 +146,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if limit is not None:
             self.limit = limit
         self._action: ActionForm = action
-        self._action_size = 3 if action == "continuous" or self.engine.simulation.scene_model.has_fingers else 2
+        self._action_size = 3 if action == "continuous" or self.engine.scene_model.has_fingers else 2
         self.action_space = spaces.Discrete(len(ACTIONS)) if action == "discrete" else vectors(self._action_size)
         self._instruction = instruction
-        self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
+        self.observation_space = observation_space(self._preset, self._stacks, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
         self._cut = 0, 0  # the step of the last episodes' early resets, and the number of these episodes
@@ -168,7 +176,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             "body": engine.setup.body,
             "shift": shift_label(engine.shifts),
             "preset": self._preset_name,
-            "gl": drawn_by(engine.simulation.renderer),
+            "gl": drawn_by(engine.renderer),
             "kind": reference_to(type(self)),
         }
 
@@ -208,7 +216,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return self.score()
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None, out: Observation | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode; see the class.
 
@@ -219,6 +227,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             options: one of "scene", "state" and "variation". A variation is a dict of values in `variation_space`
                 (missing values are those of the seed's episode), or a list of names of factors to draw. Other options
                 are ignored with a warning.
+            out: the arrays for the observation; None: fresh ones.
 
         Raises:
             InvalidSeedError, InvalidSceneError, StateError: for the reasons given by `magical_mj.Engine.reset`.
@@ -231,7 +240,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
         scene, state = _scene_option(start, self.engine.setup.body), start.get("state")
         variation = start.get("variation")
-        steps = 0 if self.over else self.engine.steps
+        steps = 0 if self.engine.over else self.engine.steps
         if variation is not None:
             scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
@@ -248,8 +257,12 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._notice_cut(0 if state is not None else steps)
         self._begun = True
         self._fresh_seed = seed if scene is None and state is None else None
-        self._stacks.start(self._draw, None if state is None else state.frames)
-        return self.observe(), self._info(last=False)
+        self._start_stacks({} if state is None else state.frames)
+        return self.observe(out), self._info(last=False)
+
+    def _start_stacks(self, frames: Mapping[str, Images]) -> None:
+        for name, stack in self._stacks.items():
+            stack.start(self.engine.draw, frames.get(name))
 
     def get_state(self) -> State:
         """The exact current state of the episode, including the frames in the stacks.
@@ -259,7 +272,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         if not self._begun:
             raise ResetNeeded("no episode has started: call reset() before get_state()")
-        return dataclasses.replace(self.engine.get_state(), frames=self._stacks.save())
+        return dataclasses.replace(self.engine.get_state(), frames=saved_frames(self._stacks))
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment or of another one with the same task. The episode continues exactly.
@@ -270,7 +283,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.engine.set_state(state)
         self._cut = 0, 0
         self._begun, self._fresh_seed = True, None
-        self._stacks.start(self._draw, state.frames)
+        self._start_stacks(state.frames)
 
     def __copy__(self) -> MagicalEnv:
         """A deep copy: two environments with the same engine would disturb each other."""
@@ -285,16 +298,31 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """A copy in the same state. It continues in the same way, also in later episodes."""
         return copy.deepcopy(self)
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Any, out: Observation | None = None
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes one action. The episode is truncated at the horizon.
+
+        Args:
+            action: a member of the action space.
+            out: the arrays for the observation; None: fresh ones.
 
         Raises:
             InvalidActionError: if the action is not in the action space.
             gymnasium.error.ResetNeeded: before the first reset, and after the last step of an episode.
         """
-        last = self.advance(self.to_action(action))
-        observation = self.observe()
-        return observation, *self.outcome(last=last)
+        if not self._begun or self.engine.over:
+            raise ResetNeeded("the episode has ended: call reset() before the next step")
+        if self._action != "discrete":
+            action = self.to_action(action)
+        if self.reward == "dense":
+            self._remaining = self.engine.remaining()
+        last = self.engine.step(action)  # ten substeps
+        self._fresh_seed = None
+        for stack in self._stacks.values():
+            stack.push(self.engine.draw)
+        info = self._info(last=last)
+        return self.observe(out), self._reward(info), False, last, info
 
     def to_action(self, action: Any) -> Any:
         """Converts an action for the engine. Raises `InvalidActionError` if vectors are invalid."""
@@ -302,29 +330,12 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             return as_speeds(action, self._action_size)
         return to_discrete(action) if self._action == "continuous" else action
 
-    def advance(self, action: Any) -> bool:
-        """Simulates a step and updates the frames; see `step`. Returns whether the episode has ended."""
-        if not self._begun or self.over:
-            raise ResetNeeded("the episode has ended: call reset() before the next step")
-        if self.reward == "dense":
-            self._remaining = self.engine.remaining()
-        over = self.engine.step(action)
-        self._fresh_seed = None
-        self._stacks.push(self._draw)
-        return over
-
-    @property
-    def over(self) -> bool:
-        """Whether the episode has ended."""
-        return self.engine.over
-
-    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Reward, terminated (always False), truncated and info of a step."""
-        info = self._info(last=last)
-        reward = 0.0 if self.reward == "none" else float(info["eval_score"])
-        if self.reward == "dense":
-            reward += self._remaining - self.engine.remaining()
-        return reward, False, last, info
+    def _reward(self, info: dict[str, Any]) -> float:
+        """The reward of the last step, which has this info."""
+        if self.reward == "none":
+            return 0.0
+        reward = float(info["eval_score"])
+        return reward if self.reward == "score" else reward + self._remaining - self.engine.remaining()
 
     def render(self) -> Images | None:
         """The picture of `render_view`, shape (size, size, 3); twice as wide for "both". None without `render_mode`."""
@@ -347,7 +358,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
-        if self._instruction or self.engine.simulation.shifts.changes_instruction:
+        if self._instruction or self.engine.episode_shifts.changes_instruction:
             info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
         if self._score_every_step:
             info["score"] = np.float64(score)
@@ -386,9 +397,6 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             values[name] = {**values[name], **part} if isinstance(part, Mapping) else part
         return space.episode(values, scene)
 
-    def _draw(self, view: str, out: Images) -> None:
-        self.engine.render(view, len(out), out=out if out.shape[2] == 3 else out[..., 0])
-
     def _check_observable(self, scene: object) -> None:
         """Raises an `InvalidSceneError` if the state vector is too short for a scene, before anything is changed."""
         if isinstance(scene, Scene) and self._preset.layout == "state":
@@ -402,9 +410,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The current observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
             return _put(self.engine.state_vector(start=True) if self._preset.start else self.state_vector(), out)
-        parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
-            return _put(next(iter(parts.values())), out)
+            (stack,) = self._stacks.values()
+            return _put(stack.latest, out)
+        parts: dict[str, NDArray[Any]] = {name: stack.latest for name, stack in self._stacks.items()}
         if self._preset.fingers:
             with np.errstate(all="ignore"):  # angles may underflow in float32
                 parts["fingers"] = self.engine.fingers().astype(np.float32)

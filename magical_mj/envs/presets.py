@@ -98,13 +98,15 @@ def _refuse_shared_memory(space: Sentence, n: int = 1, ctx: Any = None) -> Any:
 
 
 def observation_space(
-    preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
+    preset: Preset, stacks: Mapping[str, FrameStack], *, instruction: bool = False
 ) -> spaces.Space[Any]:
-    """The space of a preset's observations with stacks of these shapes, and with the instruction if it is a dict."""
+    """The space of a preset's observations with these stacks, and with the instruction if it is a dict."""
     if preset.layout == "state":
         entries = len(STATE_NAMES) + (len(START_NAMES) if preset.start else 0)
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (entries,), np.float32)
-    boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
+    boxes: dict[str, spaces.Space[Any]] = {
+        name: spaces.Box(0, 255, stack.shape, np.uint8) for name, stack in stacks.items()
+    }
     if preset.fingers:
         boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # left, right; rad
     if instruction:
@@ -115,7 +117,7 @@ def observation_space(
 def observed(preset: str) -> str:
     """A phrase with the preset's name and the shapes of its observations."""
     definition = PRESETS[preset]
-    space = observation_space(definition, Stacks(definition, definition.image_size).shapes)
+    space = observation_space(definition, frame_stacks(definition))
     if not isinstance(space, spaces.Dict):
         return f"{preset} {space.shape}"
     parts = ", ".join(f"{name} {part.shape}" for name, part in space.items())
@@ -124,8 +126,8 @@ def observed(preset: str) -> str:
 
 Images = NDArray[np.uint8]
 
-Draw = Callable[[str, Images], object]
-"""Writes a frame of a view into an array of shape (size, size, depth), which may be a view of a larger array."""
+Draw = Callable[[str, int, Images], object]
+"""Draws a view with this side in pixels into an array, which may be a view of a larger array."""
 
 
 class FrameStack:
@@ -133,6 +135,10 @@ class FrameStack:
 
     The stack is a window into a longer buffer. For each new stack, the window moves by one frame, so all older frames
     keep their memory. Only the newest frames are drawn, directly into the buffer.
+
+    Attributes:
+        shape: the shape of the stack.
+        has_history: whether a stack depends on the previous stack.
     """
 
     MOVES: Final = 16
@@ -141,12 +147,11 @@ class FrameStack:
     def __init__(self, frames: tuple[tuple[str, int], ...], size: int, depth: int, *, channels_first: bool) -> None:
         count = depth * sum(number for _, number in frames)
         self.has_history = any(number > 1 for _, number in frames)
-        """Whether a stack depends on the previous stack."""
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
         ends = np.cumsum([depth * number for _, number in frames]).tolist()
         self._channels = [(view, end - depth * number, end) for (view, number), end in zip(frames, ends, strict=True)]
-        self._depth, self._shift = depth, depth * size * size if channels_first else depth
+        self._depth, self._size, self._shift = depth, size, depth * size * size if channels_first else depth
         self._memory = np.zeros(count * size * size + self.MOVES * self._shift, np.uint8)
         self._first = 0
 
@@ -155,9 +160,13 @@ class FrameStack:
         """The current stack: a view into the buffer, which the next `push` changes."""
         return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
-    def start(self, draw: Draw) -> None:
-        """Fills the stack with the first frame of an episode."""
-        self._draw_newest(draw)
+    def start(self, draw: Draw, saved: Any = None) -> None:
+        """Starts an episode: with saved frames, if they fit; otherwise, its first frame fills the stack."""
+        fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, self.shape)
+        if fits and self.has_history:
+            self.latest[:] = saved
+            return
+        self.push(draw)
         pixels, depth = self.latest.transpose(self._channels_last), self._depth
         for _, first, end in self._channels:
             for channel in range(first, end - depth):
@@ -169,69 +178,40 @@ class FrameStack:
             latest, self._first = self.latest.copy(), 0
             self.latest[:] = latest
         self._first += self._shift
-        self._draw_newest(draw)
-
-    def _draw_newest(self, draw: Draw) -> None:
-        """Draws the newest frame of each view into the current stack."""
         pixels = self.latest.transpose(self._channels_last)
         for view, _, end in self._channels:
-            draw(view, pixels[..., end - self._depth : end])
+            draw(view, self._size, pixels[..., end - self._depth : end] if self._depth > 1 else pixels[..., end - 1])
 
 
-class Stacks:
-    """The stacks of a preset by name.
+def frame_stacks(preset: Preset, size: int | None = None) -> dict[str, FrameStack]:
+    """The stacks of a preset by name, with pictures of this size, by default the preset's.
 
     The layout "dict" has a stack for each view, named after it. The layout "state" has none. Other layouts have one
     stack. Its name describes its frames, such as "allo1+ego3", since the stacks of two presets can have equal shapes.
     """
+    first, size = preset.layout == "chw", preset.image_size if size is None else size
+    if preset.layout == "dict":
+        groups = {view: ((view, count),) for view, count in preset.frames}
+    else:
+        name = "+".join(f"{view}{count}" for view, count in preset.frames) + "-chw" * first
+        groups = {name: preset.frames} if preset.frames else {}
+    return {name: FrameStack(frames, size, preset.depth, channels_first=first) for name, frames in groups.items()}
 
-    def __init__(self, preset: Preset, size: int) -> None:
-        first = preset.layout == "chw"
-        if preset.layout == "dict":
-            groups = {view: ((view, count),) for view, count in preset.frames}
-        else:
-            name = "+".join(f"{view}{count}" for view, count in preset.frames) + "-chw" * first
-            groups = {name: preset.frames} if preset.frames else {}
-        self._stacks = {
-            name: FrameStack(frames, size, preset.depth, channels_first=first) for name, frames in groups.items()
-        }
 
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shape of each stack."""
-        return {name: stack.shape for name, stack in self._stacks.items()}
-
-    def start(self, draw: Draw, frames: Mapping[str, Images] | None = None) -> None:
-        """Starts the stacks of an episode. Stacks in `frames` (from `save`) are restored if name and shape fit."""
-        for name, stack in self._stacks.items():
-            saved = (frames or {}).get(name)
-            fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
-            if saved is not None and fits and stack.has_history:
-                stack.latest[:] = saved
-            else:
-                stack.start(draw)
-
-    def push(self, draw: Draw) -> None:
-        """Adds the newest frames to the stacks."""
-        for stack in self._stacks.values():
-            stack.push(draw)
-
-    @property
-    def latest(self) -> dict[str, Images]:
-        """The current stacks, which the next `push` changes."""
-        return {name: stack.latest for name, stack in self._stacks.items()}
-
-    def save(self) -> dict[str, Images]:
-        """Copies of the stacks, except those that contain only current frames."""
-        return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.has_history}
+def saved_frames(stacks: Mapping[str, FrameStack]) -> dict[str, Images]:
+    """Copies of the stacks, except those that contain only current frames."""
+    return {name: stack.latest.copy() for name, stack in stacks.items() if stack.has_history}
 
 
 def copying(pictures: Mapping[str, Images]) -> Draw:
     """A `Draw` that copies existing pictures."""
 
-    def write(view: str, out: Images) -> None:
-        frame = pictures[view].reshape(out.shape)  # adds the channel of a segmentation
-        for channel in range(out.shape[-1]):  # three strided copies are faster than one copy of triples
-            out[..., channel] = frame[..., channel]
+    def write(view: str, size: int, out: Images) -> None:
+        del size
+        if out.ndim == 2:
+            out[:] = pictures[view]
+            return
+        for channel in range(3):  # three strided copies are faster than one copy of triples
+            out[..., channel] = pictures[view][..., channel]
 
     return write

@@ -234,8 +234,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             ClosedError: if the environment is closed.
         """
         self._check_open()
-        numbers = self._checked(actions)
-        over = [self._ended[index] or env.over for index, env in enumerate(self.envs)]
+        checked = self._checked(actions)
+        over = [self._ended[index] or env.engine.over for index, env in enumerate(self.envs)]
         if self.autoreset_mode != AutoresetMode.NEXT_STEP and any(over):
             raise ResetNeeded("episodes have ended: reset these environments with options={'reset_mask': ...}")
         rows, _ = self._rows()
@@ -250,17 +250,15 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 infos[index] = self._reset(index, row)
                 return
             if self._is_own[index]:
-                seen, *outcome = env.step(numbers[index])
+                seen, *outcome = env.step(checked[index])
                 self._put(index, seen, row)
             else:
-                outcome = env.outcome(last=env.advance(numbers[index]))
-                env.observe(row)
+                seen, *outcome = env.step(checked[index], row)
             rewards[index], terminated[index], truncated[index], infos[index] = outcome
             ended = bool(terminated[index] or truncated[index])
             self._ended[index] = ended and self._is_own[index]
             if ended and same_step:
-                seen = seen if self._is_own[index] else env.observe()
-                final[index] = {"final_obs": seen, "final_info": infos[index]}
+                final[index] = {"final_obs": copy.deepcopy(seen), "final_info": infos[index]}
                 infos[index] = self._reset(index, row)
 
         self.each_environment(step)
@@ -272,11 +270,11 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _reset(self, index: int, row: Any, **arguments: Any) -> dict[str, Any]:
         """Resets an environment, writes its observation into `row`, and returns its info."""
         env = self.envs[index]
-        seen, info = env.reset(**arguments)
         if self._is_own[index]:
+            seen, info = env.reset(**arguments)
             self._put(index, seen, row)
         else:
-            env.observe(row)
+            _, info = env.reset(**arguments, out=row)
         self._ended[index] = False
         return info
 
@@ -332,7 +330,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise ClosedError("the environment is closed; make another one")
 
     def _checked(self, actions: Any) -> list[Any]:
-        """Converts the actions for the environments. All are checked before any environment is stepped."""
+        """The actions of the environments. All are checked before any environment is stepped."""
         rows, space = as_array(actions), self.single_action_space
         fitting = rows.ndim == len(space.shape or ()) + 1 and len(rows) == self.num_envs
         if isinstance(space, spaces.Discrete):
@@ -342,8 +340,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 f"actions must be {self.num_envs} values of {space}, one for each environment, "
                 f"not {short_repr(actions)}{tensor_hint(actions)}"
             )
-        each = zip(rows.tolist() if rows.ndim == 1 else rows, self.envs, self._is_own, strict=True)
-        return [row if own else env.to_action(row) for row, env, own in each]
+        if rows.ndim == 1:
+            return rows.tolist()
+        for row, env, own in zip(rows, self.envs, self._is_own, strict=True):
+            if not own:
+                env.to_action(row)
+        return list(rows)
 
     def _rows(self) -> tuple[list[Any], list[Any] | None]:
         """Makes fresh arrays for observations. Returns each environment's views into them, and into the last ones."""

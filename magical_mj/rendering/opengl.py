@@ -22,7 +22,7 @@ import atexit
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from copy import copy
 from functools import cache, partial
 from typing import Any, Final, TypeVar
@@ -32,7 +32,6 @@ import numpy as np
 
 from magical_mj.rendering.backend import NO_OPENGL, STARTING, new_context, opengl
 from magical_mj.rendering.picture import Picture, drawn
-from magical_mj.rendering.software import scratch
 from magical_mj.utils.errors import RenderingError
 
 T = TypeVar("T")
@@ -65,6 +64,7 @@ class Canvas:
     def __init__(self) -> None:
         self.context = new_context(opengl().name)
         self.drawings: dict[int, mujoco.MjrContext] = {}  # the last one used at the end
+        self.pixels = np.empty((0, 0, 4), np.uint8)  # of the last picture; the next one often has the same size
 
     def free(self) -> None:
         """Frees everything, and leaves this thread without a context."""
@@ -92,21 +92,19 @@ class Canvases:
         if problem := opengl().problem:
             raise RenderingError(NO_OPENGL.format(error=problem))
         try:
-            canvas = self._idle.pop()
+            canvas, first_use = self._idle.pop(), nullcontext()
         except IndexError:
-            with STARTING:
-                self._process = os.getpid()
-                return self._draw(Canvas(), job)
-        return self._draw(canvas, job)
-
-    def _draw(self, canvas: Canvas, job: Callable[[Canvas], T]) -> T:
-        try:
-            if opengl().name == "egl":
-                with suppress(_OccupiedError):
-                    return _in_turn(canvas, job)
-            return _painter().submit(_in_turn, canvas, job).result()
-        finally:
-            self._idle.append(canvas)
+            canvas, first_use = None, STARTING
+        with first_use:
+            if canvas is None:
+                self._process, canvas = os.getpid(), Canvas()
+            try:
+                if opengl().name == "egl":
+                    with suppress(_OccupiedError):
+                        return _in_turn(canvas, job)
+                return _painter().submit(_in_turn, canvas, job).result()
+            finally:
+                self._idle.append(canvas)
 
     def close(self) -> None:
         """Frees all contexts; the next picture makes new ones. Further calls do nothing."""
@@ -132,7 +130,15 @@ class _OccupiedError(RenderingError):
 
 def _in_turn(canvas: Canvas, job: Callable[[Canvas], T]) -> T:
     """Calls a function while a canvas's context is current. Then the previous one, if any, becomes current again."""
-    restore = _restorer() if opengl().name == "egl" else lambda: None
+    restore: Callable[[], Any] = lambda: None  # noqa: E731
+    if opengl().name == "egl":
+        from mujoco.egl import EGL, EGL_DISPLAY
+
+        before = EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+        if context := EGL.eglGetCurrentContext():
+            surfaces = EGL.eglGetCurrentSurface(EGL.EGL_DRAW), EGL.eglGetCurrentSurface(EGL.EGL_READ)
+            before = EGL.eglGetCurrentDisplay(), *surfaces, context
+        restore = partial(EGL.eglMakeCurrent, *before)
     try:
         canvas.context.make_current()
     except Exception as error:
@@ -141,16 +147,6 @@ def _in_turn(canvas: Canvas, job: Callable[[Canvas], T]) -> T:
         return job(canvas)
     finally:
         restore()
-
-
-def _restorer() -> Callable[[], Any]:
-    """A function that makes this thread's present context of EGL current again, or none if there is none."""
-    from mujoco.egl import EGL, EGL_DISPLAY
-
-    if not (context := EGL.eglGetCurrentContext()):
-        return partial(EGL.eglMakeCurrent, EGL_DISPLAY, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
-    surfaces = EGL.eglGetCurrentSurface(EGL.EGL_DRAW), EGL.eglGetCurrentSurface(EGL.EGL_READ)
-    return partial(EGL.eglMakeCurrent, EGL.eglGetCurrentDisplay(), *surfaces, context)
 
 
 def opengl_name() -> str:
@@ -192,20 +188,23 @@ class OpenGLRenderer:
         """A picture from a camera of the model or of the view "scene", as `rendering.renderer.Views.draw`."""
         self._update(data, camera)
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
-        side = 4 * size if self._lit else 2 * size
-        pixels = scratch(side)[0].view(np.uint8).reshape(side, side, 4)
-        CANVASES.draw(partial(self._read, pixels))
+        CANVASES.draw(partial(self._draw_on, picture, uncovered))
+        return picture
+
+    def _draw_on(self, picture: Picture, uncovered: Picture | None, canvas: Canvas) -> None:
+        """Draws at a larger size on a canvas, and averages the pixels."""
+        size = len(picture)
+        pixels = self._pixels(canvas, 4 * size if self._lit else 2 * size)
         if self._lit:  # averaged twice, for smooth slanted edges
             pixels[..., 3][pixels[..., 3] > 0] = 255  # it is lower where geoms are translucent
             twice = np.empty((2 * size, 2 * size, 3), np.uint8)
             on_white(pixels, twice)
             picture[:] = (twice.reshape(size, 2, size, 2, 3).sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
-            return picture
+            return
         on_white(pixels, picture)
         if uncovered is not None:
             empty = pixels[::-1, :, 3] == 0
             empty.reshape(size, 2, size, 2).sum(axis=(1, 3), dtype=np.uint8, out=uncovered)
-        return picture
 
     def _update(self, data: mujoco.MjData, name: str) -> None:
         """Writes what a camera sees into the scene."""
@@ -226,11 +225,11 @@ class OpenGLRenderer:
                 scene.ngeom = 0
                 raise RenderingError(TRANSLUCENT.format(names=names))
 
-    def _read(self, pixels: Picture, canvas: Canvas) -> None:
+    def _pixels(self, canvas: Canvas, side: int) -> Picture:
         """Draws, and reads red, green, blue and alpha, bottom row first. All are 0 where nothing was drawn."""
         from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0  # the whole `OpenGL.GL` takes 85 ms and 6 MB
 
-        context, side = self._context(canvas), len(pixels)
+        context = self._context(canvas)
         resized = context.offWidth != side
         if resized:  # the whole buffer, which is cleared for each picture
             mujoco.mjr_resizeOffscreen(side, side, context)
@@ -240,7 +239,10 @@ class OpenGLRenderer:
             GL_3_0.glFramebufferRenderbuffer(GL_3_0.GL_FRAMEBUFFER, *depth)
         mujoco.mjr_render(mujoco.MjrRect(0, 0, side, side), self._scene, context)
         # MuJoCo's own mjr_readPixels has no alpha, and is slower.
-        GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, pixels)
+        if len(canvas.pixels) != side:
+            canvas.pixels = np.empty((side, side, 4), np.uint8)
+        GL_1_0.glReadPixels(0, 0, side, side, GL_1_0.GL_RGBA, GL_1_0.GL_UNSIGNED_BYTE, canvas.pixels)
+        return canvas.pixels
 
     def _context(self, canvas: Canvas) -> mujoco.MjrContext:
         """The canvas's drawing context for models of this kind."""

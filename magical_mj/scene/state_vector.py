@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
+from magical_mj.scene.bodies import body_named
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.utils.errors import InvalidSceneError
 
@@ -77,6 +78,8 @@ class StateEncoder:
             )
         self._count = len(scene.blocks)
         self.fixed = np.zeros(len(STATE_NAMES) + start * len(START_NAMES), dtype=np.float32)
+        if not body_named(scene.robot.body).fingers:
+            self.fixed[FINGERS] = scene.robot.fingers
         if start:
             poses = self.fixed[len(STATE_NAMES) :].reshape(-1, len(_POSE))
             poses[: 1 + len(scene.blocks)] = [scene.robot.pose, *(block.pose for block in scene.blocks)]
@@ -95,10 +98,10 @@ class StateEncoder:
         Args:
             poses: x, y, angle of the robot and then of each block, shape (1 + blocks, 3).
             velocities: the velocities of `poses`, in units/s and rad/s, shape (1 + blocks, 3).
-            fingers: angles of the left and the right finger, shape (2,).
+            fingers: angles of the left and the right finger, shape (2,); without fingers (0,).
         """
         state = self.fixed.copy()
-        state[:3], state[3:6], state[6:8] = poses[0], velocities[0], fingers
+        state[:3], state[3:6], state[6 : 6 + len(fingers)] = poses[0], velocities[0], fingers
         blocks = self._block_rows(state)[: self._count]
         blocks[:, 1:4], blocks[:, 4:7] = poses[1:], velocities[1:]
         return state

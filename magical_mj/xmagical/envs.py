@@ -90,11 +90,8 @@ class SpeedsEnv(MagicalEnv):
         )
         self.rewards: RewardKind = reward
 
-    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The reward of a step, whether it was the last (never by termination), and the info."""
-        if self.rewards == "dense":
-            return super().outcome(last=last)
-        return self.score(), False, last, self._info(last=last)
+    def _reward(self, info: dict[str, Any]) -> float:
+        return super()._reward(info) if self.rewards == "dense" else self.score()
 
 
 class XMagicalEnv(SpeedsEnv):
@@ -160,14 +157,14 @@ class XMagicalEnv(SpeedsEnv):
             render_size=render_size,
             limit=limit,
         )
-        self.reward = "none"  # `outcome` computes x-magical's rewards instead
+        self.reward = "none"  # `_reward` computes x-magical's rewards instead
         self._original = np.random.RandomState(0) if seeds == "original" else None  # the first reset seeds it
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND
             self.observation_space = spaces.Box(-bound, bound, self.state_vector().shape, np.float32)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None, out: Observation | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode; see `magical_mj.MagicalEnv.reset`.
 
@@ -177,7 +174,7 @@ class XMagicalEnv(SpeedsEnv):
             InvalidSeedError: if an original seed is not below 2**32.
         """
         if self._original is None or not isinstance(options or {}, dict) or (options or {}).keys() & {*STARTS}:
-            return super().reset(seed=seed, options=options)
+            return super().reset(seed=seed, options=options, out=out)
         if seed is not None or not self._begun:
             number = int(self.np_random.integers(MAX_SEEDS)) if seed is None else check_seed(seed)
             if number >= MAX_SEEDS:
@@ -186,13 +183,10 @@ class XMagicalEnv(SpeedsEnv):
                 )
             self._original = np.random.RandomState(number)
         scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)
-        return super().reset(seed=seed, options={**(options or {}), "scene": scene})
+        return super().reset(seed=seed, options={**(options or {}), "scene": scene}, out=out)
 
-    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Reward, terminated (always False), truncated and info of a step."""
-        info = self._info(last=last)
-        reward = float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
-        return reward, False, last, info
+    def _reward(self, info: dict[str, Any]) -> float:
+        return float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
 
     def state_vector(self) -> NDArray[np.float32]:
         """x-magical's state vector."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.engine.simulation import Simulation
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import body_named
 from magical_mj.xmagical.sweep_to_top import HALF_WIDTH, arrived
@@ -66,7 +65,7 @@ class Sweeper:
             self._actions = plan(engine, np.random.default_rng(self._seed)).actions
             self._first = engine.steps
         step = engine.steps - self._first
-        size = 3 if engine.simulation.scene_model.has_fingers else 2
+        size = 3 if engine.scene_model.has_fingers else 2
         return self._actions[step] if step < len(self._actions) else np.zeros(size, np.float32)
 
 
@@ -84,8 +83,7 @@ class _Attempt:
     """An attempt in a copy of the simulation."""
 
     def __init__(self, engine: Engine, rng: np.random.Generator, *, steady: bool) -> None:
-        self._simulation: Simulation = engine.simulation.copy()
-        self._simulation.restore(engine.simulation.save())
+        self._simulation = engine.physics_copy()
         self._left = (engine.horizon or 100) - engine.steps
         self._rng, self._steady = rng, steady
         body = body_named(engine.setup.body)

@@ -19,7 +19,7 @@ import magical_mj
 from magical_mj._version import __version__
 from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
-from magical_mj.assets.robot import control_signal, controls
+from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.engine.export import DECIMALS, LINE
@@ -378,7 +378,7 @@ def test_keyframe_is_the_present_state(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.qvel, env.data.qvel)
     for action in (10, 10, 1, 4, 4, 4):  # from then on, both agree up to rounding
         env.step(action)
-        data.ctrl[:] = control_signal(action)
+        data.ctrl[:] = controls()[action]
         mujoco.mj_step(model, data, SUBSTEPS)
     np.testing.assert_allclose(data.qpos, env.data.qpos, atol=1e-6)
 

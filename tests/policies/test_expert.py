@@ -148,7 +148,7 @@ def test_the_lookahead_predicts_the_simulation() -> None:
         gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
         world.act(gripper, turn, drive)
         env.step(world.trace[-1])
-        assert np.array_equal(world.state.simulation, env.simulation.save())
+        assert np.array_equal(world.state.simulation, env.save())
     assert world.scene() == env.scene
 
 
@@ -175,9 +175,9 @@ def test_a_restored_lookahead_repeats_itself() -> None:
 
 def test_lookahead_leaves_the_environment_alone() -> None:
     env = env_of("FindDupe")
-    before = env.simulation.save()
+    before = env.save()
     Expert(env, "FindDupe")()
-    assert np.array_equal(before, env.simulation.save())
+    assert np.array_equal(before, env.save())
 
 
 # experts

@@ -21,7 +21,7 @@ from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.rendering import scanlines
 from magical_mj.rendering.backend import check_renderer, drawn_by
 from magical_mj.rendering.opengl import OpenGLRenderer
-from magical_mj.rendering.renderer import Views
+from magical_mj.rendering.renderer import new_renderer
 from magical_mj.rendering.software import BLOCK, FINGER, FLOOR, REGION, ROBOT, WALL, SoftwareRenderer, polygons_of
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.bodies import Body
@@ -237,10 +237,10 @@ def test_the_variable_chooses_for_the_process(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("MAGICAL_MJ_RENDERER", "software")
     assert (check_renderer(None), check_renderer("opengl"), drawn_by()) == ("software", "opengl", "software")
     expected = SoftwareRenderer(model).draw(data, "ego", 96)
-    np.testing.assert_array_equal(Views(model).draw(data, "ego", 96), expected)
+    np.testing.assert_array_equal(new_renderer(model, "flat").draw(data, "ego", 96), expected)
     monkeypatch.setenv("MAGICAL_MJ_RENDERER", "hardware")
     with pytest.raises(UnknownNameError, match="hardware"):
-        Views(model)
+        new_renderer(model, "flat")
 
 
 def test_geoms_of_users_are_drawn_by_opengl_only() -> None:
@@ -250,7 +250,7 @@ def test_geoms_of_users_are_drawn_by_opengl_only() -> None:
     mujoco.mj_forward(model, data)
     with pytest.raises(RenderingError, match="ball"):
         SoftwareRenderer(model)
-    assert tuple(Views(model, "software").draw(data, "allo", 64)[16, 32]) == (0, 0, 255)
+    assert tuple(new_renderer(model, "flat", "software").draw(data, "allo", 64)[16, 32]) == (0, 0, 255)
 
 
 FALLBACK = """
@@ -258,17 +258,17 @@ import magical_mj.assets
 import warnings
 from tests.rendering.test_software import CORNER, world
 from magical_mj.rendering.backend import drawn_by
-from magical_mj.rendering.renderer import Views
+from magical_mj.rendering.renderer import new_renderer
 from magical_mj.utils.errors import RenderingError
 model, data = world(CORNER)
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
-    pictures = [Views(model).draw(data, "ego", 48) for _ in range(2)]
-assert (pictures[0] == Views(model, "software").draw(data, "ego", 48)).all()
+    pictures = [new_renderer(model, "flat").draw(data, "ego", 48) for _ in range(2)]
+assert (pictures[0] == new_renderer(model, "flat", "software").draw(data, "ego", 48)).all()
 print(len(said), said[0].message, drawn_by())
-for view, renderer in (("scene", None), ("ego", "opengl")):
+for view, kind, wanted in (("scene", "lit", None), ("ego", "flat", "opengl")):
     try:
-        Views(model, renderer).draw(data, view, 48)
+        new_renderer(model, kind, wanted).draw(data, view, 48)
     except RenderingError:
         print("RenderingError")
 """

@@ -20,11 +20,11 @@ import numpy as np
 
 import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.robot import control_signal
+from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import SceneModel, compiled_model
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import Preset, preset_named
-from magical_mj.rendering.renderer import Views
+from magical_mj.rendering.renderer import new_renderer
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError
@@ -152,10 +152,10 @@ def _reset_times(task: str, variant: str, preset: str, renderer: str | None) -> 
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
     with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
         for seed in range(RESETS):
-            before, start = env.engine.simulation.scene_model.structure, process_time()
+            before, start = env.engine.scene_model.structure, process_time()
             env.reset(seed=seed)
             taken = process_time() - start
-            times["rewritten" if env.engine.simulation.scene_model.structure == before else "compiled"].append(taken)
+            times["rewritten" if env.engine.scene_model.structure == before else "compiled"].append(taken)
     return times
 
 
@@ -199,20 +199,20 @@ class BareLoop:
         mujoco.mj_resetData(self.model, self.data)  # puts the bodies at the scene's poses
         self._shown = [view for view, _ in preset.frames]
         self._size = preset.image_size
-        self._views = Views(self.model, renderer)
+        self._renderer = new_renderer(self.model, "flat", renderer)
         self._draw()  # the first picture includes initialisation
 
     def run(self, actions: Iterable[int]) -> None:
         """Takes these actions and draws the views after each."""
         for action in actions:
-            self.data.ctrl[:] = control_signal(action)
+            self.data.ctrl[:] = controls()[action]
             mujoco.mj_step(self.model, self.data, SUBSTEPS)
             self._draw()
 
     def _draw(self) -> None:
         for view in self._shown:
-            self._views.draw(self.data, view, self._size)
+            self._renderer.draw(self.data, view, self._size)
 
     def close(self) -> None:
         """Frees the renderer."""
-        del self._views
+        del self._renderer

@@ -22,7 +22,7 @@ from magical_mj.assets.robot import (
     WHEELS,
     actuators,
     actuators_mjcf,
-    control_signal,
+    controls,
     robot_mjcf,
     robot_pairs,
     tendons_mjcf,
@@ -219,7 +219,7 @@ class RobotEntity(SceneEntity):
         del random_state
         robot, dynamics = self.parent.scene.robot, self.parent.scene.dynamics
         motors = [self._tree.root.find("actuator", name) for name in actuators(robot.body)]
-        physics.bind(motors).ctrl = control_signal(action_number(action), robot.body, dynamics.veer)
+        physics.bind(motors).ctrl = controls(robot.body, dynamics.veer)[action_number(action)]
 
 
 def _attach(arena: Arena, entity: SceneEntity, index: int | None) -> Any:

@@ -99,7 +99,7 @@ class Environment(composer.Environment):
     @property
     def instruction(self) -> str:
         """The sentence that describes the task in this episode, which shifts can change; "" for plain scenes."""
-        return self.task.setup.instruction(self.task.shifts)
+        return self.task.shifts.instruction(self.task.setup.spec.summary, str(self.task.setup.task))
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""
@@ -236,7 +236,7 @@ class Environment(composer.Environment):
         """The names of numbers that differ between the compiled model and the model of the current episode's scene."""
         task = self.task
         shifts = EpisodeShifts({} if self._never_reset else task.shifts.draws)
-        own = Simulation.of(self.initial_scene, shifts=shifts)
+        own = Simulation.of(self.initial_scene, shifts)
         return different_numbers(self.physics.model.ptr, own.model)
 
     def clone(self) -> Environment:

@@ -17,15 +17,12 @@ from dm_control.composer.observation import observable
 from dm_env import specs
 
 from magical_mj.envs.composer.planar import PlanarEntity, Rows
-from magical_mj.envs.presets import PRESETS, Images, Stacks
+from magical_mj.envs.presets import PRESETS, Draw, Images, frame_stacks
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES, StateEncoder
 from magical_mj.utils.errors import InvalidSceneError
 
 STACKS: Final = {"ego_stack": "LoRes4E", "allo_stack": "LoRes4A"}
 """Observation with stacked frames -> the preset of the Gymnasium environments with equal observations."""
-
-Draw = Callable[[Any, str, int, Images], object]
-"""Draws the current state. Arguments: the physics, the view, its size in pixels, and the array for the picture."""
 
 
 class CurrentObservable(observable.Generic):
@@ -49,14 +46,13 @@ class LatestFrames(CurrentObservable):
     latest before the next action. So the stack is complete no matter when and how often composer evaluates it.
     """
 
-    def __init__(self, draw: Draw, name: str, size: int) -> None:
-        self._draw, self._size = draw, size
-        self._stacks = Stacks(PRESETS[STACKS[name]], size)
+    def __init__(self, drawer: Callable[[Any], Draw], name: str, size: int) -> None:
+        self._drawer = drawer
+        ((self._name, self._stack),) = frame_stacks(PRESETS[STACKS[name]], size).items()
         self._frames: Mapping[str, Images] = {}
         self._observed = False  # whether the stack has been observed in this episode
         self._due = False  # whether the frame after the last action is still missing
-        (shape,) = self._stacks.shapes.values()
-        spec = specs.BoundedArray(shape, np.uint8, 0, 255, name)
+        spec = specs.BoundedArray(self._stack.shape, np.uint8, 0, 255, name)
         super().__init__(self._observe, spec)
 
     def begin(self, frames: Mapping[str, Images]) -> None:
@@ -75,21 +71,17 @@ class LatestFrames(CurrentObservable):
     def save(self, physics: Any) -> dict[str, Images]:
         """A copy of the stack, by its name in states; empty if it has not been observed in this episode."""
         self.catch_up(physics)
-        return self._stacks.save() if self._observed else {}
+        return {self._name: self._stack.latest.copy()} if self._observed else {}
 
     def _observe(self, physics: Any) -> Images:
         self._take(physics)
-        (stack,) = self._stacks.latest.values()
-        return stack.copy()
+        return self._stack.latest.copy()
 
     def _take(self, physics: Any) -> None:
-        def draw(view: str, out: Images) -> None:
-            self._draw(physics, view, self._size, out)
-
         if not self._observed:
-            self._stacks.start(draw, self._frames)
+            self._stack.start(self._drawer(physics), self._frames.get(self._name))
         elif self._due:
-            self._stacks.push(draw)
+            self._stack.push(self._drawer(physics))
         self._observed, self._due = True, False
 
 

@@ -105,7 +105,7 @@ class SceneTask(composer.Task):
             return CurrentObservable(lambda physics: self.simulation(physics).state_vector(), vector)
         size = self.settings.image_size
         if name in STACKS:
-            return LatestFrames(lambda physics, *view: self.simulation(physics).draw(*view), name, size)
+            return LatestFrames(lambda physics: self.simulation(physics).draw, name, size)
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
 
@@ -115,7 +115,7 @@ class SceneTask(composer.Task):
     def state(self, physics: Any) -> State:
         """The current state of the episode, with the frames of stacks."""
         frames = {name: frames for stack in self._stacks() for name, frames in stack.save(physics).items()}
-        return replace(self.simulation(physics).state(), frames=frames)
+        return replace(self.simulation(physics).get_state(), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
         """The simulation of this episode, which uses composer's model and data."""
@@ -130,7 +130,7 @@ class SceneTask(composer.Task):
                 own.steps, own.trajectory = simulation.steps, simulation.trajectory
             self._simulation = simulation = own
         self.scene_model.coordinates = simulation.scene_model.coordinates
-        simulation.scene_model, simulation.shifts = self.scene_model, self.shifts
+        simulation.scene_model, simulation.episode_shifts = self.scene_model, self.shifts
         return simulation
 
     def free(self) -> None:

@@ -70,7 +70,7 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
         observation, info = super().reset(seed=seed, options=options)
         engine = self._engine
         where = engine.task or "", engine.variant, engine.initial_scene
-        self._goal = goal_picture(*where, self._view, self._size, engine.simulation.renderer)
+        self._goal = goal_picture(*where, self._view, self._size, engine.renderer)
         return observation, info | {"goal": self._goal}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:

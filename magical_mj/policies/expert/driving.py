@@ -84,12 +84,10 @@ class Lookahead:
     """
 
     def __init__(self, engine: Engine) -> None:
-        self._simulation = engine.simulation.copy()
-        self._simulation.restore(engine.simulation.save())
-        self._scene_model = engine.simulation.scene_model
-        self._shifts = engine.simulation.shifts.copy()
+        self._simulation, self._scene_model = engine.physics_copy(), engine.scene_model
+        self._shifts = engine.episode_shifts.copy()
         self._commands: list[int | None] = []
-        self._keeps_trajectory = engine.setup.keeps_trajectory
+        self._keeps_trajectory = engine.setup.spec.trajectory
         self._scenes = list(engine.scored_scenes) if self._keeps_trajectory else [engine.initial_scene]
         self.body = body_named(self._scene_model.scene.robot.body)
         """The robot's body. Without fingers, it cannot grip blocks and pushes them."""

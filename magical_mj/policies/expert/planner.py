@@ -195,7 +195,7 @@ class PlanFollower:
         left = self._horizon - self._env.steps
         if left <= 0:
             return NOOP
-        state = self._env.simulation.save()
+        state = self._env.save()
         known = self._step < len(self._plan.actions)
         if not known or not np.array_equal(state, self._plan.states[self._step].simulation):
             self._plan = self._planner().plan(left, self._budget * self._horizon, self._rng())
@@ -226,7 +226,7 @@ class Expert(PlanFollower):
         spec.check_plan()
         spec.check_expert_body(env.initial_scene.robot.body)
         spec.check(env.initial_scene)
-        if spec.trajectory and not env.setup.keeps_trajectory:
+        if spec.trajectory and not env.setup.spec.trajectory:
             raise SettingsError(f"the score of {task} depends on the scenes of all steps: use an engine of this task")
         seed = check_seed(seed)
 

@@ -162,7 +162,7 @@ class Redrawer:
         for scene, picture in zip(scenes_of(states), out, strict=True):
             simulation = self._simulations.get(structure := SceneModel(scene).structure)
             if simulation is None:
-                simulation = self._simulations[structure] = Simulation.of(scene, self._renderer)
+                simulation = self._simulations[structure] = Simulation.of(scene, renderer=self._renderer)
             else:
                 simulation.start(scene)
             simulation.draw(self._view, len(picture), picture)
