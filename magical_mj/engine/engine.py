@@ -141,7 +141,8 @@ class Engine(Simulation):
     @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        return self._broken or (self.limit is not None and self.steps >= self.limit)
+        steps = self.steps  # an error if the engine is closed
+        return self._broken or (self.limit is not None and steps >= self.limit)
 
     def reset(
         self,

@@ -249,14 +249,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             if over[index]:  # only in the mode NEXT_STEP
                 infos[index] = self._reset(index, row)
                 return
-            if self._is_own[index]:
-                seen, *outcome = env.step(checked[index])
+            own = self._is_own[index]
+            outcome = env.step(checked[index]) if own else env.step(checked[index], row)
+            seen, rewards[index], terminated[index], truncated[index], infos[index] = outcome
+            if own:
                 self._put(index, seen, row)
-            else:
-                seen, *outcome = env.step(checked[index], row)
-            rewards[index], terminated[index], truncated[index], infos[index] = outcome
             ended = bool(terminated[index] or truncated[index])
-            self._ended[index] = ended and self._is_own[index]
+            self._ended[index] = ended and own
             if ended and same_step:
                 final[index] = {"final_obs": copy.deepcopy(seen), "final_info": infos[index]}
                 infos[index] = self._reset(index, row)
