@@ -9,10 +9,16 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL"]
+__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL", "SEEDS", "SHIFT_SEEDS"]
 
 PROTOCOL: Final = 1
 """The protocol of the current environments. A test fails if they change without a new number."""
+
+SEEDS: Final = 100
+"""The number of episodes in each environment."""
+
+SHIFT_SEEDS: Final = 50
+"""The number of episodes under each shift of the leaderboard's track."""
 
 MUJOCO: Final = ("3", "4")
 """The equivalent series of MuJoCo: ten actions differ by rounding, and 200 demonstrations have the same scores."""

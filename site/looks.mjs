@@ -15,7 +15,7 @@ const PAGES = { home: "index.html", gallery: "gallery.html", task: "FindDupe.htm
   play: "play/#FindDupe-Demo-0?shifts=clutter:3", inspect: "play/inspect.html#FindDupe-All-3" };
 
 const study = await mkdtemp(join(tmpdir(), "magical-looks-")), python = fileURLToPath(new URL("../.venv/bin/python", import.meta.url));
-const server = spawn(python, ["-m", "magical_mj", "play", "--web", "--port", "0", "--collect", study, "--tasks", "MoveToRegion,FindDupe", "--wanted", "20"]);
+const server = spawn(python, ["-m", "magical_mj", "collect", study, "--port", "0", "--tasks", "MoveToRegion,FindDupe", "--wanted", "20"]);
 const { value: seat } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
 const site = await serve(fileURLToPath(new URL("../out/site", import.meta.url)));
 const addresses = Object.fromEntries(Object.entries(PAGES).map(([name, path]) => [name, site.address + path]));

@@ -112,8 +112,8 @@ class Simulation:
         study.write_text(
             "\n".join(['consent = "Your actions are stored."', "lease_minutes = 1", "[environments]", *lines])
         )
-        self.command = [sys.executable, "-m", "magical_mj", "play", "--web", "--study", str(study)]
-        self.command += ["--collect", str(self.folder)]
+        self.command = [sys.executable, "-m", "magical_mj", "collect", str(self.folder)]
+        self.command += ["--study", str(study)]
 
     def start(self) -> None:
         """Starts the server."""

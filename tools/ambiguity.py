@@ -19,9 +19,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from magical_mj.demos import load
-from magical_mj.evaluation.attribution import BITS
 from magical_mj.intents import EIGHT, Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, ends_of
+from magical_mj.intents.attribution import BITS
 from magical_mj.intents.canonical import implies
 from magical_mj.intents.contrast import further_scenes
 from magical_mj.intents.intent import conjunct_bits, intent_bits

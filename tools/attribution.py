@@ -18,13 +18,13 @@ from typing import Final
 import numpy as np
 
 from magical_mj import ENVIRONMENTS, TASKS, sample_scene
-from magical_mj.evaluation.attribution import Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
-from magical_mj.evaluation.entry import Entry, read_entry
-from magical_mj.evaluation.reports.explained import shares
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT
+from magical_mj.intents.attribution import Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
+from magical_mj.intents.explained import shares
 from magical_mj.intents.readings import ENDINGS, READINGS, readings, refutes, same_places
 from magical_mj.intents.relations import RELATIONS
+from magical_mj.leaderboard.entry import Entry, read_entry
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
 from magical_mj.variants import VARIANTS

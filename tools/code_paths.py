@@ -48,7 +48,7 @@ def traced(call: Callable[[], Any]) -> Traced:
         call()
     finally:
         sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type] # None ends profiling, as in sys
+        threading.setprofile(None)
     return Traced(len(called), len({code.co_filename for code in called}), deepest)
 
 

@@ -22,9 +22,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from magical_mj import TASKS
-from magical_mj.evaluation.entry import read_entry
 from magical_mj.evaluation.reports.intervals import mean_over
 from magical_mj.evaluation.scores import EpisodeResult, read
+from magical_mj.leaderboard.entry import read_entry
 from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from tools.pages import ROOT, table
 

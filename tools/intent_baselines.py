@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.evaluation.given import demonstrations_given, intent_of, with_states
 from magical_mj.evaluation.replay import replay
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.scores import EpisodeResult, read
@@ -37,6 +36,7 @@ from magical_mj.evaluation.scores import parse as episode_in
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import parse
 from magical_mj.intents.ambiguity import ends_of
+from magical_mj.intents.given import demonstrations_given, intent_of, with_states
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name
 from magical_mj.utils.errors import EvaluationError

@@ -18,10 +18,10 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import magical_mj
-from magical_mj.evaluation.given import intent_of
 from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.intents.given import intent_of
 from magical_mj.tasks.registry import task_spec
 from tools.intent_baselines import BASELINES, SECONDS, Mean, by_set_and_run, episodes_of, interval, played
 from tools.intent_scenes import reached

@@ -30,8 +30,8 @@ import magical_mj
 from magical_mj.demos import stored
 from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
-from magical_mj.evaluation.settings import DEMONSTRATIONS_GIVEN
 from magical_mj.intents import EIGHT
+from magical_mj.intents.given import DEMONSTRATIONS_GIVEN
 from magical_mj.intents.intent import Intent, intent_of, parse
 from magical_mj.intents.names import FILE, NAMES, tasks_in
 from magical_mj.intents.plans import planned

@@ -281,7 +281,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "demos-xirl": whole(*export[:-1], "--to", "xirl", "--out", "{}/a"),
         "demos-robomimic": whole(*export, "--to", "robomimic", "--out", "{}/a.hdf5"),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
-        "play-web": Kind((*MAIN, "play", "--web", "--port", "0", "--collect", "{}"), nothing, None),
+        "play-web": Kind((*MAIN, "collect", "{}", "--port", "0"), nothing, None),
         "scenes": Kind((sys.executable, "-c", SAMPLER, "{}"), scenes, None),
         "train-bc-state": train("bc", ("--preset", "State"), *STATES, "bc.batches=800"),
         "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),

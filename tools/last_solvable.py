@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from magical_mj import TASKS
-from magical_mj.evaluation.attribution import FAILURES, last_solvable_step
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.intents.attribution import FAILURES, last_solvable_step
 from tools.attribution import LONG, RESULTS, entries, replayed
 from tools.pages import ROOT, filled, table
 

@@ -24,8 +24,8 @@ from msgspec.structs import replace as with_items
 
 from magical_mj import sample_scene
 from magical_mj.engine import Engine
-from magical_mj.evaluation.entry import Entry, entry_files, read_entry
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.leaderboard.entry import Entry, entry_files, read_entry
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.spec import Rules
 

@@ -7,7 +7,8 @@ import shutil
 import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, Final
 
 import typer
@@ -16,34 +17,41 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from magical_mj._version import __version__
-from magical_mj.utils.errors import MagicalError
-from magical_mj.utils.imports import resolve_installed
+from magical_mj.utils.errors import MagicalError, SettingsError
+from magical_mj.utils.imports import announced, imported, resolve_installed
 
 COMMANDS: Final = {
-    "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
-    "view": ("environments:view", "Draw the initial scene of one environment or of all."),
-    "rollout": ("evaluate:rollout", "Play some episodes with a policy, print the scores, and make a video."),
-    "evaluate": ("evaluate:evaluate", "Evaluate policies in the test scenes."),
-    "report": ("results:make_report", "Write a report of one or several evaluations: tables, figures and videos."),
-    "compare": ("results:make_comparison", "Compare two policies on the scenes that both have played."),
-    "verify": ("results:verify_folders", "Replay the episodes of an evaluation, and check that it is complete."),
-    "submit": ("results:make_entry", "Pack the evaluations of one method into an entry for the leaderboard."),
-    "leaderboard": ("results:make_leaderboard", "Check all entries in a folder, and write the leaderboard."),
-    "demos": ("demos:app", "Make, import, check, show and export demonstrations."),
-    "play": ("play:play", "Drive the robot yourself, in a window or in a browser, and record demonstrations."),
-    "inspect": ("play:inspect", "Inspect a running scene or any MuJoCo model in a browser."),
-    "export": ("environments:export", "Write a scene as a self-contained MJCF model."),
-    "doctor": ("doctor:doctor", "Show installed versions, and which renderers work."),
-    "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
-    "train": ("train:train", "Train a policy."),
-    "evaluate-reward": ("train:evaluate_reward", "Compare learnt rewards with the score."),
-    "export-policy": ("train:export", "Write a trained policy as an ONNX file."),
-    "experiment": ("train:experiment", "Train and evaluate methods x tasks x seeds."),
+    "list": (
+        "magical_mj.cli.environments:list_environments",
+        "List the environments, with their horizons and the axes that vary.",
+    ),
+    "view": ("magical_mj.cli.environments:view", "Draw the initial scene of one environment or of all."),
+    "rollout": (
+        "magical_mj.cli.evaluate:rollout",
+        "Play some episodes with a policy, print the scores, and make a video.",
+    ),
+    "evaluate": ("magical_mj.cli.evaluate:evaluate", "Evaluate policies in the test scenes."),
+    "report": (
+        "magical_mj.cli.results:make_report",
+        "Write a report of one or several evaluations: tables, figures and videos.",
+    ),
+    "compare": (
+        "magical_mj.cli.results:make_comparison",
+        "Compare two policies on the scenes that both have played.",
+    ),
+    "demos": ("magical_mj.cli.demos:app", "Make, import, check, show and export demonstrations."),
+    "play": ("magical_mj.cli.play:play", "Drive the robot yourself in a window, and record demonstrations."),
+    "export": ("magical_mj.cli.environments:export", "Write a scene as a self-contained MJCF model."),
+    "doctor": ("magical_mj.cli.doctor:doctor", "Show installed versions, and which renderers work."),
+    "demo": ("magical_mj.cli.evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
 }
-"""Command -> (its function or `typer.Typer` as "module:object" in this package, its summary).
+"""Command -> (its function or `typer.Typer` as "module:object", its summary).
 
-The modules are imported on demand, because that is slow.
+The modules are imported on demand, because that is slow. Other packages announce such a mapping by an entry point of
+`COMMAND_GROUP`. They may add commands to a group, as in "demos intents".
 """
+COMMAND_GROUP: Final = "magical_mj.commands"
+"""The entry-point group of further commands, such as ``learners = "magical_mj.learners.cli:COMMANDS"``."""
 CLOSED_PIPE: Final = 141
 """The exit code if the output is closed before the help is complete. Shells report the same for commands in pipes."""
 INTERRUPTED: Final = 130
@@ -69,6 +77,23 @@ class Context(typer.Context):
     formatter_class = Help
 
 
+@cache
+def further_commands() -> Mapping[str, Mapping[str, tuple[str, str]]]:
+    """Name of an addition or a package -> its commands, as in `COMMANDS`. None replaces another one."""
+    points = announced("set of commands", COMMAND_GROUP, (), str.isidentifier, 'mine = "package.module:COMMANDS"')
+    known, found = set(COMMANDS), dict[str, Mapping[str, tuple[str, str]]]()
+    for name, point in points.items():
+        commands = imported("set of commands", name, point, SettingsError)
+        found[name] = {command: facts for command, facts in commands.items() if command not in known}
+        known |= commands.keys()
+    return found
+
+
+def all_commands() -> dict[str, tuple[str, str]]:
+    """All commands, those of the core first. Those of groups have two words."""
+    return COMMANDS | {name: facts for commands in further_commands().values() for name, facts in commands.items()}
+
+
 class Group(TyperGroup):
     """The group of all subcommands of `magical-mj`."""
 
@@ -76,27 +101,35 @@ class Group(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Any = dict.fromkeys(COMMANDS)  # names without commands yet, for suggestions
+        names = [name for name in all_commands() if " " not in name]
+        self.commands: Any = dict.fromkeys(names)  # names without commands yet, for suggestions
         self.rich_markup_mode = None
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """The names of the commands, in the order of the help."""
-        return list(COMMANDS)
+        return list(self.commands)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
         """The command with this name. None if it does not exist."""
-        if cmd_name in COMMANDS and self.commands[cmd_name] is None:
-            command = resolve_installed(f"magical_mj.cli.{COMMANDS[cmd_name][0]}")
+        if cmd_name in self.commands and self.commands[cmd_name] is None:
+            command = resolve_installed(all_commands()[cmd_name][0])
             if not isinstance(command, typer.Typer):
                 function, command = command, typer.Typer(add_completion=False)
                 command.command(cmd_name)(function)
+            for name, (reference, _) in all_commands().items():
+                group, _, inner = name.partition(" ")
+                if group == cmd_name and inner:
+                    command.command(inner)(resolve_installed(reference))
             self.commands[cmd_name] = plain(get_command(command))
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """Writes the commands with their summaries."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+        for title, commands in {"commands": COMMANDS, **further_commands()}.items():
+            rows = [(name, summary) for name, (_, summary) in commands.items() if " " not in name]
+            if rows:
+                with formatter.section(title.capitalize()):
+                    formatter.write_dl(rows)
 
 
 def plain(command: Any) -> Any:

@@ -19,7 +19,7 @@ from typer import Argument, Option
 import magical_mj
 from magical_mj.cli import option
 from magical_mj.cli.console import check_suffix, check_writable, complain, console, make_writable_folder, with_bar
-from magical_mj.cli.demos_export import export_demos, make_intents
+from magical_mj.cli.demos_export import export_demos
 from magical_mj.cli.film import film
 from magical_mj.cli.stored_demos import Paths, Set, asked_for, read_asked, read_chosen, sources_of
 from magical_mj.scene.bodies import GRIPPER
@@ -125,7 +125,7 @@ def rollouts(
 
 def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
     """The episode of a player's only policy in the scene of a seed. A `DemonstrationError` if the policy failed."""
-    from magical_mj.evaluation.worker import Unit
+    from magical_mj.evaluation.units import Unit
     from magical_mj.policies.interface import actions_of
 
     (source,) = player.policies.values()
@@ -373,4 +373,3 @@ def video(
 
 
 app.command(name="export")(export_demos)
-app.command(name="intents")(make_intents)

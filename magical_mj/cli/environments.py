@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Final
@@ -19,7 +18,9 @@ from magical_mj.cli.console import check_fits, check_writable, complain, console
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks import KNOWN
-from magical_mj.tasks.registry import environment_axes, environments, listed, task_name, task_plugins, task_spec
+from magical_mj.tasks.languages import described_tasks
+from magical_mj.tasks.languages import languages as task_languages
+from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
 from magical_mj.tasks.suites import suite_of
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError
@@ -40,16 +41,14 @@ def list_environments(
         ),
     ] = None,
     ids: Annotated[bool, Option("--ids", help="Print only the Gymnasium ids, one per line.")] = False,
-    intents: Annotated[
-        bool, Option("--intents", help="List intents instead: the sets or intents in TASKS, or all sets.")
-    ] = False,
+    **languages: bool,
 ) -> None:
     """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
     out = console()
-    if intents:
+    for prefix in (name.removesuffix("s") for name, given in languages.items() if given):
         if ids:
-            raise typer.BadParameter("--ids and --intents cannot be combined: intents have no registered ids.")
-        for line in _intents(tasks):
+            raise typer.BadParameter(f"--ids and --{prefix}s cannot be combined: {prefix}s have no registered ids.")
+        for line in described_tasks(prefix, tasks or "all"):
             out.print(line, soft_wrap=True, markup=False, highlight=False)
         return
     pairs = environments(tasks or tuple(KNOWN))
@@ -71,19 +70,13 @@ def list_environments(
     out.print(table)
 
 
-def _intents(names: str | None) -> Iterator[str]:
-    """Lines about sets of intents or single ones, by default all sets: the name, bits, text and sentence."""
-    from magical_mj.intents.names import NAMES, tasks_in  # imported late: `list` is faster without
-    from magical_mj.intents.tasks import task_of
-
-    for name in listed(names or "all", NAMES):
-        name = name.removeprefix("intent:")
-        if name in NAMES:
-            tasks = {f"intent:{name}/{number}": task for number, task in enumerate(tasks_in(name))}
-        else:
-            tasks = {f"intent:{name}": task_of(task_name(f"intent:{name}").removeprefix("intent:"))}
-        for label, task in tasks.items():
-            yield f"{label:<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
+option.add_flags(
+    list_environments,
+    {
+        f"{prefix}s": f"List {prefix}s instead: the sets or {prefix}s in TASKS, or all sets."
+        for prefix in task_languages()
+    },
+)
 
 
 def view(

@@ -39,7 +39,8 @@ from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.worker import Player, Unit
+from magical_mj.evaluation.units import Unit
+from magical_mj.evaluation.worker import Player
 from magical_mj.policies.loading import playable, sources
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
@@ -110,7 +111,7 @@ def rollout(
     settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
     first = SPLITS[settings.split] + seed
     listed = playable(policy, [pair], settings.preset, trust=settings.trust)
-    settings.check_given(listed)
+    settings.check_policies(listed)
     settings = changed(settings, preset=listed[0].preset)
     settings.shift_labels(pair[0], listed)  # raises an error if a policy does not notice the shifts
     if video is not None:
@@ -143,7 +144,9 @@ def rollout(
 
 
 option.add_options(
-    rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust", "demonstrations", "scenes"
+    rollout,
+    EvaluationSettings,
+    only=("split", "preset", "body", "renderer", "trust", "demonstrations", "scenes"),
 )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
@@ -58,16 +59,27 @@ Trusted = Annotated[
     str, Option(help="Code that files may refer to, such as mine:SPEC, separated by commas. See docs/trust.md.")
 ]
 Force = Annotated[bool, Option("--force", help="Replace existing files.")]
-Host = Annotated[str, Option(help="The address to listen on.")]
-Port = Annotated[int, Option(min=0, max=65535, help="The port to listen on; 0: any free one.")]
+Folders = Annotated[list[Path], Argument(help="The folders of evaluations, or entries of the leaderboard.")]
 
 
-def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
-    """Adds options for settings, by default all except the command's parameters, to a command with `**options`."""
+def add_flags(command: Callable[..., None], flags: Mapping[str, str]) -> None:
+    """Adds flags, name -> help, to a command with `**options`."""
+    *named, _ = inspect.signature(command, eval_str=True).parameters.values()
+    kind = inspect.Parameter.KEYWORD_ONLY
+    added = [
+        inspect.Parameter(name, kind, default=False, annotation=Annotated[bool, Option(f"--{name}", help=text)])
+        for name, text in flags.items()
+    ]
+    command.__signature__ = inspect.Signature([*named, *added])
+
+
+def add_options(command: Callable[..., None], *settings: type, only: Sequence[str] = ()) -> None:
+    """Adds options for settings to a command with `**options`: all except its parameters, or `only` these."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     parameters = {parameter.name: parameter for parameter in named}
-    for name, setting in described(settings).items():
-        if name not in parameters and (not names or name in names):
+    every = {name: setting for kind in settings for name, setting in described(kind).items()}
+    for name, setting in every.items():
+        if name not in parameters and (not only or name in only):
             declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
             kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
             option = Option(

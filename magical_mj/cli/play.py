@@ -1,40 +1,31 @@
-"""`magical-mj play` and `inspect`: drive the robot in a window or a browser, and inspect any running model."""
+"""`magical-mj play`: drive the robot in a window."""
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import os
-import re
-import secrets
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
-import typer
-from typer import Argument, Option
+from typer import Option
 
 import magical_mj
 from magical_mj.cli import option
-from magical_mj.cli.console import check_fits, console, make_writable_folder
+from magical_mj.cli.console import console, make_writable_folder
 from magical_mj.cli.film import INK, PAPER, side_by_side
-from magical_mj.policies.interface import actions_of
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, environments, task_name, task_spec, variant_name
-from magical_mj.utils.errors import MagicalError, SettingsError, check_name, short_repr
+from magical_mj.tasks.registry import TASKS, task_name, task_spec, variant_name
+from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
     from magical_mj.engine import Engine
-    from magical_mj.web.puzzles import Puzzle
-    from magical_mj.web.server import PlayServer
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
-QUESTION: Final = "Do what the demonstrations did. What they want is shown at the end."
 AFTER: Final = "R again, N next scene, Esc quits"
 
 Wish = Literal["reset", "next", "discard", "quit"]
@@ -44,59 +35,25 @@ LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
 FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses without a display
 TEXT_SIZE: Final = 22  # pixels
-ORIGIN: Final = re.compile(r"https?://([\w.-]+|\[[\da-f:.]+\])(:\d+)?/*", re.IGNORECASE)
-LARGEST_SEED: Final = 2**53 - 1
-"""The largest integer that JavaScript represents exactly."""
+
+Record = Annotated[Path | None, Option(help="Save each finished episode in this folder.")]
+Speed = Annotated[float, Option(min=0.1, max=4.0, help="Times real time.")]
 
 
 def play(
-    context: typer.Context,
-    task: option.OptionalTask = None,
+    task: option.Task,
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
-    record: Annotated[Path | None, Option(help="Save each finished episode in this folder.")] = None,
+    record: Record = None,
     size: option.Size = 480,
-    speed: Annotated[float, Option(min=0.1, max=4.0, help="Times real time.")] = 1.0,
+    speed: Speed = 1.0,
     renderer: option.Renderer = None,
-    guess: Annotated[
-        bool, Option("--guess", help="Play an intent after two demonstrations, before you see its sentence.")
-    ] = False,
-    web: Annotated[bool, Option("--web", help="Play in a browser instead of a window.")] = False,
-    tasks: option.Tasks = "all",
-    variants: option.Variants = "all",
-    collect: Annotated[Path | None, Option(help="Save submitted episodes in this folder.")] = None,
-    wanted: Annotated[
-        int | None, Option(min=1, help="Episodes to collect in each environment.", show_default="no limit")
-    ] = None,
-    study: Annotated[Path | None, Option(help="The study's settings, a file (.toml).")] = None,
-    host: option.Host = "127.0.0.1",
-    port: option.Port = 8008,
-    origin: Annotated[
-        str | None, Option(help="The page's public address behind a proxy, such as https://study.example.org.")
-    ] = None,
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
 
     With --record, finished episodes are saved as demonstrations; D discards one at its end.
-
-    With --guess, you watch two demonstrations of TASK, an intent, or of a random one. Then you do the same in VARIANT.
-
-    With --web, you play in a browser, on this machine or through ssh -L on another one. The options below it need it.
     """
-    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer", "guess")
-    check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "study", "host", "port", "origin")
-    check_fits(context, study is None, "without --study, since the study sets it", "tasks", "variants", "wanted")
-    check_fits(context, task is not None or guess, "with TASK", "seed")
-    if web:
-        first = None if task is None else (task_name(task), variant_name(variant), seed)
-        serve_page(first, environments(tasks, variants), collect, wanted, study, host, port, origin)
-        return
-    if guess:
-        guess_in_window(task, variant, seed, record, size, speed, renderer)
-        return
-    if task is None:
-        raise typer.BadParameter("give TASK, or --web to choose in the browser.")
-    browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
+    browser = "; without one, play in a browser: magical-mj serve" if task_name(task) in TASKS else ""
     with (
         closing(magical_mj.Engine(task, variant, seed=seed, renderer=renderer)) as env,
         closing(Window(f"{task} {variant_name(variant)}", size, speed, browser)) as window,
@@ -105,47 +62,16 @@ def play(
         play_in(window, game, size)
 
 
-def guess_in_window(
-    task: str | None, variant: str, seed: int, record: Path | None, size: int, speed: float, renderer: str | None
-) -> None:
-    """Shows the demonstrations of an intent, or of a random one, and then plays it without its sentence."""
-    from magical_mj.web.puzzles import DEMONSTRATIONS, puzzle_of, puzzles  # imported late: it loads the simulator
-
-    if task is not None and not task_name(task).startswith("intent:"):
-        raise typer.BadParameter(f"--guess is for intents, such as intent:dev/3, and {task} is a task.")
-    puzzle = secrets.choice(puzzles()) if task is None else puzzle_of(task)
-    with closing(Window("What do you want?", size, speed)) as window:
-        for number, letters in enumerate(puzzle.demonstrations):
-            line = f"Demonstration {number + 1} of {DEMONSTRATIONS}. Then you do the same."
-            with closing(magical_mj.Engine(puzzle.task, seed=number, renderer=renderer)) as env:
-                if not watch(window, env, actions_of(letters), line, size):
-                    return
-        with closing(magical_mj.Engine(puzzle.task, variant, seed=seed, renderer=renderer)) as env:
-            folder = None if record is None else make_writable_folder(record)
-            play_in(window, Game(env, puzzle.task, seed, folder, puzzle), size)
-
-
-def watch(window: Window, env: Engine, actions: Iterable[int], line: str, size: int) -> bool:
-    """Shows an episode. N skips the rest. Returns False if the player quits."""
-    for action in actions:
-        window.show(side_by_side(env, size), [line, "N skips it, Esc quits"])
-        if (wish := window.wish()) in ("next", "quit"):
-            return wish == "next"
-        env.step(action)
-    return True
-
-
 class Game:
     """Episodes that a person plays one after another. The clock of an episode starts with the first key.
 
-    A finished episode is saved in the folder, if there is one, at once: it is not lost if the window is closed. In a
-    puzzle, the goal and the score are shown after the first episode.
+    A finished episode is saved in the folder, if there is one, at once: it is not lost if the window is closed.
     """
 
-    def __init__(self, env: Engine, task: str, seed: int, folder: Path | None, puzzle: Puzzle | None = None) -> None:
-        self.env, self._folder, self._screen, self._puzzle = env, folder, console(), puzzle
+    def __init__(self, env: Engine, task: str, seed: int, folder: Path | None) -> None:
+        self.env, self._folder, self.screen = env, folder, console()
         summary = task_spec(task).summary
-        self.goal = QUESTION if puzzle else f"{summary[0].upper()}{summary[1:]}."
+        self.goal = f"{summary[0].upper()}{summary[1:]}."
         self.start(seed)
 
     def start(self, seed: int) -> None:
@@ -167,17 +93,11 @@ class Game:
     def finish(self, demo: Demonstration) -> None:
         """Reports and saves an episode that has ended."""
         self._result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
-        if self._puzzle is not None:
-            self.goal = self._puzzle.intent.sentence
-            if demo.score < 1.0:
-                reached = self._puzzle.reached_instead(self.env.initial_scene, self.env.scene)
-                self.remark = f"What you did instead: {reached.sentence}" if reached else ""
-            self._screen.print(self.goal, self.remark)
-        self._screen.print(f"seed {demo.scene_seed}: {self._result}")
+        self.screen.print(f"seed {demo.scene_seed}: {self._result}")
         if self._folder is None:
             return
         path, is_new = magical_mj.demos.keep(demo, self._folder)
-        self._screen.print(path, soft_wrap=True)
+        self.screen.print(path, soft_wrap=True)
         self._path = path if is_new else None
         self._result += "; saved, D discards it" if is_new else "; the same episode was saved before"
 
@@ -185,7 +105,7 @@ class Game:
         """Deletes the episode, if it has ended and was saved."""
         if self._path is not None:
             self._path.unlink()
-            self._screen.print(f"discarded {self._path}", soft_wrap=True)
+            self.screen.print(f"discarded {self._path}", soft_wrap=True)
             self._path, self._result = None, "discarded"
 
     def caption(self) -> str:
@@ -194,7 +114,11 @@ class Game:
             return f"{self._result}; {AFTER}"
         seconds = ((self.env.horizon or 0) - self._steps) / CONTROL_RATE
         left = f"{seconds:.0f} s" if self._steps else "press a key to start"
-        return f"{left} ({KEYS})" if self.goal == QUESTION else f"{left}, score so far {self.env.score():.2f} ({KEYS})"
+        return f"{left}{self.so_far()} ({KEYS})"
+
+    def so_far(self) -> str:
+        """What the caption says about the score during an episode."""
+        return f", score so far {self.env.score():.2f}"
 
 
 def play_in(window: Window, game: Game, size: int) -> None:
@@ -295,125 +219,3 @@ class Window:
         """Close the window."""
         self._pygame.display.quit()
         self._pygame.font.quit()
-
-
-def _check_page(
-    first: tuple[str, str, int] | None, environments: Sequence[Pair], collecting: bool, origin: str | None
-) -> None:
-    """Raises a `SettingsError` unless the page has these environments, and may have this address."""
-    is_puzzle = first is not None and first[0].startswith("intent:")
-    if not set(environments) <= set(ENVIRONMENTS) or not (first is None or first[0] in TASKS or is_puzzle):
-        raise SettingsError("the page has the benchmark's own tasks, and any intent as TASK: play others in a window")
-    if first is not None:
-        check_seed_in_browser(first[2])
-        if not is_puzzle and first[:2] not in environments:
-            raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
-        if collecting:
-            raise SettingsError(
-                "with --collect, the server chooses the environments: give --tasks and --variants, not TASK"
-            )
-    if origin is not None and not ORIGIN.fullmatch(origin):
-        raise SettingsError(
-            f"--origin must be an address such as https://study.example.org, without a path, not {origin!r}"
-        )
-
-
-def serve_page(
-    first: tuple[str, str, int] | None,
-    environments: Sequence[Pair],
-    collect: Path | None,
-    wanted: int | None,
-    study: Path | None,
-    host: str,
-    port: int,
-    origin: str | None,
-) -> None:
-    """Serve until Ctrl-C. `first` is the task, the variant and the seed that the printed link opens."""
-    _check_page(first, environments, collect is not None, origin)
-    if (wanted is not None or study is not None) and collect is None:
-        raise SettingsError(f"{'--wanted' if study is None else '--study'} needs --collect")
-    origin = origin and origin.rstrip("/").lower()  # browsers send and compare it in this form
-    check_extra("games in a browser", "web")
-    from magical_mj.web.collection import Collection, Study, read_study
-    from magical_mj.web.puzzles import VARIANTS, puzzle_of, puzzles
-    from magical_mj.web.server import PlayServer
-
-    collection = None
-    if collect is not None:
-        quotas = {f"{task}-{variant}": wanted for task, variant in environments}
-        asked = Study(quotas) if study is None else read_study(study)
-        environments = list(asked.pairs)
-        collection = Collection(make_writable_folder(collect), asked)
-    offered, fragment = list(puzzles()), "" if first is None else "#" + "-".join(map(str, first))
-    if first is not None and first[0].startswith("intent:"):
-        check_name("variant", first[1], VARIANTS)
-        puzzle = puzzle_of(first[0])
-        offered += [puzzle] * (puzzle not in offered)
-        fragment = f"#{puzzle.name}-{first[1]}-{first[2]}{'@expert' if first[1] == 'Demo' else ''}"
-    if collection is not None:
-        offered = []
-    server = PlayServer(environments, host, port, origin=origin, collection=collection, puzzles=offered)
-    if collection is not None:
-        server.token = collection.token()
-    serve_until_interrupted(server, fragment)
-
-
-def inspect(
-    context: typer.Context,
-    model: Annotated[str, Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).")],
-    variant: option.Variant = "Demo",
-    seed: option.Seed = 0,
-    host: option.Host = "127.0.0.1",
-    port: option.Port = 8008,
-) -> None:
-    """Serve a page that simulates a model in 3-D and shows its bodies, joints, contacts, sensors and actuators.
-
-    It prints the page's address. The first time, npm fetches MuJoCo's WebAssembly build and two libraries (5 MB).
-    """
-    is_file = model.lower().endswith((".xml", ".mjcf"))
-    check_fits(context, not is_file, "with TASK", "variant", "seed")
-    check_extra("models in a browser", "web")
-    from magical_mj.engine.export import mjcf_text  # imported late: it loads the simulator
-    from magical_mj.web.inspection import InspectServer, model_files
-
-    if is_file:
-        path = Path(model)
-        if not path.is_file():
-            raise SettingsError(f"the file {path} does not exist")
-        files, fragment = model_files(path), "#file"
-    else:
-        name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
-        if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:
-            files, fragment = {}, f"#{name}"
-        else:
-            with closing(magical_mj.Engine(model, variant, seed=seed)) as engine:
-                files, fragment = {f"{name}.xml": mjcf_text(engine).encode()}, "#file"
-    serve_until_interrupted(InspectServer(ENVIRONMENTS, host, port, model=files), f"inspect.html{fragment}")
-
-
-def check_seed_in_browser(seed: int) -> int:
-    """Returns the seed. Raises a `SettingsError` if JavaScript cannot represent it."""
-    if seed > LARGEST_SEED:
-        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(seed)}")
-    return seed
-
-
-def serve_until_interrupted(server: PlayServer, path: str) -> None:
-    """Serve until Ctrl-C. The printed link is the server's address followed by `path`."""
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(server, path))
-
-
-async def _serve(server: PlayServer, path: str) -> None:
-    try:
-        started = await server.start()
-    except (OSError, UnicodeError) as error:  # a UnicodeError if the host name is invalid
-        raise OSError(
-            f"cannot listen at this address ({error}); give another --host or --port; --port 0 is a free one"
-        ) from error
-    async with started as listening:
-        console().print(f"{server.address}{path}", soft_wrap=True)
-        if server.collection is not None:
-            console().print(f"For the operator of the study: {server.operators_address}", soft_wrap=True)
-        console().print("Ctrl-C stops the server.")
-        await listening.serve_forever()

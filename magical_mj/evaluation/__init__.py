@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
-from magical_mj.evaluation.rollouts import rollouts
-from magical_mj.evaluation.run import Evaluation, evaluate
-from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.policies.interface import BatchPolicy, Episode, Policy
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from magical_mj.evaluation.playing import rollouts
+    from magical_mj.evaluation.run import Evaluation, evaluate
+    from magical_mj.evaluation.scores import EpisodeResult
+    from magical_mj.evaluation.settings import EvaluationSettings
+    from magical_mj.policies.interface import BatchPolicy, Episode, Policy
 
 __all__ = [
     "BatchPolicy",
@@ -21,3 +25,20 @@ __all__ = [
     "evaluate",
     "rollouts",
 ]
+
+_MODULES: Final = {  # loaded at first use, so that additions can import a part of the package while it joins theirs
+    "BatchPolicy": "policies.interface",
+    "Episode": "policies.interface",
+    "EpisodeResult": "evaluation.scores",
+    "Evaluation": "evaluation.run",
+    "EvaluationSettings": "evaluation.settings",
+    "Policy": "policies.interface",
+    "evaluate": "evaluation.run",
+    "rollouts": "evaluation.playing",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"magical_mj.{_MODULES[name]}"), name)

@@ -9,9 +9,10 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import msgspec
 from msgspec import Struct
@@ -20,10 +21,13 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult, StoredInt, metho
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
+from magical_mj.utils.imports import announced, imported
 from magical_mj.utils.lines import Appender
 from magical_mj.utils.settings import check_unchanged
 
 SETTINGS: Final = "run.json"
+FORMAT_GROUP: Final = "magical_mj.result_formats"
+"""The entry-point group of other formats, such as ``leaderboard = "magical_mj.leaderboard.entry:ENTRIES"``."""
 MOST_SETTINGS: Final = 10_000_000
 """The largest size of a settings file in bytes."""
 EXTENDABLE: Final = ("policies", "environments", "shifts")
@@ -39,6 +43,29 @@ OLD_DEFAULTS: Final = {
     "body": GRIPPER,
 }
 """The values of settings that older versions did not write."""
+
+
+class ResultFormat(Protocol):
+    """What an entry point of `FORMAT_GROUP` refers to: official results by the protocol, stored in another way."""
+
+    def holds(self, path: Path) -> bool:
+        """Whether the path is such a file or folder."""
+        ...
+
+    def episodes(self, path: Path) -> Iterable[EpisodeResult]:
+        """The episodes in it. Raises an `EvaluationError` if it is damaged."""
+        ...
+
+
+@cache
+def _formats() -> tuple[ResultFormat, ...]:
+    points = announced("format of results", FORMAT_GROUP, (), str.isidentifier, 'mine = "package.module:MINE"')
+    return tuple(imported("format of results", name, point, EvaluationError) for name, point in points.items())
+
+
+def other_format(path: Path) -> ResultFormat | None:
+    """The format of the results at this path. None if it is the folder of an evaluation."""
+    return next((known for known in _formats() if known.holds(path)), None)
 
 
 class PlayedPolicy(Struct):

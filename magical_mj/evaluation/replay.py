@@ -14,8 +14,8 @@ from itertools import chain
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from magical_mj.evaluation.base import UNOFFICIAL
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
-from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import check_body_name

@@ -15,15 +15,14 @@ import cloudpickle
 from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
 from magical_mj.evaluation.folder import EvaluationFolder, check_runs
-from magical_mj.evaluation.given import Watch
 from magical_mj.evaluation.repeatable import check_repeatable
-from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, Key, append, frame
-from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
-from magical_mj.evaluation.worker import Played, Player, Unit, plan, single_env
+from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, append, frame
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.units import Unit, Watch
+from magical_mj.evaluation.worker import Played, Player, plan, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import Source, playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
-from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_here, map_unordered
 from magical_mj.utils.settings import described, with_values
 
@@ -78,7 +77,7 @@ def _signature() -> inspect.Signature:
     kind = inspect.Parameter.KEYWORD_ONLY
     known = [
         inspect.Parameter(name, kind, default=setting.default, annotation=setting.kind)
-        for name, setting in described(EvaluationSettings).items()
+        for name, setting in described(EvaluationSettings).items()  # pyright: ignore[reportArgumentType]
     ]
     *own, _ = inspect.signature(evaluate).parameters.values()
     return inspect.Signature([*own, *known], return_annotation="pd.DataFrame")
@@ -102,11 +101,7 @@ class Evaluation:
         If a policy uses demonstrations of intents that are not in the user's cache, the expert makes them. `watch` is
         called with the number of finished demonstrations, and their total number.
         """
-        check_extra("evaluations", "eval")
-        if settings.batched:
-            check_extra("batched environments", "gpu")
-        if settings.backend != "local":
-            check_extra(f"workers of {settings.backend}", settings.backend)
+        settings.check_extras()
         self._sources = playable(
             policy,
             settings.environments,
@@ -121,21 +116,21 @@ class Evaluation:
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
-        settings.check_given(self._sources)
+        settings.check_policies(self._sources)
         check_repeatable(settings, self._sources)
         self._player = Player(self._sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
         self._folder: EvaluationFolder | None = None
         if settings.out is not None:
-            recorded = {**settings.recorded(self._sources), **self._player.recorded}
+            recorded = {**settings.recorded(self._sources), **self._player.starts.recorded}
             self._folder = EvaluationFolder(settings.out, recorded, resume=settings.resume)
         self.units = self._remaining()
 
     @property
     def steps(self) -> int:
         """The number of actions in the remaining units."""
-        return sum(unit.steps(self.settings) for unit in self.units)
+        return sum(unit.steps(self.settings.rules) for unit in self.units)
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""

@@ -11,13 +11,13 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import msgspec
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
@@ -29,6 +29,8 @@ from magical_mj.utils.lines import Appender, appending, read_lines
 SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
 SCORES: Final = "scores.jsonl"
+MUJOCO_VERSION: Final = version("mujoco")
+"""Read from the package's metadata: importing MuJoCo is slow, and may fail without OpenGL."""
 
 StoredInt = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """An integer that tables of scores can hold."""

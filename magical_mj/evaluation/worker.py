@@ -12,67 +12,29 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import gymnasium
 from gymnasium.vector import VectorEnv
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.given import (
-    Watch,
-    demonstrations_given,
-    digest_of,
-    other_task,
-    with_other_score,
-    with_states,
-)
-from magical_mj.evaluation.rollouts import Env, late, play_episode, play_side_by_side
+from magical_mj.evaluation.playing import Env, late, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
-from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, PolicyError, Transitions, policy_task
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.units import Unit, Watch
+from magical_mj.policies.interface import Episode, PolicyError, policy_task
 from magical_mj.policies.loading import Source
-from magical_mj.rendering.backend import RendererName, drawn_by
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed, map_here
 
-if TYPE_CHECKING:
-    from magical_mj.demos import Demonstration
-    from magical_mj.demos.stored import Stored
-
 T = TypeVar("T")
 
-SIDE_BY_SIDE: Final = {"mujoco": 10, "warp": 100}
-"""The most episodes that are played in one batch. They end together, so a killed evaluation loses the current batch."""
 GRACE: Final = 1.0
 """Seconds from the time limit until a worker process is killed. It is only needed if a call does not return."""
-
-
-@dataclass(frozen=True)
-class Unit:
-    """Episodes of one environment with one policy that are played together. A unit is repeatable and independent.
-
-    `shift` is the label of the shift, `retry` the number of times that the episode has failed before.
-    """
-
-    policy: str
-    run: int
-    task: str
-    variant: str
-    seeds: tuple[int, ...]
-    shift: str = ""
-    retry: int = 0
-
-    @property
-    def keys(self) -> list[Key]:
-        """The keys of its episodes."""
-        return [(self.policy, self.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
-
-    def steps(self, settings: EvaluationSettings) -> int:
-        """The number of actions of all its episodes."""
-        return len(self.seeds) * task_spec(self.task).horizon(settings.rules)
 
 
 def plan(
@@ -87,7 +49,7 @@ def plan(
         for source, shift in product(policies, settings.shift_labels(task, policies)):
             every = Unit(source.name, source.run, task, variant, tuple(settings.seeds), shift)
             together = settings.batched or (source.batches and not settings.wrap)
-            size = SIDE_BY_SIDE[settings.simulator] if together else 1
+            size = settings.side_by_side if together else 1
             left = [(key, seed) for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done]
             new = tuple(seed for key, seed in left if key not in failed)
             units += [replace(every, seeds=new[first : first + size]) for first in range(0, len(new), size)]
@@ -115,23 +77,17 @@ class Player:
 
     Attributes:
         policies: name and run -> the policy.
-        demonstrations: task -> the demonstrations that policies receive. Empty if no policy uses any.
+        starts: what they receive at the start of episodes.
     """
 
     def __init__(
         self, policies: Sequence[Source], settings: EvaluationSettings, watch: Watch = lambda _, __: None
     ) -> None:
-        """Gets the demonstrations, if a policy uses some, with `watch` and the errors of `demonstrations_given`."""
+        """Prepares what the policies receive at the start of episodes, with `watch`; see `BaseSettings.starts`."""
         self.policies = {(policy.name, policy.run): policy for policy in policies}
         self.settings = settings
-        receive = any(policy.uses_demonstrations for policy in policies)
-        self.demonstrations = demonstrations_given(settings, watch) if receive else {}
+        self.starts = settings.starts(policies, watch)
         self._kept: dict[str, tuple[Any, Any]] = {}
-
-    @property
-    def recorded(self) -> dict[str, str]:
-        """The digests of the demonstrations, which a resumed evaluation must keep."""
-        return {f"demonstrations of {task}": digest_of(demos) for task, demos in self.demonstrations.items()}
 
     def __call__(self, unit: Unit) -> Timed[Played | Split[Unit]]:
         """Loads the policy and makes the environment. Returns the work that remains, with its time limit.
@@ -141,9 +97,10 @@ class Player:
         """
         source = self.policies[unit.policy, unit.run]
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
-        env, others = self._env(unit, source), self._others(unit)
-        episodes = self._episodes(unit, source, policy, others)
-        recorders = self._recorders(unit, source, policy, others)
+        env = self._env(unit, source)
+        starts = self.starts.of(unit, source, policy_task(unit.task, policy, self.settings.like))
+        episodes = [episode for episode, _ in starts]
+        recorders = self._recorders(unit, source, policy, [facts for _, facts in starts])
         split, several = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds]), len(unit.seeds) > 1
         limit = self.settings.time_limit
         seconds = limit * len(unit.seeds)
@@ -156,7 +113,7 @@ class Player:
             if several and any(outcome.failure for outcome in outcomes):
                 return split
             played = [record(outcome) for record, outcome in zip(recorders, outcomes, strict=True)]
-            return Played([with_other_score(result) for result in played], outcomes[-1].cause)
+            return Played(list(map(self.starts.finished, played)), outcomes[-1].cause)
 
         outcome = Outcome(failure=late(limit), seconds=limit)
         return Timed(seconds + GRACE, play, split if several else Played([recorders[0](outcome)]))
@@ -175,59 +132,34 @@ class Player:
         instruction = "instruction" not in source.unnoticed
         key = unit.task, unit.variant, unit.shift, instruction
         if settings.batched or size > 1:
-            return self._keep("vector", (*key, size), lambda: _vector_env(unit, settings, instruction))
+            return self._keep(
+                "vector",
+                (*key, size),
+                lambda: settings.vector_env(unit.task, unit.variant, size, unit.shift, instruction),
+            )
         observed = bool(settings.wrap) or not source.uses_simulation
         return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, instruction))
 
-    def _others(self, unit: Unit) -> list[str]:
-        """For each episode, the other task of the control. Empty without a control."""
-        if self.settings.control is None:
-            return [""] * len(unit.seeds)
-        body = self.settings.body if self.settings.control == "wrong-instruction" else None
-        return [other_task(unit.task, unit.variant, seed, body) for seed in unit.seeds]
-
-    def _episodes(self, unit: Unit, source: Source, policy: Act, others: Sequence[str]) -> list[Episode]:
-        """The information that the policy receives at the start of each episode. `others` is from `_others`."""
-        task = policy_task(unit.task, policy, self.settings.like)
-        demonstrations = self._received(unit.task, source)
-        misled = self.settings.control == "wrong-instruction"
-        sentences = [task_spec(other).summary if misled else "" for other in others]
-        return [
-            Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=demonstrations)
-            for seed, sentence in zip(unit.seeds, sentences, strict=True)
-        ]
-
-    def _received(self, task: str, source: Source) -> tuple[Any, ...]:
-        """The demonstrations of a task in the form that the policy uses."""
-        if not source.uses_demonstrations:
-            return ()
-        demos, settings = self.demonstrations[task], self.settings
-        if source.uses_simulation:
-            return self._keep("demonstrations", (task, ""), lambda: with_states(demos))
-        key = task, settings.observed
-        return self._keep("demonstrations", key, lambda: _observed(demos, settings.observed, settings.renderer))
-
     def _recorders(
-        self, unit: Unit, source: Source, policy: Act, others: Sequence[str]
+        self, unit: Unit, source: Source, policy: object, given: Sequence[dict[str, Any]]
     ) -> list[Callable[[Outcome], EpisodeResult]]:
-        """For each episode, the function that makes its result from its outcome. `others` is from `_others`."""
+        """For each episode, the function that makes its result from its outcome. `given` are facts of their starts."""
         settings = self.settings
         facts: dict[str, Any] = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
             "preset": getattr(policy, "preset", None) if source.uses_simulation else settings.observed,
-            "worlds": WORLDS[settings.simulator],
+            "worlds": settings.worlds,
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,
             "retry": unit.retry,
             "given": settings.given(source),
-            "demonstrations": digest_of(self.demonstrations[unit.task])[:16] if source.uses_demonstrations else "",
         }
         recorders: list[Callable[[Outcome], EpisodeResult]] = []
-        for seed, other in zip(unit.seeds, others, strict=True):
+        for seed, own in zip(unit.seeds, given, strict=True):
             scene = start_digest(unit.task, unit.variant, seed, unit.shift, settings.body)
             episode = Episode(unit.task, unit.variant, seed, unit.run)
-            recorders.append(partial(EpisodeResult.of, episode, scene=scene, other=other, **facts))
+            recorders.append(partial(EpisodeResult.of, episode, scene=scene, **facts, **own))
         return recorders
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
@@ -244,30 +176,13 @@ class Player:
             dropped.close()
 
 
-def _observed(
-    demonstrations: Sequence[Demonstration | Stored], preset: str, renderer: RendererName | None
-) -> tuple[Transitions, ...]:
-    """Demonstrations as observations and actions. The arrays are read-only, since all episodes share them."""
-    from magical_mj.demos.learning import stream  # imported late: it loads the simulator
-
-    parts = tuple(stream(with_states(demonstrations), preset, drop_noop=False, renderer=renderer))
-    for part in parts:
-        views = part.observations.values() if isinstance(part.observations, dict) else (part.observations,)
-        for array in (*views, part.actions):
-            array.setflags(write=False)
-    return parts
-
-
-def _arguments(unit: Unit, settings: EvaluationSettings) -> dict[str, Any]:
-    return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
-
-
 def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruction: bool = False) -> Env:
     """The environment of a policy: if `observed`, the Gymnasium environment with the preset, else the engine.
 
     It has only the user's wrapper: those of `gymnasium.make` only add checks at each step.
     """
-    how = _arguments(unit, settings)
+    how: dict[str, Any] = {name: getattr(settings, name) for name in ("rules", "renderer", "body")}
+    how["shifts"] = unit.shift
     if observed:
         name = env_id(unit.task, unit.variant, settings.observed)
         env = gymnasium.make(name, instruction=instruction, **how).unwrapped
@@ -302,19 +217,3 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
             f"not {short_repr(outer)}"
         )
     return outer
-
-
-def _vector_env(unit: Unit, settings: EvaluationSettings, instruction: bool) -> VectorEnv[Any, Any, Any]:
-    number = len(unit.seeds)
-    how: dict[str, Any] = {"preset": settings.observed, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
-    if not settings.batched:
-        from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
-
-        threads = None if settings.jobs == 1 else 1  # other worker processes use the other cores
-        how |= {"threads": threads, "instruction": instruction, **_arguments(unit, settings)}
-        return make_vec(unit.task, number, variant=unit.variant, **how)
-    from magical_mj import batched  # imported late: it needs PyTorch
-    from magical_mj.batched.environment import Arrays
-
-    envs = batched.make(unit.task, unit.variant, number, device=settings.device, rules=settings.rules, **how)
-    return Arrays(envs)

@@ -18,6 +18,7 @@ from typing import Final
 
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.tasks import PREFIX, Task, spec_of, split_settings, task_of, with_settings
+from magical_mj.tasks.registry import listed
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import IntentError, closest, short_repr
 
@@ -101,6 +102,17 @@ class Language:
         """The texts of the tasks in a set; settings of demo scenes after its name apply to all."""
         name, settings = split_settings(text)
         return tuple(str(with_settings(task, settings)) for task in tasks_in(name)) if name in NAMES else ()
+
+    def described(self, names: str) -> Iterator[str]:
+        """Lines about sets of intents or single ones: the name, bits, text and sentence."""
+        for name in listed(names, NAMES):
+            name = name.removeprefix(PREFIX)
+            if name in NAMES:
+                tasks = {f"{PREFIX}{name}/{number}": task for number, task in enumerate(tasks_in(name))}
+            else:
+                tasks = {f"{PREFIX}{name}": _task(name)}
+            for label, task in tasks.items():
+                yield f"{label:<19} {task.intent.bits:2.0f} bits  {task}: {task.intent.sentence}"
 
 
 def has_intent(task: str) -> bool:

@@ -13,10 +13,10 @@ from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.entry import SEEDS, Entry, is_entry, read_entry
 from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_settings
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult, Key, read
+from magical_mj.leaderboard.entry import SEEDS, Entry, is_entry, read_entry
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
 from magical_mj.utils.errors import EvaluationError, SettingsError, counted, short_repr

@@ -9,10 +9,10 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Final
 
-from magical_mj.evaluation.entry import SHIFT_SEEDS, Demonstrations, track
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
+from magical_mj.leaderboard.entry import SHIFT_SEEDS, Demonstrations, track
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,

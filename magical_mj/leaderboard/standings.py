@@ -12,10 +12,10 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from magical_mj.envs.presets import PRESETS
-from magical_mj.evaluation.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.leaderboard.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS

@@ -21,7 +21,7 @@ from msgspec import Meta
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.settings import MUJOCO_VERSION
+from magical_mj.evaluation.scores import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.config import START, as_toml, from_toml, recorded, to_toml
 from magical_mj.learners.data import digest

@@ -6,7 +6,7 @@ is the prefix, and the object has the methods of `TaskLanguage`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint
 from typing import Final, Protocol
@@ -40,6 +40,10 @@ class TaskLanguage(Protocol):
 
     def members(self, text: str) -> tuple[str, ...]:
         """The texts of the tasks in the set with this name; empty if no set has this name."""
+        ...
+
+    def described(self, names: str) -> Iterable[str]:
+        """Lines about the tasks of sets and about single ones, separated by commas; "all" means all sets."""
         ...
 
 
@@ -83,3 +87,8 @@ def members(task: str) -> list[str]:
         return [task]
     prefix, _, text = task.partition(":")
     return [f"{prefix}:{member}" for member in _language(prefix).members(text)] or [task]
+
+
+def described_tasks(prefix: str, names: str) -> Iterable[str]:
+    """Lines about tasks of the language with this prefix; see `TaskLanguage.described`."""
+    return _language(prefix).described(names)

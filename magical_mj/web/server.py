@@ -1,4 +1,4 @@
-"""The server of the page of `magical-mj play --web`. Python simulates, and the browser draws poses.
+"""The server of the page of `magical-mj serve` and `collect`. Python simulates, and the browser draws poses.
 
 All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`. Others are rejected. The page talks to its own
 `PlayerSession` through a WebSocket. Browsers may open it only from a page of the server's own origin. Each

@@ -1,5 +1,5 @@
 // @ts-check
-/** The page for playing with a Python server: `magical-mj play --web --collect`, in headless Chromium. */
+/** The page for playing with a Python server: `magical-mj collect`, in headless Chromium. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtemp, readdir, readFile, writeFile } from "node:fs/promises";
@@ -13,8 +13,8 @@ import { barriers, launch } from "./browser.mjs";
 
 const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
 
-/** Starts a server on any free port. @param {string[]} options */
-const serve = (...options) => spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", ...options]);
+/** Starts a server on any free port: for a study if the first option is its folder. @param {string[]} options */
+const serve = (...options) => spawn(PYTHON, ["-m", "magical_mj", options[0]?.startsWith("--") ? "serve" : "collect", "--port", "0", ...options]);
 /** The address that a server prints. @param {import("node:child_process").ChildProcessByStdio<any, any, any>} server */
 const addressOf = async (server) => (await createInterface(server.stdout)[Symbol.asyncIterator]().next()).value;
 /** @param {import("playwright-core").Page} page @param {string} text */
@@ -24,7 +24,7 @@ const untilStatus = (page, text) => page.waitForFunction(
 async function study(folder, quotas) {
   const lines = Object.entries(quotas).map(([variant, wanted]) => `MoveToRegion-${variant} = ${wanted}`);
   await writeFile(`${folder}.toml`, ['shows = ["expert", "speed", "scenes"]', 'consent = "What you do is stored."', "[environments]", ...lines].join("\n"));
-  return ["--collect", folder, "--study", `${folder}.toml`];
+  return [folder, "--study", `${folder}.toml`];
 }
 /** Collects the confirmations that a page requests, and declines all. @param {import("playwright-core").Page} page */
 function questionsOf(page) {
@@ -90,7 +90,7 @@ test("a study counts its episodes, survives a restart within one, and keeps the 
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
   await writeFile(`${folder}.toml`, ['title = "Pushing blocks"', 'completion_code = "MAGIC-42"', "episodes = 2", "practice = 1",
     "[environments]", "MoveToRegion-Demo = 9"].join("\n"));
-  const options = ["--collect", folder, "--study", `${folder}.toml`];
+  const options = [folder, "--study", `${folder}.toml`];
   let server = serve(...options);
   const browser = await launch();
   try {

@@ -92,7 +92,7 @@ def test_every_command_works(tmp_path: Path) -> None:
     """In a read-only folder, isolated, without HOME and TMPDIR, in the C locale, with unusual file names."""
     run = [f"{' '.join(command)} " for command in COMMANDS]
     missing = [name for name in all_commands() if not any(words.startswith(f"{name} ") for words in run)]
-    # One serves a page until it is interrupted, like `play --web`; tests/learners/test_rewards.py runs the other.
+    # One serves a page until it is interrupted, like `serve`; tests/learners/test_rewards.py runs the other.
     assert missing == ["inspect", "evaluate-reward"]
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
     folder = tmp_path / f"two\nlines{'x' * 237}.png"

@@ -182,7 +182,7 @@ def test_without_a_display_it_says_so_and_makes_nothing(
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
     error = shell.fails(1, "play", task, "--record", "kept")
     assert "A window needs a display" in error
-    assert ("play --web" in error) == (task == "FindDupe")
+    assert ("magical-mj serve" in error) == (task == "FindDupe")
     assert not (tmp_path / "kept").exists()
 
 

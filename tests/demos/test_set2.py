@@ -14,8 +14,8 @@ import pytest
 import magical_mj
 from magical_mj.demos.shipped import FILES, SETS, stored_rows
 from magical_mj.evaluation import evaluate
-from magical_mj.evaluation.entry import Demonstrations, read_entry
 from magical_mj.leaderboard import submit, verify
+from magical_mj.leaderboard.entry import Demonstrations, read_entry
 from magical_mj.leaderboard.standings import gaps
 from magical_mj.learners import clone, train
 from magical_mj.learners.data import chosen

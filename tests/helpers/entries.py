@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from magical_mj.evaluation.entry import Card, Versions
 from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry
+from magical_mj.leaderboard.entry import Card, Versions
 from magical_mj.policies.interface import LETTERS
 from magical_mj.tasks.registry import ENVIRONMENTS
 from tests.helpers.evaluations import TEMPLATE

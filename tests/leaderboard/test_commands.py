@@ -11,11 +11,11 @@ import pytest
 from msgspec.structs import replace
 
 import magical_mj
-from magical_mj.evaluation.entry import packed, unpacked
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.leaderboard import read_entry, submit, verify
+from magical_mj.leaderboard.entry import packed, unpacked
 from magical_mj.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError, SettingsError

@@ -16,9 +16,9 @@ import pytest
 from msgspec.structs import replace
 
 import magical_mj
-from magical_mj.evaluation.entry import MOST_UNPACKED, Card, Demonstrations, Training, entry_files, packed, unpacked
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
+from magical_mj.leaderboard.entry import MOST_UNPACKED, Card, Demonstrations, Training, entry_files, packed, unpacked
 from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers.entries import EPISODES, check, recorded, rewrite, whole

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from magical_mj.evaluation.entry import Card, Privilege, packed, unpacked
 from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard import Entry
+from magical_mj.leaderboard.entry import Card, Privilege, packed, unpacked
 from magical_mj.leaderboard.page import UNDECIDED, tables, write_pages
 from magical_mj.leaderboard.standings import (
     ABOVE,

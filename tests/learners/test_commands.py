@@ -14,8 +14,8 @@ from rich.console import Console
 
 from magical_mj.cli import console
 from magical_mj.cli.app import run
-from magical_mj.cli.train import TrainingView, bars
 from magical_mj.learners import Progress
+from magical_mj.learners.cli.train import TrainingView, bars
 from magical_mj.learners.policy import POLICY
 from tests.helpers.learners import TINY
 

@@ -140,7 +140,7 @@ def test_an_experiment_tells_how_far_its_runs_are(
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
     for name in ("FIRST", "MINUTE"):
         monkeypatch.setattr(console, name, 0.01)
-    monkeypatch.setattr("magical_mj.cli.train.PAUSE", 0.02)
+    monkeypatch.setattr("magical_mj.learners.cli.train.PAUSE", 0.02)
     file = tmp_path / "e.toml"
     file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
     assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0

@@ -75,7 +75,7 @@ def test_an_intent_is_guessed_in_a_window(
         show(window, pictures, lines)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Window, "show", look)
-    assert main(["play", "intent:dev/14", "All", "--guess", "--size", "48"]) == 0
+    assert main(["guess", "intent:dev/14", "All", "--size", "48"]) == 0
     texts = [" ".join(lines) for lines in seen]
     assert ["Demonstration" in text for text in texts[:3]] == [True, True, False]
     during, after = texts[5], texts[-1]
@@ -84,4 +84,4 @@ def test_an_intent_is_guessed_in_a_window(
     assert puzzle.intent.sentence in after
     assert "score" in after
     assert puzzle.intent.sentence in capsys.readouterr().out
-    assert "--guess is for intents" in shell.fails(2, "play", "FindDupe", "--guess")
+    assert "guess is for intents" in shell.fails(2, "guess", "FindDupe")

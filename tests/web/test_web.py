@@ -261,25 +261,24 @@ def test_an_ipv6_address_is_played_at() -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ([], "give TASK"),
-        (["--web", "--tasks", "Tetris"], "Tetris"),
-        (["--web", "--wanted", "3"], "--wanted needs --collect"),
-        (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
-        (["FindDupe", "--web", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
-        (["FindDupe", "--web", "--collect", "study"], "the server chooses the environments"),
-        (["--web", "--seed", "5"], "--seed has an effect only with TASK"),
-        (["--web", "--origin", "https://[bad"], "such as https://study.example.org"),
-        (["--web", "--port", "99999"], "port"),
+        (["play"], "TASK"),
+        (["serve", "--tasks", "Tetris"], "Tetris"),
+        (["serve", "FindDupe", "--tasks", "MakeLine"], "not among"),
+        (["serve", "FindDupe", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
+        (["serve", "--seed", "5"], "--seed has an effect only with TASK"),
+        (["serve", "--origin", "https://[bad"], "such as https://study.example.org"),
+        (["collect", "out", "--port", "99999"], "port"),
+        (["collect", "out", "--study", "study.toml", "--wanted", "3"], "the study sets it"),
     ],
 )
 def test_wrong_options_are_explained(options: list[str], complaint: str, shell: Shell) -> None:
-    assert complaint in shell.fails(2, "play", *options)
+    assert complaint in shell.fails(2, *options)
 
 
 def test_an_unusable_host_or_port_is_an_error(shell: Shell) -> None:
-    assert "give another --host" in shell.fails(1, "play", "--web", "--host", "127..0.0.1")
+    assert "give another --host" in shell.fails(1, "serve", "--host", "127..0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        error = shell.fails(1, "play", "--web", "--port", taken.getsockname()[1])
+        error = shell.fails(1, "serve", "--port", taken.getsockname()[1])
     assert "cannot listen at this address" in error
     assert "--port 0" in error
 
@@ -287,11 +286,10 @@ def test_an_unusable_host_or_port_is_an_error(shell: Shell) -> None:
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
     """The process, the page's address and the folder in which it collects."""
-    command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0"]
     folder = tmp_path_factory.mktemp("collected")
     study = folder.parent / "study.toml"
     study.write_text('shows = ["scenes"]\n[environments]\nMoveToRegion-All = 3\nFindDupe-Demo = 3\n')
-    command += ["--collect", str(folder), "--study", str(study)]
+    command = [sys.executable, "-m", "magical_mj", "collect", str(folder), "--study", str(study), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield process, process.stdout.readline().strip(), folder

@@ -13,9 +13,9 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, is_entry
-from magical_mj.evaluation.folder import recorded_method, recorded_policies, recorded_settings
+from magical_mj.evaluation.folder import other_format, recorded_method, recorded_policies, recorded_settings
 from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.protocol import SEEDS, SHIFT_SEEDS
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
 from magical_mj.tasks import KNOWN
@@ -74,7 +74,7 @@ def _planned(folder: Path, settings: Settings, scores: pd.DataFrame) -> Iterator
     elif len(scores):
         seen = range(int(scores["seed"].min()), int(scores["seed"].max()) + 1)
         for group in scores[COLUMNS].drop_duplicates().itertuples(index=False, name=None):
-            yield group, range(SHIFT_SEEDS if group[-1] else SEEDS) if is_entry(folder) else seen
+            yield group, range(SHIFT_SEEDS if group[-1] else SEEDS) if other_format(folder) else seen
 
 
 def _groups(settings: Settings, played: Set[tuple[str, str]]) -> Iterator[Group]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
@@ -16,8 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
-from magical_mj.evaluation.entry import is_entry, read_entry
-from magical_mj.evaluation.folder import check_trainings, recorded_settings
+from magical_mj.evaluation.folder import check_trainings, other_format, recorded_settings
 from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.provenance import Provenance, provenance
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, difference
@@ -159,12 +158,8 @@ def episodes_of(
     `watch` is called with the number of replayed episodes, and their total number. For `trusted` and `jobs`, see
     `replay`.
     """
-    if is_entry(folder):
-        entry = read_entry(folder)
-        played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
-        episodes = (replace(episode, **played_with) for episode in entry.episodes)
-    else:
-        episodes = episodes_in(folder)
+    other = other_format(folder)
+    episodes = episodes_in(folder) if other is None else other.episodes(folder)
     if rules is None:
         yield from episodes
         return

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from magical_mj.evaluation.base import UNOFFICIAL
 from magical_mj.evaluation.reports.results import (
     PUBLISHED_EPISODES,
     PUBLISHED_RULES,
@@ -17,7 +18,6 @@ from magical_mj.evaluation.reports.results import (
     expected_environments,
 )
 from magical_mj.evaluation.reports.statistics import LEAST_RUNS, area, curve, half_lost
-from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.utils import escape

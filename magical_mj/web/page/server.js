@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * A connection to the server of `magical-mj play --web`: successive requests, each with one answer.
+ * A connection to the server of `magical-mj serve` and `collect`: successive requests, each with one answer.
  * @typedef {import("./scenes.js").Opener} Opener
  */
 import { moved } from "./scene.js";

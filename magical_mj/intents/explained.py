@@ -7,16 +7,24 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Annotated, Final, TypeVar
 from urllib.parse import quote
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from PIL import Image
 
-from magical_mj.evaluation.attribution import (
+from magical_mj.evaluation.folder import recorded_settings
+from magical_mj.evaluation.replay import engine_for
+from magical_mj.evaluation.reports.results import episodes_of
+from magical_mj.evaluation.reports.section import ReportSection, Write
+from magical_mj.evaluation.reports.tables import Table, csv, markdown
+from magical_mj.evaluation.scores import EpisodeResult, Key
+from magical_mj.intents.attribution import (
     FAILURES,
     Attribution,
     LastSolvable,
@@ -26,19 +34,14 @@ from magical_mj.evaluation.attribution import (
     task_rivals,
     unfit,
 )
-from magical_mj.evaluation.folder import recorded_settings
-from magical_mj.evaluation.replay import engine_for
-from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.tables import Table, csv, markdown
-from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import SettingsError, counted
+from magical_mj.utils.settings import Natural
 
-FOLDER: Final = "explained"
 PAGE: Final = "explained.md"
 SHOWN: Final = 5
 """The number of rivals in a table of the page; rivals.csv has all."""
@@ -327,3 +330,42 @@ def _sentence(task: str, rivals: Sequence[int]) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f}" if share else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainSection(ReportSection):
+    """The options `--explain` and `--last-solvable` of `magical-mj report`."""
+
+    title = "Which goal did a policy pursue?"
+    folder = "explained"
+    option = "explain"
+
+    explain: Annotated[
+        bool, Meta(description="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md.")
+    ] = False
+    last_solvable: Annotated[
+        Natural,
+        Meta(
+            description="With --explain: for so many failed episodes of each policy, task and variant, the last step "
+            "from which the expert still solves it. Each takes seconds."
+        ),
+    ] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.last_solvable and not self.explain:
+            raise SettingsError("--last-solvable has an effect only with --explain")
+
+    def prepare(
+        self,
+        folders: Sequence[Path],
+        rules: Rules | None,
+        trusted: Collection[str],
+        *,
+        jobs: int | None,
+        watch: Callable[[int, int], object],
+    ) -> Write:
+        """Explains the episodes; see `explain` and `write_explanation`."""
+        return partial(
+            write_explanation, explain(folders, rules, trusted, lost=self.last_solvable, jobs=jobs, watch=watch)
+        )

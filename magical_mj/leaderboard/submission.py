@@ -8,7 +8,10 @@ from typing import Final
 
 import msgspec
 
-from magical_mj.evaluation.entry import (
+from magical_mj.evaluation.folder import check_trainings, folders_of, recorded_policies, recorded_settings
+from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation.scores import EpisodeResult, read
+from magical_mj.leaderboard.entry import (
     GIVEN,
     SUFFIX,
     Card,
@@ -20,9 +23,6 @@ from magical_mj.evaluation.entry import (
     undeclared,
     unpacked,
 )
-from magical_mj.evaluation.folder import check_trainings, folders_of, recorded_policies, recorded_settings
-from magical_mj.evaluation.replay import obstacle
-from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils import files

@@ -80,7 +80,7 @@ def experiment(
                 progress.update(bar, completed=done, latest="")
 
 
-option.add_options(experiment, EvaluationSettings, "backend", "address")
+option.add_options(experiment, EvaluationSettings, only=("backend", "address"))
 
 
 def train(
@@ -154,7 +154,7 @@ def _describe_demonstrations(screen: Console, settings: TrainingSettings) -> Non
         )
 
 
-option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
+option.add_options(train, TrainingSettings, only=("seed", "augment", "preset", "device"))
 
 
 def export(

@@ -15,7 +15,9 @@ from PIL import Image
 
 import magical_mj
 from magical_mj import Engine, demos
-from magical_mj.evaluation.attribution import (
+from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.intents import EIGHT, parse
+from magical_mj.intents.attribution import (
     FAILURES,
     Attribution,
     Unexplained,
@@ -25,12 +27,10 @@ from magical_mj.evaluation.attribution import (
     task_rivals,
     unfit,
 )
-from magical_mj.evaluation.entry import read_entry
-from magical_mj.evaluation.reports.explained import Explanation, write_explanation
-from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.intents import EIGHT, parse
 from magical_mj.intents.contrast import simplest_rivals
+from magical_mj.intents.explained import Explanation, write_explanation
 from magical_mj.intents.readings import ENDINGS, READINGS
+from magical_mj.leaderboard.entry import read_entry
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import actions_of, letters_of
 from magical_mj.scene.actions import NOOP

@@ -14,11 +14,11 @@ import magical_mj
 from magical_mj.demos import stored
 from magical_mj.evaluation import Episode, EvaluationSettings
 from magical_mj.evaluation.folder import SETTINGS
-from magical_mj.evaluation.given import demonstrations_given, digest_of, other_tasks, with_states
 from magical_mj.evaluation.reports.results import results
 from magical_mj.evaluation.reports.tables import control_tables, result_tables
 from magical_mj.evaluation.scores import read
 from magical_mj.intents import EIGHT
+from magical_mj.intents.given import demonstrations_given, digest_of, other_tasks, with_states
 from magical_mj.leaderboard import check_entries, read_entry, submit
 from magical_mj.leaderboard.standings import standing
 from magical_mj.policies.interface import NEUTRAL

@@ -1,6 +1,6 @@
 """Leaderboard entries: the evaluations of one method in one file, with a descriptive card and a hash of everything.
 
-`magical_mj.evaluation.submission` makes entries. `read_entry` reads them, and trusts nothing in the file.
+`magical_mj.leaderboard.submission` makes entries. `read_entry` reads them, and trusts nothing in the file.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import json
 import lzma
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from itertools import chain
 from operator import attrgetter
@@ -21,7 +22,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.protocol import PROTOCOL
+from magical_mj.protocol import PROTOCOL, SEEDS, SHIFT_SEEDS
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
@@ -40,10 +41,6 @@ GIVEN: Final = "demonstrations at test"
 """The privilege of methods whose policies receive demonstrations."""
 OTHER_SCENES: Final = "other scenes"
 """The privilege of methods that learn in other scenes than the demo scene."""
-SEEDS: Final = 100
-"""The number of episodes in each environment that the protocol requires."""
-SHIFT_SEEDS: Final = 50
-"""The number of episodes under each shift of the track."""
 MOST_OF_ENTRY: Final = 20_000_000
 """The largest size of an entry's file in bytes. Ours have 2 MB at most."""
 MOST_UNPACKED: Final = 60_000_000
@@ -386,3 +383,20 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
             numbers.add((episode.run, episode.seed))
             episodes.append(episode)
     return episodes
+
+
+class Entries:
+    """Entries in reports; see `magical_mj.evaluation.folder.ResultFormat`."""
+
+    def holds(self, path: Path) -> bool:
+        """Whether the path is an entry."""
+        return is_entry(path)
+
+    def episodes(self, path: Path) -> Iterator[EpisodeResult]:
+        """The episodes of an entry, with the versions of all of them."""
+        entry = read_entry(path)
+        played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
+        return (replace(episode, **played_with) for episode in entry.episodes)
+
+
+ENTRIES: Final = Entries()

@@ -1,0 +1,66 @@
+"""Sections that additions add to reports: their options, and a folder with a page of their own.
+
+An installed package announces a section by an entry point, ``explain = "magical_mj.intents.explained:ExplainSection"``,
+which refers to a subclass of `ReportSection`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import ClassVar, Final
+
+from magical_mj.evaluation.scores import Key
+from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.imports import announced, imported
+from magical_mj.utils.settings import Settings
+
+SECTION_GROUP: Final = "magical_mj.report_sections"
+"""The entry-point group of sections."""
+
+Write = Callable[[Path, Mapping[Key, str]], Path]
+"""Writes the files of a section into a folder, over those of an earlier report, and returns its page. The mapping has
+the paths of episodes' films, relative to the folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportSection(Settings):
+    """A section. The fields of a subclass are options of `magical-mj report`."""
+
+    title: ClassVar[str]
+    """The text of the report's link."""
+    folder: ClassVar[str]
+    """The folder of its files in the report."""
+    option: ClassVar[str]
+    """The option that asks for it."""
+
+    @property
+    def wanted(self) -> bool:
+        """Whether its option was given."""
+        return bool(getattr(self, self.option))
+
+    def prepare(
+        self,
+        folders: Sequence[Path],
+        rules: Rules | None,
+        trusted: Collection[str],
+        *,
+        jobs: int | None,
+        watch: Callable[[int, int], object],
+    ) -> Write:
+        """Computes everything, and returns the function that writes it. Errors come before anything is written.
+
+        `watch` is called with a number of episodes, and the total. The other arguments are those of
+        `magical_mj.evaluation.reports.report.report`.
+        """
+        raise NotImplementedError
+
+
+@cache
+def announced_sections() -> tuple[type[ReportSection], ...]:
+    """The sections of installed packages."""
+    points = announced("report section", SECTION_GROUP, (), str.isidentifier, 'mine = "package.module:MySection"')
+    return tuple(imported("report section", name, point, EvaluationError) for name, point in points.items())

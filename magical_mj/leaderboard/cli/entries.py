@@ -1,0 +1,119 @@
+"""`magical-mj verify`, `submit` and `leaderboard`: checks by replaying, entries, and the page."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import typer
+from typer import Argument, Option
+
+from magical_mj.cli import option
+from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
+from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
+from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
+from magical_mj.leaderboard.entry import entry_files
+from magical_mj.leaderboard.page import check_free, write_pages
+from magical_mj.leaderboard.standings import gaps, standings
+from magical_mj.utils.errors import EvaluationError, counted
+from magical_mj.utils.extras import check_extra
+
+SHOWN: Final = 20
+"""The largest number of problems that are printed. The others are counted."""
+
+
+def verify_folders(folders: option.Folders, jobs: option.Jobs = None, trusted: option.Trusted = "") -> None:
+    """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
+    screen, names = console(), ", ".join(map(str, folders))
+    with counting(screen, f"replaying {names}") as watch:
+        findings = verify(*folders, jobs=jobs, watch=watch, trusted=trusted.split(","))
+    screen.print(f"{counted(findings.episodes, 'episode')} replayed")
+    if _printed_problems(names, findings):
+        raise typer.Exit(1)
+    screen.print("complete, and all scores are confirmed")
+
+
+def make_entry(
+    folders: Annotated[list[Path], Argument(help="Folders of evaluations of one method.")],
+    out: Annotated[Path, Option(help="The entry's file, ending in .json.xz.")],
+    card: Annotated[Path | None, Option(help="A TOML file that describes the method; see docs/leaderboard.md.")] = None,
+    policy: Annotated[str | None, Option(help="The method to submit, if the folders hold several.")] = None,
+) -> None:
+    """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
+    make_writable_folder(out.parent)
+    entry = submit(folders, out, card=card, policy=policy)
+    facts = msgspec.to_builtins(entry.card)
+    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in facts.items()}
+    unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]
+    size = out.stat().st_size / 1e6
+    screen = console()
+    episodes, runs = counted(len(entry.episodes), "episode"), counted(len(entry.runs), "run")
+    screen.print(f"{entry.method}: {episodes} of {runs}, {size:.2f} MB")
+    if unsaid:
+        screen.print(f"the card lacks: {', '.join(unsaid)} (--card)", soft_wrap=True)
+    missing = gaps(entry)
+    if missing:
+        screen.print(f"a partial entry: {', '.join(missing)}", soft_wrap=True)
+    screen.print(out, soft_wrap=True)
+
+
+def make_leaderboard(
+    context: typer.Context,
+    folder: Annotated[Path, Argument(help="The folder with the entries (*.json.xz), or one.")],
+    out: Annotated[Path, Option(help="The folder for the pages.")] = Path("out/leaderboard"),
+    replay: Annotated[int, Option(min=1, help="The most episodes of an entry to replay.")] = MOST_REPLAYED,
+    everything: Annotated[
+        bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")
+    ] = False,
+    seed: Annotated[int | None, Option(min=0, help="The seed of the sample.", show_default="random")] = None,
+    jobs: option.Jobs = None,
+) -> None:
+    """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
+    check_extra("leaderboards", "eval")
+    check_fits(context, not everything, "without --all", "seed", "replay")
+    paths = entry_files(folder)
+    check_free(make_writable_folder(out))
+    screen = console()
+    seed = secrets.randbits(32) if seed is None else seed
+    if not everything:
+        screen.print(
+            f"replaying {SHARE:.0%} of each entry, {counted(replay, 'episode')} at most; "
+            f"--seed {seed} repeats this sample"
+        )
+    entries: dict[str, Entry] = {}
+    for path in paths:
+        try:
+            entries[path.name] = read_entry(path)
+        except EvaluationError as error:
+            complain(str(error))
+    with counting(screen, "replaying episodes") as watch:
+        findings = check_entries(entries, most=None if everything else replay, seed=seed, jobs=jobs, watch=watch)
+    good: dict[str, Entry] = {}
+    for name, entry in entries.items():
+        replayed = counted(findings[name].episodes, "episode")
+        screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
+        owner = next((other for other in good if good[other].method == entry.method), None)
+        if owner is not None and good[owner].rules == entry.rules:
+            complain(f"{name} is not shown: {owner} has a method of the same name, {entry.method}")
+        elif not _printed_problems(name, findings[name]):
+            good[name] = entry
+    for page in write_pages(standings(list(good.values())), out):
+        screen.print(page, soft_wrap=True)
+    if bad := len(paths) - len(good):
+        raise EvaluationError(f"entries that failed the checks and are not on the page: {bad}")
+
+
+def _printed_problems(name: str, findings: Findings) -> bool:
+    """Prints the problems. Returns whether there are any."""
+    for problems, what in (
+        (findings.unfit, "does not fit"),
+        (findings.differing, "differs"),
+        (findings.missing, "is incomplete"),
+    ):
+        for problem in problems[:SHOWN]:
+            complain(f"{name} {what}: {problem}")
+        if len(problems) > SHOWN:
+            complain(f"{name} {what}: {len(problems) - SHOWN} more")
+    return not findings.good
