@@ -225,7 +225,7 @@ def test_old_and_unknown_arguments_say_what_to_give() -> None:
         assert envs(REGION, 1, use_dense_reward=True).envs[0].reward == "dense"
     for name in (REGION, SWEEP, "magical_mj/MatchRegions-Longstick-State-Allo-Demo-v0"):
         with pytest.raises(
-            UnknownNameError, match=r"unknown argument of the environment 'use_dense_rewrd'\. Did you mean 'reward'"
+            UnknownNameError, match=r"unexpected keyword argument 'use_dense_rewrd'\. Did you mean 'reward'"
         ):
             made(name, use_dense_rewrd=True)
         with pytest.raises(SettingsError, match="use_dense_reward is the old name of reward: give only reward"):
@@ -234,9 +234,7 @@ def test_old_and_unknown_arguments_say_what_to_give() -> None:
         (magical_mj.load, "FindDupe"),
         (magical_mj.load_scene, magical_mj.sample_scene("FindDupe", "Demo", 0)),
     ):
-        with pytest.raises(
-            UnknownNameError, match=r"unknown argument of the environment 'rendrer'\. Did you mean 'rend"
-        ):
+        with pytest.raises(UnknownNameError, match=r"unexpected keyword argument 'rendrer'\. Did you mean 'rend"):
             load(first, rendrer="software")
     with pytest.warns(FutureWarning, match="use_dense_reward is deprecated: give reward='dense'"):
         magical_mj.load(task="FindDupe", use_dense_reward=True).close()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from gymnasium.vector import AutoresetMode
 
 from magical_mj.shifts.registry import Shifts
-from magical_mj.tasks.registry import environments, task_spec
+from magical_mj.tasks.registry import given_environments, task_spec
 from magical_mj.tasks.spec import Reward, Rules
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr
 from magical_mj.utils.extras import check_extra
@@ -46,7 +46,9 @@ def make(
 
     Args:
         task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
-        variant: a variant, or several. The environments alternate between the existing pairs of task and variant.
+        variant: a variant, or several. The environments alternate between the existing pairs of task and variant, task
+            by task in the given order; a name that is given twice counts twice. `tasks` and `variants` of the result
+            are those of each environment.
         num_envs: the number of environments, at least one for each pair.
         preset: the preset of the observations, one of `magical_mj.envs.presets.PRESETS`.
         device: "cuda", "cuda:1" or "cpu" (slow, for tests).
@@ -73,7 +75,7 @@ def make(
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
         if as_integer(value, least) is None:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {short_repr(value)}")
-    pairs = environments(task, variant)
+    pairs = given_environments(task, variant)
     for name, _ in pairs:
         if task_spec(name).trajectory:
             raise SettingsError(

@@ -64,6 +64,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     contacts than the allocated maximum, so that some were lost).
 
     Attributes:
+        tasks: the task of each environment.
+        variants: the variant of each environment.
         physics: the simulation of all environments.
         observer: the object that computes observations of the simulation.
         sampler: samples the scenes of episodes.
@@ -104,6 +106,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._specs = [task_spec(task) for task, _ in pairs]
 
         self.num_envs = len(pairs)
+        self.tasks, self.variants = (tuple(names) for names in zip(*pairs, strict=True))
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
         self._reward, self._same_step = reward, autoreset_mode == AutoresetMode.SAME_STEP
         self._kind = {

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace as changed
 from math import isnan
-from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, Final
@@ -178,7 +177,7 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 
 def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
     """Prints the mean scores over tasks: by variant, and by strength of each shift. Then prints the failures."""
-    rows = frame(scores).assign(method=[score.method for score in sorted(scores, key=attrgetter("key"))])
+    rows = frame(scores).assign(method=[score.method for score in scores])
     axis, strength = (rows["shift"].str.rpartition(":")[part] for part in (0, 2))
     rows["heading"] = axis.mask(axis.str.contains("+", regex=False), "several shifts").mask(axis == "", "mean score")
     rows["column"] = strength.mask(rows["heading"] == "several shifts", rows["shift"]).mask(axis == "", rows["variant"])
@@ -223,7 +222,7 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
             )
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
         with open_scores(out) as scores:
-            scores.truncate(0)
+            scores.clear()
     evaluation = Evaluation(TOURED, settings)  # writes the settings, which identify the folder
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, 128, settings.renderer).save(unfinished)

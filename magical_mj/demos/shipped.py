@@ -31,7 +31,7 @@ from magical_mj.demos.demonstration import Demonstration, files_in, read, unpack
 from magical_mj.demos.stored import Stored
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec
-from magical_mj.utils.errors import DemonstrationError, SettingsError, unknown_name
+from magical_mj.utils.errors import DemonstrationError, MissingFileError, SettingsError, unknown_name
 
 FOLDER: Final = Path(__file__).parent / "data"
 DemonstrationSet = Literal[1, 2, "graded"]
@@ -100,8 +100,9 @@ def _none_found(task: str, folder: Path | str | None, body: str) -> Demonstratio
     """The error if there are no demonstrations of a task with a body, in a folder or in the package."""
     quoted, plan = shlex.quote(task), task_spec(task).plan
     command = f"play {quoted} --record" if plan is None else f"demos generate --tasks {quoted} --out"
+    kind = DemonstrationError
     if folder is not None:
-        absent = "" if Path(folder).exists() else ", which does not exist"
+        kind, absent = (kind, "") if Path(folder).exists() else (MissingFileError, ", which does not exist")
         where = f"in {folder}{absent}: make some with magical-mj {command} {folder}"
     else:
         where = (
@@ -109,7 +110,7 @@ def _none_found(task: str, folder: Path | str | None, body: str) -> Demonstratio
             "demonstrations=FOLDER in its TaskSpec"
         )
     by = "" if body == GRIPPER else f" with the body {body!r}"
-    return DemonstrationError(f"there are no demonstrations of {task}{by} {where}")
+    return kind(f"there are no demonstrations of {task}{by} {where}")
 
 
 def of_demo_scene(demonstrations: Sequence[Demonstration], origin: str) -> list[Demonstration]:

@@ -22,7 +22,7 @@ from magical_mj.shifts.registry import Shifts, shift_class, split_body
 from magical_mj.shifts.shift import overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import ClosedError, PhysicsError, SettingsError, StateError
+from magical_mj.utils.errors import ClosedError, CopyError, PhysicsError, SettingsError, StateError
 from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
@@ -260,9 +260,9 @@ class Engine(Simulation):
         return self.setup, self.shifts, *episode, self.renderer
 
     def _check_model(self, expected: mujoco.MjModel) -> None:
-        """Raises a `StateError` if the model differs from that of an unchanged engine in this episode."""
+        """Raises a `CopyError` if the model differs from that of an unchanged engine in this episode."""
         if changes := different_numbers(self.model, expected):
-            raise StateError(
+            raise CopyError(
                 f"the engine's model was changed by hand ({', '.join(changes[:5])}), and a copy would lack that: "
                 "change it in a shift of your own (docs/adding-a-shift.md), which copies have as well"
             )

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from magical_mj.utils.errors import SettingsError, closest, short_repr, unknown_name
+from magical_mj.utils.errors import SettingsError, closest, short_repr, unknown_argument
 
 _Made = TypeVar("_Made", bound=Callable[..., Any])
 
@@ -39,7 +39,7 @@ def with_old_names(make: _Made) -> _Made:
     """An environment's `__init__`, or a function that makes one, that also accepts the `OLD_NAMES`, with a warning.
 
     Raises:
-        UnknownNameError: for any other unknown argument.
+        UnknownArgumentError: for any other unknown argument.
         SettingsError: if an argument is given by both names.
     """
     known = [name for name in inspect.signature(make).parameters if name != "self"]
@@ -58,7 +58,7 @@ def with_old_names(make: _Made) -> _Made:
             elif "settings" not in known:  # `settings` are passed on to another `__init__`, which checks them
                 meant = closest(name, (*known, *OLD_NAMES))
                 meant = OLD_NAMES[meant][0] if meant in OLD_NAMES else meant
-                raise unknown_name("argument of the environment", name, known, meant)
+                raise unknown_argument(name, known, meant)
         return make(*arguments, **settings)
 
     return accepting  # type: ignore[return-value]

@@ -31,6 +31,7 @@ from magical_mj.policies.interface import (
     BatchPolicy,
     Episode,
     PolicyError,
+    act,
     begin,
     is_over,
     policy_errors,
@@ -97,8 +98,9 @@ def rollouts(
     Args:
         env: one of the package's environments (with or without wrappers), or a vector environment of one of them. Its
             action space must be the 18 discrete actions.
-        policy: the agent. In a single environment, it takes single observations. In a vector environment, a
-            `BatchPolicy` acts for all environments at once; any other policy is copied for each environment.
+        policy: the agent. In a single environment, it takes single observations, or batches of one. In a vector
+            environment, a `BatchPolicy` acts for all environments at once; any other policy is copied for each
+            environment.
         episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
@@ -117,13 +119,11 @@ def rollouts(
             )
             for episode, outcome in zip(wave, outcomes, strict=True):
                 yield EpisodeResult.of(episode, outcome, split=split_of(episode.seed), **facts)
-    elif callable(policy):
+    else:
         for episode in episodes:
             outcome = play_episode(env, policy, replace(episode, task=policy_task(episode.task, policy)))
             scene = engine_of(env).initial_scene.digest()
             yield EpisodeResult.of(episode, outcome, scene=scene, split=split_of(episode.seed), **facts)
-    else:
-        raise EvaluationError(f"{type(policy).__name__} takes only batches, but the environment is a single one")
 
 
 def _checked_facts(
@@ -191,7 +191,7 @@ def engine_of(env: Env) -> Engine:
     return engine
 
 
-def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.inf) -> Outcome:
+def play_episode(env: Env, policy: Act | BatchPolicy, episode: Episode, seconds: float = math.inf) -> Outcome:
     """Plays one episode. If the policy fails, its score is 0.
 
     A policy fails if it raises an error, makes the simulation unstable, or has not finished within `seconds`. The time
@@ -214,7 +214,7 @@ def play_episode(env: Env, policy: Act, episode: Episode, seconds: float = math.
             begin(policy, replace(episode, env=given))
         while not over:
             with policy_errors(), _unchanged(given):
-                action = action_number(policy(_with_instruction(observation, replacement)))
+                action = action_number(act(policy, _with_instruction(observation, replacement)))
             check_time()
             result = env.step(action)
             outcome.actions.append(action)

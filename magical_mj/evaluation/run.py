@@ -52,8 +52,8 @@ def evaluate(
         settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
-        A pandas frame with a row for each episode. Its columns are the fields of
-        `magical_mj.evaluation.EpisodeResult`.
+        A pandas frame with a row for each episode: policy by policy, then by environment, seed and shift, in the given
+        order. Its columns are the fields of `magical_mj.evaluation.EpisodeResult`.
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation; or if
@@ -69,7 +69,7 @@ def evaluate(
     evaluation = Evaluation(named, with_values(EvaluationSettings, settings))
     for result in evaluation.play():
         watch(result)
-    return frame(evaluation.scores)
+    return frame(evaluation.in_order())
 
 
 def _signature() -> inspect.Signature:
@@ -131,6 +131,19 @@ class Evaluation:
     def steps(self) -> int:
         """The number of actions in the remaining units."""
         return sum(unit.steps(self.settings.rules) for unit in self.units)
+
+    def in_order(self) -> list[EpisodeResult]:
+        """The results of the finished episodes, in the order of the policies, environments, seeds and shifts."""
+        policies = [(source.name, source.run) for source in self._sources]
+        pairs = self.settings.environments
+        shifts = {task: self.settings.shift_labels(task, self._sources) for task, _ in pairs}
+
+        def place(result: EpisodeResult) -> tuple[int, int, int, int]:
+            policy, pair = (result.policy, result.run), (result.task, result.variant)
+            shift = shifts[result.task].index(result.shift)
+            return policies.index(policy), pairs.index(pair), result.seed, shift
+
+        return sorted(self.scores, key=place)
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""

@@ -23,7 +23,7 @@ from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import EVERY_VARIANT
-from magical_mj.utils.errors import EvaluationError, check_name, short_repr
+from magical_mj.utils.errors import EvaluationError, MissingFileError, check_name, short_repr
 from magical_mj.utils.lines import Appender, appending, read_lines
 
 SCORE_TOLERANCE: Final = 1e-9
@@ -210,7 +210,7 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
         if loader_in(folder) is not None:  # a training's folder
             remedy = f"it holds a policy: magical-mj evaluate --policy {folder} --out ANOTHER evaluates it"
         problem = f"holds no {SCORES}" if folder.exists() else "does not exist"
-        raise EvaluationError(f"{folder} {problem}; {remedy}")
+        raise MissingFileError(f"{folder} {problem}; {remedy}")
     known: dict[tuple[Any, ...], int] = {}
     names: dict[str, str] = {}
     retried = _retried(path)
@@ -250,10 +250,10 @@ def _parse_line(path: Path, number: int, line: bytes) -> EpisodeResult:
 
 
 def frame(results: Sequence[EpisodeResult]) -> Any:
-    """The episodes as a pandas frame, one row each, in a fixed order."""
+    """The episodes as a pandas frame, one row each."""
     import pandas as pd
 
-    rows = [dataclasses.asdict(result) for result in sorted(results, key=lambda result: result.key)]
+    rows = [dataclasses.asdict(result) for result in results]
     return pd.DataFrame(rows, columns=list(_FIELDS)).astype({"other_score": float})
 
 

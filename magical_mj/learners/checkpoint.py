@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from magical_mj.utils import files
-from magical_mj.utils.errors import TrainingError
+from magical_mj.utils.errors import MissingFileError, TrainingError
 
 TENSOR: Final = "tensor:"
 """The prefix of a string in the JSON that refers to a tensor by name."""
@@ -38,6 +38,8 @@ def read(path: Path) -> dict[str, Any]:
             state = _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
         if not isinstance(state, dict):
             raise TypeError(f"it contains a {type(state).__name__} instead of values by name")
+    except FileNotFoundError as error:
+        raise MissingFileError(f"cannot read {path}: {error}") from error
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise TrainingError(f"cannot read {path}: {error}") from error
     return state

@@ -17,7 +17,7 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.loading import CONFIG
 from magical_mj.policies.models import check_tasks, check_variants
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
+from magical_mj.utils.errors import MissingFileError, SettingsError, TrainingError, as_integer, short_repr
 
 PREFIX: Final = "torso.convolutions."
 """The prefix of the encoder's weights among those of a policy."""
@@ -108,7 +108,7 @@ def _of_run(folder: Path) -> Encoder:
 
 def _in_file(path: Path) -> Encoder:
     if not path.exists():
-        raise SettingsError(
+        raise MissingFileError(
             f"bc.encoder={path} does not exist: give the folder of a training, or a file written by save_encoder"
         )
     try:

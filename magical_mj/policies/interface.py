@@ -122,7 +122,10 @@ class Policy(Protocol):
 
 @runtime_checkable
 class BatchPolicy(Protocol):
-    """An agent that acts in several episodes at once, in vector environments."""
+    """An agent that acts in several episodes at once, in vector environments. It needs no other methods.
+
+    The optional attributes are those of a `Policy`. If it also has `__call__` and `reset`, they play single episodes.
+    """
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
         """Called before the episodes. They start together."""
@@ -152,13 +155,30 @@ def is_over(result: Any) -> bool:
     return bool(np.any(terminated) or np.any(truncated))
 
 
-def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
-    """Calls the policy's `reset`. If it has none, calls its `reset_batch` if that exists."""
+def begin(policy: Act | BatchPolicy, episode: Episode) -> None:
+    """Starts an episode that is played alone by the policy's `reset`, or otherwise by its `reset_batch`, if it has one.
+
+    If it has no `__call__`, it acts by `act_batch`, and therefore starts by `reset_batch`.
+    """
     reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
-    if reset is not None:
+    if reset is not None and callable(policy):
         reset(episode)
     elif reset_batch is not None:
         reset_batch([episode])
+
+
+def act(policy: Act | BatchPolicy, observation: Any) -> Any:
+    """The action for one observation. A policy without `__call__` receives a batch of one."""
+    if isinstance(policy, BatchPolicy) and not callable(policy):
+        return policy.act_batch(batch_of_one(observation))[0]
+    return policy(observation)
+
+
+def batch_of_one(observation: Any) -> Any:
+    """An observation as vector environments return it. Dicts of observations stay dicts; texts become tuples."""
+    if isinstance(observation, Mapping):
+        return {name: batch_of_one(part) for name, part in observation.items()}
+    return (observation,) if isinstance(observation, str) else np.asarray(observation)[None]
 
 
 def uses_simulation(policy: object) -> bool:

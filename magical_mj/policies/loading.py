@@ -32,7 +32,7 @@ from magical_mj.policies.interface import (
 from magical_mj.policies.models import LOADERS, Shape, check_set, check_tasks, check_variants
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
-from magical_mj.utils.errors import SettingsError, short_repr, unknown_name
+from magical_mj.utils.errors import MissingFileError, SettingsError, short_repr, unknown_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import announced, imported, reference_in_folder, source_digest, source_of
 
@@ -127,7 +127,7 @@ class Source:
             return AGENTS[self.origin]()
         path = Path(self.origin)
         if not path.exists() and path.suffix in (*LOADERS, *WEIGHTS):
-            raise SettingsError(f"the file {path} does not exist")
+            raise MissingFileError(f"the file {path} does not exist")
         if path.suffix in LOADERS:
             if not path.is_file():
                 raise SettingsError(f"{path} is not a plain file: it is a folder, a pipe or a device")
@@ -140,7 +140,7 @@ class Source:
         if path.suffix in WEIGHTS:
             raise SettingsError(f"{path} contains the weights of a network, but not its code. {TORCH}")
         if not path.exists() and len(path.parts) > 1:
-            raise SettingsError(f"the file or folder {path} does not exist")
+            raise MissingFileError(f"the file or folder {path} does not exist")
         files = (f"FILE{suffix}" for suffix in LOADERS)
         allowed = (*AGENTS, "module:object", *files, "a run's folder")
         raise unknown_name("policy", self.origin, allowed, reference_in_folder(self.origin, _POLICY))
@@ -392,7 +392,7 @@ def check_policy(policy: Any, name: str) -> None:
         )
     if "torch.nn.modules.module" in modules:
         raise SettingsError(f"{name} is a network, whose input is a tensor. {TORCH}")
-    if not callable(policy):
+    if not callable(policy) and not isinstance(policy, BatchPolicy):
         raise SettingsError(
             f"{name} is not a policy: it is of the type {type(policy).__name__}, and cannot be called; give one "
             f"of {ACCEPTED_POLICIES}, or a function"

@@ -27,7 +27,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj.policies.interface import HISTORY, Episode, History, reason
+from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import EVERY_VARIANT
@@ -101,9 +101,7 @@ class Model:
 
     def __call__(self, observation: Any) -> Any:
         """The action for one observation."""
-        if isinstance(observation, dict):
-            return self.act_batch({name: value[None] for name, value in observation.items()})[0]
-        return self.act_batch(observation[None])[0]
+        return self.act_batch(batch_of_one(observation))[0]
 
 
 class _Predicting(Model):

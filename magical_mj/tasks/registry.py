@@ -165,7 +165,7 @@ def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
 
 
 def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
-    """The existing (task, variant) pairs of these tasks and variants, first the benchmark's in its order, then others.
+    """The existing (task, variant) pairs of these tasks and variants, task by task in the given order, each once.
 
     Args:
         tasks: names for `listed_tasks`.
@@ -176,9 +176,14 @@ def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
         UnknownNameError: if a name is unknown, or none of the pairs exists.
         TaskError: if the task of another package is invalid.
     """
-    chosen = in_order(listed_tasks(tasks))
+    return list(dict.fromkeys(given_environments(tasks, variants)))
+
+
+def given_environments(tasks: Names, variants: Names) -> list[Pair]:
+    """`environments` with repetitions, where tasks or variants are repeated. It raises the same errors."""
+    chosen = listed_tasks(tasks)
     wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    pairs = [(task, variant) for task in chosen for variant in variants_of(task_spec(task)) if variant in wanted]
+    pairs = [(task, variant) for task in chosen for variant in wanted if variant in variants_of(task_spec(task))]
     if not pairs:
         environment_axes(chosen[0], wanted[0])  # its error lists the task's variants
     return pairs

@@ -1,4 +1,7 @@
-"""The exceptions of this package. Their messages say what was wrong, what is allowed, and what to do."""
+"""The exceptions of this package. Their messages say what was wrong, what is allowed, and what to do.
+
+Each is also the built-in exception that Python raises in such a case, since other libraries try calls and catch it.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,14 @@ class MagicalError(Exception):
 
 class UnknownNameError(MagicalError, ValueError):
     """An unknown name, for example of a task, variant, preset, view, policy, method or setting."""
+
+
+class UnknownArgumentError(UnknownNameError, TypeError):
+    """An unknown keyword argument, or an unknown setting, which functions accept as keyword arguments."""
+
+
+class UnknownReferenceError(UnknownNameError, ImportError):
+    """A reference such as "package.module:NAME" whose module or object does not exist."""
 
 
 class TaskError(MagicalError, ValueError):
@@ -59,16 +70,24 @@ class UntrustedNameError(MagicalError, ValueError):
     """
 
     def __init__(self, reference: str, origin: object) -> None:
-        super().__init__(
+        super().__init__(reference, str(origin))  # the arguments, for pickling
+        self.reference = reference
+
+    def __str__(self) -> str:
+        reference, origin = self.args
+        return (
             f"{origin} refers to {reference}, and using it runs that module's code. If you trust it, name it as well: "
             f"--tasks {reference}, or --trusted {reference} where the command has that option; in Python "
             f"trusted=[{reference!r}]"
         )
-        self.reference = reference
 
 
 class StateError(MagicalError, ValueError):
-    """A state that is damaged or does not fit, or an environment that cannot be copied."""
+    """A state that is damaged or does not fit."""
+
+
+class CopyError(StateError, TypeError):
+    """An environment that cannot be copied or pickled."""
 
 
 class ClosedError(MagicalError, RuntimeError):
@@ -103,12 +122,24 @@ class TrainingError(MagicalError, RuntimeError):
     """A training run, or its files, that cannot be continued."""
 
 
+class MissingFileError(SettingsError, TrainingError, EvaluationError, DemonstrationError, FileNotFoundError):
+    """A file or folder that does not exist. It is also the error for one that exists and is not usable."""
+
+
 def unknown_name(kind: str, name: object, allowed: Iterable[str], meant: str = "") -> UnknownNameError:
     """The error for a `name` that is not among the `allowed`. It suggests `meant`, or otherwise the closest name."""
-    allowed = tuple(allowed)
+    return UnknownNameError(f"unknown {kind} {short_repr(name)}.{_allowed(name, tuple(allowed), meant)}")
+
+
+def unknown_argument(name: str, allowed: Iterable[str], meant: str = "") -> UnknownArgumentError:
+    """The error for an unknown keyword argument. It begins like Python's, whose text some libraries look for."""
+    return UnknownArgumentError(f"unexpected keyword argument {name!r}.{_allowed(name, tuple(allowed), meant)}")
+
+
+def _allowed(name: object, allowed: Sequence[str], meant: str) -> str:
     meant = meant or closest(name, allowed)
     hint = f" Did you mean {meant!r}?" if meant else ""
-    return UnknownNameError(f"unknown {kind} {short_repr(name)}.{hint} There are: {', '.join(allowed)}")
+    return f"{hint} There are: {', '.join(allowed)}"
 
 
 def closest(name: object, allowed: Iterable[str]) -> str:

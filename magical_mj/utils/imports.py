@@ -33,7 +33,7 @@ from magical_mj.utils.errors import (
     MagicalError,
     MissingExtraError,
     TaskError,
-    UnknownNameError,
+    UnknownReferenceError,
     UntrustedNameError,
     closest,
     short_repr,
@@ -122,15 +122,15 @@ def _is_left_out(point: EntryPoint) -> bool:
 def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
     """The object of an entry point, or without one, of the user's reference `name`.
 
-    Raises an `UnknownNameError` if the module or the object does not exist, and `failed` if the module raises an error,
-    unless this is a `MissingExtraError`.
+    Raises an `UnknownReferenceError` if the module or the object does not exist, and `failed` if the module raises an
+    error, unless this is a `MissingExtraError`.
     """
     try:
         return resolve(name) if point is None else resolve_installed(reference_of(point))
     except MissingExtraError:
         raise
     except (Exception, SystemExit) as error:
-        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_location(error), failed)
+        why, kind = (error, UnknownReferenceError) if isinstance(error, ImportError) else (with_location(error), failed)
         raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
 
 

@@ -66,6 +66,10 @@ class Appender:
                 self._cut()
             raise OSError(error.errno, error.strerror, self._file.name) from error
 
+    def clear(self) -> None:
+        """Removes all lines."""
+        self._file.truncate(0)
+
     def _cut(self) -> None:
         """Removes an incomplete last line."""
         size = self._file.seek(0, os.SEEK_END)

@@ -10,7 +10,7 @@ msgspec converts the values: it loads in half of pydantic's time, and has no dep
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, inspect
 
-from magical_mj.utils.errors import SettingsError, check_name, short_repr
+from magical_mj.utils.errors import SettingsError, UnknownArgumentError, check_name, short_repr, unknown_name
 
 T = TypeVar("T")
 
@@ -139,9 +139,13 @@ def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
 
 
 def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
-    """Settings with these values, and defaults for all others. Raises an error for unknown names and invalid values."""
-    for name in values:
-        check_name("setting", name, annotated(settings))
+    """Settings with these values, and defaults for all others.
+
+    Raises:
+        UnknownArgumentError: for an unknown name.
+        UnknownNameError, SettingsError: for an invalid value.
+    """
+    _check_known(values, annotated(settings))
     return settings(**values)
 
 
@@ -150,10 +154,15 @@ def changed(settings: T, changes: Mapping[str, Any]) -> T:
 
     Raises the errors of `with_values`.
     """
-    known = described(type(settings))
-    for name in changes:
-        check_name("setting", name, known)
+    _check_known(changes, described(type(settings)))
     return _changed(settings, changes, "")
+
+
+def _check_known(names: Iterable[str], known: Collection[str]) -> None:
+    """Raises an `UnknownArgumentError` unless all names are known."""
+    for name in names:
+        if name not in known:
+            raise UnknownArgumentError(str(unknown_name("setting", name, known)))
 
 
 def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:

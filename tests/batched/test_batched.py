@@ -102,6 +102,18 @@ def test_overflows_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     assert physics.overflowed.tolist() == [False]
 
 
+def test_environments_have_the_tasks_in_the_given_order() -> None:
+    """Each starts in the scene of its task, so that a head for each task is trained on that task."""
+    worlds = batched.make("FindDupe,MatchRegions,FindDupe", "Shape,Demo", 7, device="cpu", preset="State")
+    pairs = [(task, variant) for task in ("FindDupe", "MatchRegions", "FindDupe") for variant in ("Shape", "Demo")]
+    assert list(zip(worlds.tasks, worlds.variants, strict=True)) == [*pairs, pairs[0]]
+    states, _ = worlds.reset(seed=5)
+    for number, (task, variant) in enumerate([*pairs, pairs[0]]):
+        wanted = magical_mj.Engine(task, variant, seed=5 + number).state_vector()
+        np.testing.assert_allclose(states[number].numpy(), wanted, atol=1e-5)
+    worlds.close()
+
+
 def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(physics_module, "ROWS", 8)
     worlds = batched.make("MoveToCorner", "Demo", 1, device="cpu", preset="State")

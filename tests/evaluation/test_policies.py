@@ -253,7 +253,7 @@ def test_tasks_may_be_a_word_and_an_iterator() -> None:
     with pytest.raises(SettingsError, match="cannot act in MoveToRegion: give --tasks MoveToCorner"):
         evaluate(Acting(tasks="MoveToCorner"), **STATE)
     settings = EvaluationSettings(tasks=(task for task in ("FindDupe", "MakeLine")), variants=iter(["Demo"]))
-    assert settings.environments == settings.environments == [("MakeLine", "Demo"), ("FindDupe", "Demo")]
+    assert settings.environments == settings.environments == [("FindDupe", "Demo"), ("MakeLine", "Demo")]
 
 
 def test_videos_of_methods_with_similar_names_are_kept_apart(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ import pandas as pd
 import pytest
 
 import magical_mj
-from magical_mj.evaluation import Episode, EpisodeResult, Evaluation, EvaluationSettings
+from magical_mj.evaluation import Episode, EpisodeResult, Evaluation, EvaluationSettings, rollouts
 from magical_mj.evaluation.scores import read
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError, UnknownNameError
@@ -80,6 +82,19 @@ def test_order_and_company_do_not_matter() -> None:
         pd.testing.assert_frame_equal(alone, together[together["policy"] == policy].reset_index(drop=True))
 
 
+def test_rows_are_in_the_order_of_the_arguments(tmp_path: Path) -> None:
+    """Also of a resumed evaluation that began with fewer episodes in another order."""
+    policies = {"still": agents.Stubborn(0), "ahead": agents.Stubborn(1)}
+    where = {"preset": "State", "jobs": 1, "out": tmp_path, "shifts": "friction:1,slip:1"}
+    evaluate(policies, **where, tasks="MoveToRegion", variants="Demo", episodes=1)
+    where = {**where, "tasks": "FixColour,MoveToRegion", "variants": "Layout,Demo", "episodes": 2, "resume": True}
+    rows = magical_mj.evaluate(policies, **where)[["policy", "task", "variant", "seed", "shift"]]
+    wanted = product(
+        policies, ("FixColour", "MoveToRegion"), ("Layout", "Demo"), range(2), ("", "friction:1", "slip:1")
+    )
+    assert list(rows.itertuples(index=False, name=None)) == list(wanted)
+
+
 def test_runs_of_random_differ_and_are_the_same_again() -> None:
     first, second = (evaluate({"luck": ["random", "random"]}, tasks="FixColour") for _ in range(2))
     pd.testing.assert_frame_equal(first, second)
@@ -94,16 +109,31 @@ def test_two_jobs_give_the_same_as_one() -> None:
     pd.testing.assert_frame_equal(evaluate(policies, episodes=12, jobs=2), evaluate(policies, episodes=12, jobs=1))
 
 
-class OnlyBatch(agents.Batch):
-    """Cannot act on single observations."""
+class OnlyBatch:
+    """The two methods of a policy for batches, and nothing else."""
 
-    def __call__(self, observation: Any) -> int:
-        raise AssertionError("alone")
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        self.size = len(episodes)
+
+    def act_batch(self, observations: Any) -> list[int]:
+        assert len(observations) == self.size
+        return [agents.look(observation) for observation in observations]
 
 
 def test_a_policy_for_batches_plays_side_by_side_and_does_the_same() -> None:
-    batch, single = (evaluate({"look": policy}) for policy in (OnlyBatch, agents.look))
+    batch, given, single = (evaluate({"look": policy}) for policy in (OnlyBatch, OnlyBatch(), agents.look))
     pd.testing.assert_frame_equal(batch, single)
+    pd.testing.assert_frame_equal(given, single)
+
+
+def test_a_policy_for_batches_plays_in_a_single_environment_too() -> None:
+    episodes = [Episode("MoveToRegion", "Demo", seed) for seed in range(2)]
+    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")
+    alone = list(rollouts(env, OnlyBatch(), episodes))
+    assert [row.actions for row in alone] == [row.actions for row in rollouts(env, agents.look, episodes)]
+    where = {"tasks": "MoveToRegion", "variants": "Demo", "preset": "State", "episodes": 2, "jobs": 1}
+    wrapped = magical_mj.evaluate(OnlyBatch(), wrap="gymnasium.wrappers:RecordEpisodeStatistics", **where)
+    assert wrapped["actions"].tolist() == [row.actions for row in alone]
 
 
 def test_dict_observations_side_by_side() -> None:

@@ -134,9 +134,10 @@ def test_gymnasium_finds_nothing_wrong(plugin: Any, options: dict[str, Any]) -> 
 @needs_lerobot
 @pytest.mark.parametrize("batch", [1, 3])
 def test_seeds_of_the_evaluation_are_the_official_scenes(plugin: Any, batch: int) -> None:
-    suites = plugin.MagicalConfig(task="FindDupe,MoveToCorner", variant="Demo,Shape").create_envs(batch)
+    suites = plugin.MagicalConfig(task="MoveToCorner,FindDupe", variant="Shape,Demo").create_envs(batch)
     assert {task: len(suite) for task, suite in suites.items()} == {"FindDupe": 2, "MoveToCorner": 2}
-    vector = suites["FindDupe"][1]
+    assert list(suites) == ["MoveToCorner", "FindDupe"]
+    vector = suites["FindDupe"][0]
     vector.reset(seed=list(range(5, 5 + batch)))
     scenes = [env.unwrapped.scene for env in vector.envs]
     wanted = [magical_mj.sample_scene("FindDupe", "Shape", 5 + number) for number in range(batch)]

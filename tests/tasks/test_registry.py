@@ -21,7 +21,14 @@ from magical_mj.utils.errors import InvalidSceneError, SettingsError, TaskError,
 
 
 def test_lists_of_environments() -> None:
+    """In the given order, each once."""
     assert environments() == environments("all", ["all"]) == list(ENVIRONMENTS)
+    assert environments("MoveToRegion,MoveToCorner,MoveToRegion", "Shape,Layout,Demo") == [
+        ("MoveToRegion", "Layout"),
+        ("MoveToRegion", "Demo"),
+        ("MoveToCorner", "Shape"),
+        ("MoveToCorner", "Demo"),
+    ]
     assert environments("MoveToCorner, MoveToRegion", ["Layout", "TestShape"]) == [
         ("MoveToCorner", "Shape"),
         ("MoveToRegion", "Layout"),
@@ -113,7 +120,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
     good = f"{mine}:GOOD"
-    assert environments([good, "MakeLine"], "Demo") == [("MakeLine", "Demo"), (good, "Demo")]
+    assert environments([good, "MakeLine"], "Demo") == [(good, "Demo"), ("MakeLine", "Demo")]
     scene = sample_scene(good, "CountPlus", 3)
     assert score(good, scene, scene) == 0.0
     assert scene != sample_scene("MatchRegions", "CountPlus", 3), "a task has random numbers of its own"

@@ -32,7 +32,7 @@ from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Reward, Rules
-from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name
+from magical_mj.utils.errors import ClosedError, CopyError, SettingsError, check_name
 from magical_mj.variants import check_seed
 
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
@@ -260,7 +260,7 @@ class Environment(composer.Environment):
             try:
                 pickle.dumps(options)
             except (pickle.PicklingError, AttributeError, TypeError) as error:
-                raise StateError(
+                raise CopyError(
                     f"the corruptor or aggregator of observable {name!r} cannot be pickled: {error}"
                 ) from error
         return _copied, parts
@@ -271,7 +271,7 @@ class Environment(composer.Environment):
         task = self.task
         loaded = task.settings, self.initial_scene, EpisodeShifts(task.shifts.draws)
         if changes := self._changes(SceneTask(*loaded)):
-            raise StateError(
+            raise CopyError(
                 f"this environment was changed, so it cannot be copied or pickled: {', '.join(changes)}. Load another "
                 "environment, make the same changes, and call its set_state() with the result of get_state()"
             )
