@@ -175,7 +175,7 @@ class AIRL(GAIL):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self.expert = Steps(settings, drop_noop=False)
+        self.expert = PairedDataset(settings, drop_noop=False)
 
     def new_discriminator(self) -> nn.Module:
         """A new network for f."""
@@ -219,7 +219,7 @@ class Shaped(nn.Module):
         return self.head(self.torso(histories), tasks)[:, 0]
 
 
-class Steps(Dataset):
+class PairedDataset(Dataset):
     """Demonstrations whose rows also contain the following state."""
 
     def rows(self, indices: Sequence[Tensor]) -> Batch:
