@@ -12,30 +12,24 @@ import numpy as np
 import pytest
 from demonstration_statistics import STATISTICS
 
-from magical_mj import TASKS, demos, sample_scene
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, demos, sample_scene
 from magical_mj.evaluation.replay import replay
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import rank_correlation
 from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.leaderboard.standings import ABOVE, GROUPS, Standing, published
+from magical_mj.leaderboard.standings import ABOVE, COMMON, GROUPS, Standing, difference, published
 from magical_mj.scene import constants as c
 from tools import released
-from tools.claims import OURS
+from tools.claims import FEW, OURS, claims, compared, verdict
 from tools.demonstration_sets import lost
-from tools.scores import by_released_rules, own_methods
+from tools.scores import by_released_rules, compared_with_the_paper, own_methods
 
 pytestmark = pytest.mark.xdist_group("results")  # which are read once
 
 ROOT = Path(__file__).parent.parent
-TEXT = " ".join(
-    line
-    for line in (ROOT / "docs" / "results.md").read_text("utf-8").splitlines()
-    if not line.startswith(("|", "#", "![", "<!--"))
-)
-PROSE = " ".join(re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", TEXT).replace("**", "").replace("`", "").split())
 RELEASED = " by released rules"
 REPLAYED = 0.7
 """From this mean score on, replaying a demonstration counts as enough in an environment."""
-VERDICTS = {"in both", "only in the paper", "only here", "in neither"}
 
 
 @cache
@@ -83,95 +77,125 @@ def imitating(block: str) -> list[str]:
 PIXELS, STATES, RELATIONAL, DRAWN = "pixels-bc-quick", "state-bc", "state-relational", "pixels-redraw-quick"
 GAIL, CLONED, AL = "GAIL (ST)†", "BC (ST)†", "AL (ST)†"
 REGION = ["MoveToRegion"]
+LOOKING = ["FixColour", "ClusterColour"]
+"""The tasks whose Colour requires looking at colours."""
+BLIND = [task for task in TASKS if task not in LOOKING]
+WITH_LAYOUT = [task for task in TASKS if task != "MoveToCorner"]
 
 
-@cache
-def statements() -> list[str]:
-    """The sentences with figures that the page must contain, without emphasis and links."""
-    rest = {"without": "MoveToRegion"}
-    needed = {task: mean("replay", "Colour", tasks=[task]) for task in ("FixColour", "ClusterColour")}
-    blind = [mean("replay", "Colour", tasks=[task]) for task in TASKS if task not in needed]
-    fair, full = f"{PIXELS}{RELEASED}", methods()["pixels-bc"].means
+def less(first: str, second: str, *variants: str, tasks: Iterable[str] = COMMON) -> Estimate:
+    """The difference of two methods' means over the environments that both have played."""
+    pairs = [pair for pair in ENVIRONMENTS if pair[0] in tasks and pair[1] in (variants or GROUPS["Generalisation"])]
+    return difference(methods()[first], methods()[second], pairs)
+
+
+def findings() -> dict[str, list[float | str | Estimate]]:
+    """Paragraph of docs/results.md -> its figures, in their order. Differences are decided, or it says "undecided".
+
+    Means have two decimals, shares are texts, and differences have a sign and an interval.
+    """
+    fair = f"{PIXELS}{RELEASED}"
     same = [f"{name}{RELEASED}" for name in ("state-gail", "state-wgail-gp", "state-al")]
-    agreement = [order(fair, CLONED), order(same[0], GAIL), order(same[1], "WGAIL-GP (ST)†"), order(same[2], AL)]
-    found: list[tuple[str, *tuple[float, ...]]] = [
-        (
-            "In the memory variants, BC scores # from pictures and # from states.",
-            score(PIXELS, "Memory"),
-            score(STATES, "Memory"),
-        ),
-        (
-            "(the entry pixels-bc) differs from quick by up to # in the 14 environments.",
-            max(abs(float(runs.mean() - methods()[PIXELS].means[pair].mean())) for pair, runs in full.items()),
-        ),
-        (
-            "In Demo, two runs with 80,000 steps score #, and one policy for all tasks, with 240,000 steps, #.",
+    solved = [f"{100 * share:.0f} %" for name in (PIXELS, STATES, RELATIONAL) for share in same_block(name)[1:]]
+    return {
+        "Most methods remember.": [score(name, "Memory") for name in (PIXELS, STATES, "replay")],
+        "No method that only imitates generalises.": [
+            max(map(score, imitating("pictures"))),
+            max(map(score, imitating("states"))),
+            score("replay"),
+            less(PIXELS, "replay"),
+            less(STATES, "replay"),
+            score(GAIL),
+        ],
+        "Is the smaller network the cause?": [
+            less("pixels-bc", PIXELS, *VARIANTS, tasks=TASKS),
+            less("pixels-bc", PIXELS, "Layout", tasks=TASKS),
+        ],
+        "Short trainings of GAIL from pictures learn little.": [
             mean("pixels-gail-quick", "Demo"),
             mean("pixels-gail-multi-quick", "Demo"),
-        ),
-        ("the best from pictures has #,", max(map(score, imitating("pictures")))),
-        ("the best from states # (AIRL, not in the table).", max(map(score, imitating("states")))),
-        ("The paper's best, GAIL, has # by its own rules of scores.", score(GAIL)),
-        ("only if its score in the demo scene holds, and has # above doing nothing.", score(RELATIONAL)),
-        ("draws such scenes as pictures, and has #.", score(DRAWN)),
-        ("MoveToRegion's Layout it scores #,", mean(DRAWN, "Layout", tasks=REGION)),
-        (
-            "in the Layout of the other tasks #, where BC scores #.",
-            mean(DRAWN, "Layout", **rest),
-            mean(PIXELS, "Layout", **rest),
-        ),
-        ("BC has # with 25 demonstrations and # with 10.", score("state-bc-25"), score(STATES)),
-        ("goals has # above doing nothing.", score("state-goals")),
-        ("scores # in All and # in Layout,", score(PIXELS, "All"), score(PIXELS, "Layout")),
-        ("Without this task, it scores # in All.", mean(PIXELS, "All", without="MoveToCorner")),
-        (
-            "BC scores # from pictures and # from states, and Diffusion Policy # and #.",
+        ],
+        "More demonstrations of the scene change little.": [less("state-bc-25", STATES)],
+        "Knowledge about tasks helps.": [
+            score(RELATIONAL),
+            less(DRAWN, PIXELS),
+            *(less(DRAWN, PIXELS, tasks=[task]) for task in ("FixColour", "MakeLine", "MatchRegions")),
+            mean(DRAWN, "Layout", tasks=REGION),
             mean(PIXELS, "Layout", tasks=REGION),
-            mean(STATES, "Layout", tasks=REGION),
+        ],
+        "The scenes can be solved.": [score("state-goals")],
+        "All is not just Layout.": [
+            mean(PIXELS, variant, tasks=tasks) for tasks in (COMMON, ["MakeLine"]) for variant in ("Layout", "All")
+        ],
+        "BC generalises better from pictures than from coordinates.": [
+            less(PIXELS, STATES, "Layout", tasks=WITH_LAYOUT),
             mean("diffusion", "Layout", tasks=REGION),
             mean("diffusion-state", "Layout", tasks=REGION),
-        ),
-        ("In these tasks it scores # in Colour,", min(blind)),
-        ("Only FixColour and ClusterColour (# and #) require", *needed.values()),
-        ("solves %% of these scenes and %% of the others", *same_block(PIXELS)[1:]),
-        ("BC from states %% and %%", *same_block(STATES)[1:]),
-        ("relational %% and %%.", *same_block(RELATIONAL)[1:]),
-        ("is # for BC from pictures, # for GAIL from states, # for WGAIL-GP and # for AL.", *agreement),
-    ]
-    return [filled(text, *figures) for text, *figures in found]
+        ],
+        "In six of the eight tasks, Colour tests distraction, not reasoning.": [
+            mean("replay", "Colour", tasks=BLIND),
+            max(mean(name, "Colour", tasks=BLIND) for name in imitating("pictures") + imitating("states")),
+            *(mean("replay", "Colour", tasks=[task]) for task in LOOKING),
+        ],
+        "In FixColour, networks learn a position, not a colour.": [*solved],
+        "The same environments are hard.": [
+            order(fair, CLONED),
+            order(same[0], GAIL),
+            order(same[1], "WGAIL-GP (ST)†"),
+            order(same[2], AL),
+            order(f"replay{RELEASED}", CLONED),
+            order(f"replay{RELEASED}", GAIL),
+        ],
+    }
 
 
-def filled(text: str, *figures: float) -> str:
-    """The text with a figure for each # (two decimals) and %% (per cent)."""
-    remaining = iter(figures)
-    written = {"#": lambda: f"{next(remaining):.2f}", "%%": lambda: f"{100 * next(remaining):.0f} %"}
-    return re.sub("#|%%", lambda found: written[found[0]](), text)
+def written(figure: float | str | Estimate) -> str:
+    if isinstance(figure, Estimate):
+        return "{:+.2f} [{:+.2f}, {:+.2f}]".format(*figure)
+    return figure if isinstance(figure, str) else f"{figure:.2f}"
 
 
-def test_statements_have_the_figures_of_the_entries() -> None:
-    assert [statement for statement in statements() if statement not in PROSE] == []
+def paragraphs() -> dict[str, str]:
+    """The bold beginning of each paragraph of docs/results.md -> its text, without links; "" -> all other text."""
+    found = {"": ""}
+    for part in re.split(r"\n(?=- )|\n\n", (ROOT / "docs" / "results.md").read_text("utf-8")):
+        text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(part.split()))
+        if text.startswith(("|", "#", "![", "<!--")):
+            continue
+        title = re.match(r"(?:- )?\*\*(.*?)\*\*", text)
+        if title:
+            found[title[1]] = text
+        else:
+            found[""] += text
+    return found
 
 
-def test_no_other_sentence_has_a_score() -> None:
-    text = re.sub(r"arXiv:[\d.]+", "", PROSE)
-    bound = [range(found.start(), found.end()) for said in statements() for found in re.finditer(re.escape(said), text)]
-    figures = re.finditer(r"\d\.\d\d|\d+ %(?! intervals)", text)
-    loose = [found for found in figures if not any(found.start() in part for part in bound)]
-    assert [text[found.start() - 40 : found.end() + 20] for found in loose] == []
+FIGURE = re.compile(r"[+-]\d\.\d\d \[[+-]\d\.\d\d, [+-]\d\.\d\d\]|\d\.\d\d|\d+ %(?! interval)")
+
+
+@pytest.mark.parametrize("title", findings())
+def test_paragraphs_have_the_figures_of_the_entries(title: str) -> None:
+    text = paragraphs()[title]
+    assert FIGURE.findall(text) == [*map(written, findings()[title])]
+    differences = [figure for figure in findings()[title] if isinstance(figure, Estimate)]
+    undecided = not all(figure.decided for figure in differences)
+    assert undecided == bool(re.search("undecided|change little", text, re.IGNORECASE))
+
+
+def test_no_other_paragraph_has_a_figure() -> None:
+    others = " ".join(text for title, text in paragraphs().items() if title not in findings())
+    assert FIGURE.findall(re.sub(r"arXiv:[\d.]+", "", others)) == []
 
 
 def test_comparisons_hold() -> None:
     assert same_block(PIXELS)[0] == 34
-    assert "In 34 of the 100 Colour scenes, " in PROSE
+    assert "In 34 of the 100 Colour scenes, " in paragraphs()["In FixColour, networks learn a position, not a colour."]
     paper = [name for name in methods() if name.endswith("†")]
     assert max(paper, key=score) == GAIL
     assert max(imitating("states"), key=score) == "state-airl"
+    gained = [task for task in COMMON if less(DRAWN, PIXELS, tasks=[task]).decided]
+    assert sorted(gained) == ["FixColour", "MakeLine", "MatchRegions"]
     assert [runs.shape for runs in methods()["pixels-bc"].means.values()] == [(1,)] * 14
-    layouts = [task for task in TASKS if task != "MoveToCorner"]
-    gains = {task: mean(DRAWN, "Layout", tasks=[task]) - mean(PIXELS, "Layout", tasks=[task]) for task in layouts}
-    assert gains["MoveToRegion"] > sum(gains.values()) / 2
-    assert mean("pixels-point-quick", "Layout") <= mean(PIXELS, "Layout", tasks=["MoveToRegion", "FixColour"])
-    learners = imitating("pictures") + imitating("states")
     solved = {
         name: [
             task
@@ -180,24 +204,35 @@ def test_comparisons_hold() -> None:
         ]
         for name in GROUPS["Distraction"]
     }
-    assert sorted({*TASKS} - {*solved["Colour"]}) == ["ClusterColour", "FixColour"]
+    assert solved["Colour"] == BLIND
     assert len(solved["Shape"]) == 2
-    for name in learners:
-        assert mean(name, "Colour", tasks=solved["Colour"]) < mean("replay", "Colour", tasks=solved["Colour"])
-    claims = (ROOT / "docs" / "results.md").read_text("utf-8").partition("| Its numbers |")[2].partition("<!--")[0]
-    verdict, verdicts = "", dict[str, str]()
-    for line in claims.splitlines()[2:]:
-        claim = line.split("|")[1].strip()
-        if heading := re.fullmatch(r"\*\*Holds (.*)\*\*", claim):
-            verdict = heading[1]
-        else:
-            verdicts[claim] = verdict
-    assert len(verdicts) == 20
-    assert {*verdicts.values()} <= VERDICTS
-    only = {claim.split()[3]: verdict for claim, verdict in verdicts.items() if claim.startswith("AL solves only")}
-    assert only == {"MoveToCorner": "in neither", "MoveToRegion": "in both"}
-    assert {verdict for claim, verdict in verdicts.items() if claim.startswith("GAIL > BC")} == {"only in the paper"}
-    assert sum(verdict == "in both" for verdict in verdicts.values()) > len(verdicts) / 2
+    for name in imitating("pictures") + imitating("states"):
+        assert less("replay", name, "Colour", tasks=BLIND).low > 0
+
+
+def test_the_verdicts_on_the_papers_claims_follow_the_rule() -> None:
+    """By hand: intervals above, around and below 0, and two nearly equal scores."""
+    verdicts = [verdict(Estimate(0.1, *ends)) for ends in ((0.05, 0.2), (-0.1, 0.2), (-0.3, -0.1), (np.nan, np.nan))]
+    assert verdicts == ["Holds", "Undecided", "Fails", "No data"]
+    equal = [verdict(Estimate(0.0, *ends), equal=True) for ends in ((-0.04, 0.04), (-0.1, 0.04), (0.01, 0.04))]
+    assert equal == ["Holds", "Undecided", "Fails"]
+    rows = {row.claim: row.verdict for row in compared(compared_with_the_paper())}
+    assert {said for claim, said in rows.items() if claim.startswith("GAIL > BC (")} == {"Undecided", "Fails"}
+    assert sum(said == "Holds" for said in rows.values()) > len(rows) / 2
+    assert f"\n{claims(compared_with_the_paper())}" in (ROOT / "docs" / "results.md").read_text("utf-8")
+
+
+def test_ours_from_pictures_have_the_same_scores_by_both_rules() -> None:
+    """The claims compare them with scores by the released rules."""
+    for name in (PIXELS, STATES, "state-gail"):
+        for task in FEW:
+            assert mean(name, *VARIANTS, tasks=[task]) == mean(f"{name}{RELEASED}", *VARIANTS, tasks=[task])
+
+
+def test_readme_compares_the_tasks_that_have_both_variants() -> None:
+    readme = " ".join((ROOT / "README.md").read_text("utf-8").split())
+    demo, layout = (mean(PIXELS, variant, tasks=WITH_LAYOUT) for variant in ("Demo", "Layout"))
+    assert f"scores {demo:.2f} in the scene of the demonstrations, and {layout:.2f} if all poses are new" in readme
 
 
 def test_the_range_of_jitter_is_named_where_one_moves_from_the_original() -> None:
