@@ -72,7 +72,7 @@ class PhysicsSettings:
     """Radius of the capsule behind an edge, world units."""
     star_edge_radius: float = 0.015
     star_tip_radius: float = 0.00955
-    """Blunt, so that a tip that starts inside a finger is pushed back towards the star."""
+    """Radius of a star's tip: blunt, so that a tip that starts inside a finger is pushed back towards the star."""
     star_tip_depth: float = 0.002
     """How much shorter the colliding tip is than the drawn one, world units."""
     finger_overlap: float = 0.00351

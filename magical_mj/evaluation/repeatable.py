@@ -20,7 +20,7 @@ from magical_mj.utils.errors import MagicalError, SettingsError
 STEPS: Final = 40
 """The most steps that are compared."""
 PICTURE_STEPS: Final = 10
-"""Pictures are compared after each of this number of steps."""
+"""Pictures are compared after every tenth step."""
 PICTURE_SIZE: Final = 32  # pixels
 
 

@@ -74,7 +74,7 @@ def names_one(selector: Selector) -> bool:
 
 
 def text_of(selector: Selector) -> str:
-    """The selector as a text writes it."""
+    """The text of a selector, which `parse` reads."""
     return OTHERS if selector == REST else ", ".join(map(str, selector)) or "all"
 
 

@@ -182,9 +182,9 @@ def fill(x: Any, y: Any, count: int, colour: int, rows: Any, side: int, scratch:
 
     Args:
         x: corners on the grid, counter-clockwise: edges that go up are on the right.
-        y: the same, upwards.
+        y: the corners' heights on the grid, upwards.
         count: the number of corners.
-        colour: what to write.
+        colour: the value of the coloured samples.
         rows: the first row to fill, the last one + 1, and the row where `scratch` begins. The polygon must cross all
             rows to fill.
         side: samples per side of the picture.

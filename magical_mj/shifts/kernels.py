@@ -279,8 +279,8 @@ def dirty_row(row: int, line: Any, x: float, y: float, radius: float) -> None:
         row: its number, from the top.
         line: its pixels, shape (size, 3).
         x: the distance of the spot to the right of the picture's centre, in half sides of the picture.
-        y: the same, upwards.
-        radius: in sides of the picture.
+        y: the distance of the spot above the picture's centre, in half sides of the picture.
+        radius: the radius of the spot, in sides of the picture.
     """
     size = len(line)
     down = (row + 0.5) / size - 0.5 + product(0.5, y)

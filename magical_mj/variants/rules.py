@@ -283,7 +283,7 @@ def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Genera
     If poses stay as in the demo, some shapes overlap a neighbour or a wall: in ClusterColour, two neighbouring stars
     do. So the shapes are uniform over the draws without contact.
     """
-    if touching := contact(scene):  # with the demo's own shapes
+    if touching := contact(scene):  # the demo scene itself must fit
         raise PlacementError(f"in the demo scene of {rules.name}, {touching}: move them apart, so that shapes can vary")
     for _ in range(MAX_SHAPE_DRAWS):
         drawn = _draw(rules, axis, rng, scene)
