@@ -21,7 +21,7 @@ from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
 
-from magical_mj.scene.actions import ACTIONS
+from magical_mj.actions import ACTIONS
 from magical_mj.web.page_data import drawing_style
 from tools.scores import by_released_rules
 

@@ -11,7 +11,7 @@ from magical_mj import demos
 from magical_mj.assets.mjcf import parsed
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
-from magical_mj.policies.expert import expert_of
+from magical_mj.experts import expert_of
 from magical_mj.policies.interface import letters_of
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import GRIPPER

@@ -20,8 +20,8 @@ from websockets.exceptions import InvalidHandshake, WebSocketException
 from websockets.typing import Origin
 
 from magical_mj import demos
+from magical_mj.actions import ACTIONS
 from magical_mj.protocol import PROTOCOL
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.web.collection import LOG
 
 KINDS: Final = ("honest", "random", "duplicating", "reloading", "two tabs")

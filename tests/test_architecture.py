@@ -19,6 +19,7 @@ CORE = (
     "shifts",
     "engine",
     "envs",
+    "experts",
     "policies",
     "demos",
     "evaluation",
@@ -32,12 +33,11 @@ LAYERS = (*CORE, *ADDITIONS)
 PUBLIC = {
     "actions": "scene",
     "datasets": "demos",
-    "experts": "policies",
     "observations": "scene",
     "protocol": "tasks",
     "wrappers": "envs",
 }
-"""The public modules, with the highest folder whose content each uses. Most re-export names of that folder."""
+"""The public modules, with the highest folder whose content each uses."""
 OUTSIDE = {"__init__": "evaluation", "__main__": "cli", "_version": "utils", **PUBLIC}
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}

@@ -168,7 +168,7 @@ class Refuse:
 
 sys.meta_path.insert(0, Refuse())
 import gymnasium, magical_mj
-from magical_mj.policies.expert import Expert
+from magical_mj.experts import Expert
 from magical_mj.utils.errors import MissingExtraError
 
 env = gymnasium.make("magical_mj/MoveToRegion-TestAll-LoRes4E-v0")

@@ -16,7 +16,7 @@ from tests.test_architecture import LAYERS
 OUT = Path(__file__).parents[1] / "docs" / "architecture.png"
 CONTENT: Final = {
     "utils": "errors, files, imports, settings, parallel work",
-    "scene": "Scene, geometry, constants, actions, state vector",
+    "scene": "Scene, geometry, bodies, constants",
     "variants": "the scenes of a variant",
     "tasks": "demo scene, rules, score, plan; registry",
     "intents": "a language of goals, and their rivals",
@@ -27,7 +27,8 @@ CONTENT: Final = {
     "envs": "interfaces: Gymnasium, dm_env",
     "xmagical": "x-magical's suite",
     "batched": "many environments on one accelerator",
-    "policies": "interface, agents, expert, loading of model files",
+    "experts": "planners that know the true state",
+    "policies": "interface, agents, loading of model files",
     "demos": "demonstrations: files, replay, export",
     "evaluation": "rollouts by the protocol, and reports",
     "leaderboard": "entries, which are replayed",
@@ -44,7 +45,7 @@ ROWS: Final = (
     ("shifts",),
     ("engine",),
     ("envs", "batched", "xmagical"),
-    ("policies", "demos"),
+    ("experts", "policies", "demos"),
     ("evaluation", "leaderboard"),
     ("learners", "web", "integrations", "cli"),
 )

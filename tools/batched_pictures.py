@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
+from magical_mj.observations import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.registry import parse_shifts
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from contextlib import closing
 
 from magical_mj import tasks
 from magical_mj.engine import Engine
-from magical_mj.policies.expert import expert_of
+from magical_mj.experts import expert_of
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks.registry import SPLITS, task_spec
 from magical_mj.utils.errors import MagicalError

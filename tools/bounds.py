@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 
 from magical_mj import Engine, evaluate
+from magical_mj.actions import NOOP
 from magical_mj.demos import Transitions
 from magical_mj.demos.recording import demonstrate
+from magical_mj.experts import Expert
 from magical_mj.learners import clone, load_settings
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.policy import TrainedPolicy
-from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import Episode, begin
-from magical_mj.scene.actions import NOOP
 from magical_mj.tasks.registry import SPLITS, task_spec
 
 DEMONSTRATIONS = 25

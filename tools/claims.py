@@ -17,11 +17,11 @@ import numpy as np
 from scipy.stats import t
 
 from magical_mj import ENVIRONMENTS, TASKS
+from magical_mj.actions import ACTIONS
 from magical_mj.evaluation.reports.intervals import CONFIDENCE, Cell, Estimate, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RUNS, published_results
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import Pair
 from tools.pages import table
 

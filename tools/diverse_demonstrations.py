@@ -25,15 +25,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from magical_mj import TASKS
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.demos import shipped
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import replayed, strategy
 from magical_mj.engine import Engine
-from magical_mj.policies.expert.driving import HumanExecution, Lookahead, SavedState
-from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
-from magical_mj.policies.expert.navigation import EMPTY, cell_costs, explore
+from magical_mj.experts.driving import HumanExecution, Lookahead, SavedState
+from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
+from magical_mj.experts.navigation import EMPTY, cell_costs, explore
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError

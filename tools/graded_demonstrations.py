@@ -32,7 +32,7 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.recording import replayed
 from magical_mj.demos.shipped import FILES, load, stored_rows
 from magical_mj.engine import Engine
-from magical_mj.policies.expert import Expert
+from magical_mj.experts import Expert
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, Colour
 from magical_mj.tasks import KNOWN, SPECS

@@ -27,6 +27,7 @@ import msgspec
 import numpy as np
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.demos import stored
 from magical_mj.engine import Engine
 from magical_mj.evaluation.scores import read
@@ -40,7 +41,6 @@ from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
 from magical_mj.intents.tasks import PREFIX, Task, spec_of
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.languages import members
 from magical_mj.tasks.registry import task_name

@@ -28,10 +28,10 @@ import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.observations import VIEWS
 from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.opengl import OpenGLRenderer, opengl_name
 from magical_mj.rendering.software import SoftwareRenderer
-from magical_mj.scene.state_vector import VIEWS
 
 SIZE = 96
 STEPPED = ("MoveToCorner", "MatchRegions", "MakeLine")

@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.assets import style
 from magical_mj.assets.block import polygon_geoms
 from magical_mj.assets.contacts import (
@@ -40,7 +41,6 @@ from magical_mj.assets.contacts import (
 from magical_mj.assets.mjcf import bend_body, comment, index_of, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, Gripper
 from magical_mj.scene.bodies import GRIPPER, Body, body_named
 
 Side = Literal["left", "right"]

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from magical_mj.batched.frames import FIRST_BLOCK, VISIBLE, write_frame
 from magical_mj.batched.tables import Faults, Tables
+from magical_mj.observations import VIEWS
 from magical_mj.rendering.scanlines import FIRST, LAST, SOURCE, fill, mean, place, product, view_from
-from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts import drawn, kernels
 from magical_mj.shifts.kernels import TILE
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH

@@ -16,6 +16,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.pictures import check_accelerator
@@ -26,7 +27,6 @@ from magical_mj.envs.presets import preset_named
 from magical_mj.envs.vector import check_mask, environment_seeds
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import DRAWN, Shifts, parse_shifts, shift_label
 from magical_mj.tasks.registry import Pair, check_rules, task_spec

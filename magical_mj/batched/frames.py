@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from magical_mj.observations import VIEWS
 from magical_mj.rendering.scanlines import compiled, inlined, product
 from magical_mj.scene import constants as c
-from magical_mj.scene.state_vector import VIEWS
 
 WORLD, ROBOT, LEFT_FINGER, RIGHT_FINGER, FIRST_BLOCK = range(5)
 """The numbers of bodies. Block i is FIRST_BLOCK + i, and the last frame is the camera's."""

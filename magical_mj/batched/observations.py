@@ -14,7 +14,7 @@ from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.envs.presets import Preset, observation_space
-from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
+from magical_mj.observations import MAX_BLOCKS, STATE_NAMES
 
 Observation = Tensor | dict[str, Tensor]
 
@@ -27,7 +27,7 @@ class States:
     """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (envs, entries), float32."""
 
     def __init__(self, preset: Preset, episodes: EpisodeArrays, device: str) -> None:
-        self.space: spaces.Space[Any] = observation_space(preset, {})
+        self.space: spaces.Space[Any] = observation_space(preset)
         self._fixed = torch.from_numpy(episodes["fixed"]).to(device, copy=True)
 
     def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
@@ -73,8 +73,7 @@ class Frames:
         }
         """View -> its last frames, shape (count, envs, size, size, depth). The newest has index `_drawn` % count."""
         self._drawn = 0
-        shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self.get_state().items()}
-        self.space = observation_space(preset, shapes)
+        self.space = observation_space(preset, size)
 
     def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
         """Starts episodes in these environments, see `tables.episode_tables`."""

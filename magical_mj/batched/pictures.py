@@ -13,10 +13,10 @@ from torch import Tensor
 from magical_mj.batched.frames import FIRST_BLOCK, VISIBLE, write_frames
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
 from magical_mj.batched.tables import Faults, Tables, all_tables, most_corners
+from magical_mj.observations import SEGMENTATIONS, VIEWS
 from magical_mj.rendering.picture import Picture
 from magical_mj.rendering.scanlines import count_uncovered, draw_posed, segment_posed
 from magical_mj.rendering.software import scratch
-from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.drawn import spoil
 from magical_mj.shifts.kernels import put_on_ground, relight
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH

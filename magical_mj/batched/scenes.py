@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES, region_corners
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
 from magical_mj.utils.errors import InvalidSceneError
 from magical_mj.utils.parallel import Pool

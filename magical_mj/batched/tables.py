@@ -25,12 +25,12 @@ from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.batched.frames import COSINE, FIRST_BLOCK, LEFT_FINGER, RIGHT_FINGER, SINE, VISIBLE, WORLD, X, Y
 from magical_mj.batched.frames import ROBOT as ROBOT_BODY
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays
+from magical_mj.observations import VIEWS, StateEncoder
 from magical_mj.rendering.scanlines import BODY, FIRST, IS_SKIN, LAST, SOURCE, packed_rgba
 from magical_mj.rendering.software import BLOCK, FINGER, REGION, ROBOT, WALL, polygons_of
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.scene.state_vector import VIEWS, StateEncoder
 from magical_mj.shifts.drawn import LOSS, NOISE, NOISE_SAMPLES, Light, Sensor
 from magical_mj.shifts.episode import EpisodeShifts, draw_shifts
 

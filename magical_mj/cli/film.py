@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from magical_mj.actions import ACTIONS
 from magical_mj.evaluation.replay import engine_for, other_scene
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.observations import CAMERAS
 from magical_mj.policies.interface import actions_of, play_actions
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
-from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.tasks.registry import listed
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, check_name

@@ -12,10 +12,10 @@ import numpy as np
 from typer import Option
 
 import magical_mj
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.cli import option
 from magical_mj.cli.console import console, make_writable_folder
 from magical_mj.cli.film import INK, PAPER, side_by_side
-from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import TASKS, task_name, task_spec, variant_name
 from magical_mj.utils.errors import MagicalError

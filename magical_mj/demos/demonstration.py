@@ -26,10 +26,10 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical_mj._version import __version__
+from magical_mj.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.assets.robot import joints
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
 from magical_mj.tasks.languages import in_language

@@ -15,9 +15,9 @@ from magical_mj.demos.recording import render_demo
 from magical_mj.demos.shipped import load
 from magical_mj.envs.presets import copying, frame_stacks, preset_named
 from magical_mj.envs.registration import env_id
+from magical_mj.observations import StateEncoder
 from magical_mj.policies.interface import Observations, Transitions
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.suites import suite_of
 from magical_mj.utils.errors import DemonstrationError

@@ -26,9 +26,9 @@ from typing import Any, ClassVar, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import replayed
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks import SPECS
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, as_integer, short_repr

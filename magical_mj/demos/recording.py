@@ -30,14 +30,14 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from magical_mj.actions import NOOP, Action, action_number, to_vector
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
-from magical_mj.policies.expert import expert_of
+from magical_mj.experts import expert_of
 from magical_mj.policies.interface import play_actions
 from magical_mj.protocol import PROTOCOL
 from magical_mj.rendering.picture import Picture
-from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label

@@ -13,16 +13,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls, speed_signal
 from magical_mj.assets.scene_model import SceneModel, compiled_model
 from magical_mj.engine.episode import PLAIN, Setup, State
+from magical_mj.observations import VIEWS, StateEncoder
 from magical_mj.rendering.picture import Picture
 from magical_mj.rendering.renderer import KINDS, Renderer, new_renderer
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.scene.scene import MAX_NUMBER
-from magical_mj.scene.state_vector import VIEWS, StateEncoder
 from magical_mj.shifts.episode import Draws, EpisodeShifts
 from magical_mj.shifts.shift import Frame
 from magical_mj.utils.errors import PhysicsError, StateError

@@ -16,6 +16,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS, as_speeds, to_discrete
 from magical_mj.engine import Engine, State
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.envs.presets import (
@@ -28,14 +29,12 @@ from magical_mj.envs.presets import (
     saved_frames,
 )
 from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
-from magical_mj.envs.wrappers import check_limit, vectors
+from magical_mj.observations import CAMERAS, VIEWS, StateEncoder
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, as_speeds, to_discrete
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
 from magical_mj.shifts.episode import Draws
 from magical_mj.shifts.registry import Shifts, shift_label
 from magical_mj.tasks.registry import TASKS, task_spec
@@ -43,6 +42,7 @@ from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
 from magical_mj.utils.imports import reference_to
 from magical_mj.variants import check_seed
+from magical_mj.wrappers import check_limit, vectors
 
 ActionForm = Literal["discrete", "continuous", "speeds"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
@@ -59,8 +59,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     """One of the benchmark's environments; make it with `gymnasium.make("magical_mj/...")`.
 
     ## Actions
-    `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.scene.actions`. One action lasts 1/8 s. With
-    `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.envs.wrappers.ContinuousActions`.
+    `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s. With
+    `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.wrappers.ContinuousActions`.
     With `action="speeds"`, x-magical's vectors: see `magical_mj.xmagical.envs.XMagicalEnv`.
 
     ## Observations
@@ -149,7 +149,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._action_size = 3 if action == "continuous" or self.engine.scene_model.has_fingers else 2
         self.action_space = spaces.Discrete(len(ACTIONS)) if action == "discrete" else vectors(self._action_size)
         self._instruction = instruction
-        self.observation_space = observation_space(self._preset, self._stacks, instruction=instruction)
+        self.observation_space = observation_space(self._preset, size, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
         self._cut = 0, 0  # the step of the last episodes' early resets, and the number of these episodes

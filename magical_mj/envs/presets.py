@@ -17,7 +17,7 @@ from gymnasium.error import CustomSpaceError
 from gymnasium.vector.utils import create_shared_memory
 from numpy.typing import NDArray
 
-from magical_mj.scene.state_vector import SEGMENTATIONS, START_NAMES, STATE_NAMES
+from magical_mj.observations import SEGMENTATIONS, START_NAMES, STATE_NAMES
 from magical_mj.utils.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
@@ -97,15 +97,16 @@ def _refuse_shared_memory(space: Sentence, n: int = 1, ctx: Any = None) -> Any:
     raise CustomSpaceError("instructions cannot be in shared memory: give shared_memory=False")
 
 
-def observation_space(
-    preset: Preset, stacks: Mapping[str, FrameStack], *, instruction: bool = False
-) -> spaces.Space[Any]:
-    """The space of a preset's observations with these stacks, and with the instruction if it is a dict."""
+def observation_space(preset: Preset, size: int | None = None, *, instruction: bool = False) -> spaces.Space[Any]:
+    """The space of a preset's observations, with pictures of this size, by default the preset's.
+
+    With `instruction`, dicts contain the sentence that describes the task.
+    """
     if preset.layout == "state":
         entries = len(STATE_NAMES) + (len(START_NAMES) if preset.start else 0)
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (entries,), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {
-        name: spaces.Box(0, 255, stack.shape, np.uint8) for name, stack in stacks.items()
+        name: spaces.Box(0, 255, stack.shape, np.uint8) for name, stack in frame_stacks(preset, size).items()
     }
     if preset.fingers:
         boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # left, right; rad
@@ -117,7 +118,7 @@ def observation_space(
 def observed(preset: str) -> str:
     """A phrase with the preset's name and the shapes of its observations."""
     definition = PRESETS[preset]
-    space = observation_space(definition, frame_stacks(definition))
+    space = observation_space(definition)
     if not isinstance(space, spaces.Dict):
         return f"{preset} {space.shape}"
     parts = ", ".join(f"{name} {part.shape}" for name, part in space.items())

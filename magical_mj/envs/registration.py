@@ -64,7 +64,7 @@ class SingleWrappers(tuple[WrapperSpec, ...]):
         return 0
 
 
-AT_THE_END: Final = SingleWrappers((WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),))
+AT_THE_END: Final = SingleWrappers((WrapperSpec("ScoreAtTheEnd", "magical_mj.wrappers:ScoreAtTheEnd", {}),))
 
 
 def register_all() -> None:

@@ -11,10 +11,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.scene import Block, Dynamics, GoalRegion, Pebble, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.geometry import OVERHANG
-from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.shifts import SHIFTS, shift_class
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
 from magical_mj.shifts.shift import STRENGTHS

@@ -22,13 +22,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import NDArray
 
+from magical_mj.actions import as_array, tensor_hint
 from magical_mj.envs.gymnasium_env import STARTS, MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
-from magical_mj.envs.wrappers import check_id
-from magical_mj.scene.actions import as_array, tensor_hint
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
 from magical_mj.variants import check_seed
+from magical_mj.wrappers import check_id
 
 
 def make_vec(

@@ -23,7 +23,7 @@ from gymnasium.vector.utils import iterate
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
 
-from magical_mj.envs.wrappers import ScoreAtTheEnd
+from magical_mj.actions import action_number
 from magical_mj.evaluation.scores import EpisodeResult, Outcome
 from magical_mj.policies.interface import (
     NEUTRAL,
@@ -41,7 +41,6 @@ from magical_mj.policies.interface import (
     uses_instruction,
     uses_simulation,
 )
-from magical_mj.scene.actions import action_number
 from magical_mj.shifts.registry import Effect, check_noticed, parse_shifts
 from magical_mj.tasks.registry import split_of, task_name, task_spec
 from magical_mj.utils.errors import (
@@ -55,6 +54,7 @@ from magical_mj.utils.errors import (
     TaskError,
 )
 from magical_mj.utils.imports import reference_to
+from magical_mj.wrappers import ScoreAtTheEnd
 
 if TYPE_CHECKING:
     from magical_mj.engine import Engine
@@ -138,7 +138,7 @@ def _checked_facts(
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies return one of the 18 actions, but the environment takes {space}: make it without continuous "
-            "actions, and let the policy return magical_mj.scene.actions.to_discrete(vector)"
+            "actions, and let the policy return magical_mj.actions.to_discrete(vector)"
         )
     for episode, played in zip(episodes, cycle(each), strict=False):
         task, variant = task_name(played["task"]), played["variant"]

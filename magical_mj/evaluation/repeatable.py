@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from magical_mj.actions import ACTIONS
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.policies.loading import Source
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.shifts.registry import code_digests
 from magical_mj.utils.errors import MagicalError, SettingsError
 

@@ -14,11 +14,11 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
+from magical_mj.actions import to_discrete
 from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
-from magical_mj.scene.actions import to_discrete
+from magical_mj.observations import VIEWS
 from magical_mj.scene.bodies import GRIPPER, check_body_name
-from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts.registry import Shifts, arms, split_body
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import MissingExtraError, check_name
@@ -37,7 +37,7 @@ class MagicalBenchmark(StepBenchmark):
     """A vla-eval task for each environment, such as ``FindDupe-Shape`` in the suite ``FindDupe``.
 
     Observations are ``images`` (view -> picture, height x width x channels, uint8) and ``task_description``. Actions
-    are vectors (drive, turn, grip) in [-1, 1]. See `magical_mj.scene.actions.to_discrete`.
+    are vectors (drive, turn, grip) in [-1, 1]. See `magical_mj.actions.to_discrete`.
 
     Args:
         tasks: names of tasks, separated by commas, or "all".

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj import demos
+from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import Intent, rivals
@@ -27,7 +28,6 @@ from magical_mj.intents.plans import planned
 from magical_mj.intents.readings import READINGS, DemonstratedBlocks, ending, intended_blocks, moved_blocks
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS, Gripper
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.planning import Noise
 from magical_mj.tasks.registry import check_rules, task_spec
@@ -238,7 +238,7 @@ def _failure(attribution: Attribution, engine: Engine, last: State) -> str:
 
 def _solves(engine: Engine, state: State) -> bool:
     """Whether the expert solves the task from this state in the steps that are left."""
-    from magical_mj.policies.expert import Expert
+    from magical_mj.experts import Expert
 
     engine.set_state(state)
     expert = Expert(engine, engine.task or "")

@@ -15,8 +15,8 @@ from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import SHAPE, StateTorso, Torso, convolutions
 from magical_mj.learners.ppo import RewardLearner
 from magical_mj.learners.settings import NetworkSettings, TrainingSettings
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY
-from magical_mj.scene.state_vector import STATE_NAMES
 
 METRICS: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
 """The names of the metrics that updates return, in this order."""

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final, cast
 import torch
 from torch import Tensor, nn
 
+from magical_mj.actions import NOOP
 from magical_mj.demos import Demonstration
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Batch, Dataset, Demonstrations, shares
@@ -19,7 +20,6 @@ from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
-from magical_mj.scene.actions import NOOP
 from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj import demos
+from magical_mj.actions import ACTIONS, NOOP
 from magical_mj.demos import Demonstration, Transitions
 from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene
 from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import histories
-from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, short_repr
 
 Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]

@@ -9,10 +9,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from magical_mj.actions import ACTIONS
 from magical_mj.learners.settings import HEADS, NetworkSettings
+from magical_mj.observations import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.policies.interface import HISTORY
-from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.utils.errors import SettingsError
 
 SHAPE: Final = (96, 96, 12)

@@ -17,10 +17,10 @@ from torch import Tensor, nn
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY, Episode
 from magical_mj.policies.loading import learnt_from, loader_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
 from magical_mj.utils.extras import check_extra

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS, NOOP
 from magical_mj.demos import stored
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.demos.learning import observations
@@ -45,7 +46,6 @@ from magical_mj.learners.run_folder import CONFIG, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings
-from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import SPLITS, environments, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr

@@ -10,12 +10,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.vector import VectorEnv
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import HISTORY, histories
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra
 

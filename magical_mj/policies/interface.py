@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar, run
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.actions import ACTIONS, NOOP
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
@@ -302,7 +302,7 @@ class ExpertAgent:
 
     def reset(self, episode: Episode) -> None:
         """Creates an expert for this episode."""
-        from magical_mj.policies.expert import expert_of
+        from magical_mj.experts import expert_of
 
         if episode.env is None:
             raise SettingsError("the expert uses the simulation: it cannot play in vector environments")

@@ -16,7 +16,7 @@ from inspect import ismethod
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, frame_stacks, observation_space, preset_named
+from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, observation_space, preset_named
 from magical_mj.policies.interface import (
     AGENTS,
     NEUTRAL,
@@ -463,7 +463,7 @@ def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
 def _shape_of(preset: str) -> tuple[int, ...]:
     """The shape of a preset's observations. Empty for dicts."""
     kind = PRESETS[preset]
-    return observation_space(kind, frame_stacks(kind)).shape or ()
+    return observation_space(kind).shape or ()
 
 
 def _fitting(accepted: Sequence[Shape]) -> list[str]:

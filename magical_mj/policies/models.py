@@ -27,15 +27,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
-from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer, short_repr
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
-    "function that converts them with magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
+    "function that converts them with magical_mj.actions.to_discrete (docs/evaluation.md)"
 )
 MOST_OF_POLICY: Final = 1_000_000_000
 """The maximum size of a model's file, in bytes; also of its weights after unpacking."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.style import DRAWN_GROUP, TASK_GROUP
-from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
+from magical_mj.observations import CAMERAS, SEGMENTATIONS
 from magical_mj.utils.errors import SettingsError, as_integer, check_name, short_repr
 
 Picture = NDArray[np.uint8]

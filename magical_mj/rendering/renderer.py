@@ -11,10 +11,10 @@ from typing import Final, Literal
 
 import mujoco
 
+from magical_mj.observations import SEGMENTATIONS, SOLID_VIEW, VIEWS
 from magical_mj.rendering.backend import NO_OPENGL, check_renderer, drawn_by, opengl
 from magical_mj.rendering.opengl import OpenGLRenderer
 from magical_mj.rendering.software import SoftwareRenderer
-from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW, VIEWS
 from magical_mj.utils.errors import RenderingError
 
 Kind = Literal["flat", "segments", "lit"]

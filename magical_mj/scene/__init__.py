@@ -1,4 +1,4 @@
-"""Scenes as plain data, with geometry, constants, actions and the state vector."""
+"""Scenes as plain data, with geometry, bodies and constants."""
 
 from magical_mj.scene.scene import Block, Dynamics, GoalRegion, Pebble, Pose, Robot, Scene, check_scene_type
 

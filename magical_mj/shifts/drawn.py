@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.observations import VIEWS
 from magical_mj.scene import constants as c
-from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts.shift import GROUND_REACH, Factor, Frame, Picture, Shift
 
 CONSTANT: Final = (1.0, 1.0, 1.0, 1.0, 1.0)

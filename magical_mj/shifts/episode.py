@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.registry import SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides

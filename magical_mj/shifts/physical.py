@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from magical_mj.actions import ACTIONS, NOOP
 from magical_mj.scene import Pebble, Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.geometry import inside_walls, pebble_solid, solids, touch
 from magical_mj.shifts.shift import GROUND_REACH, Factor, Picture, Shift
 from magical_mj.tasks.registry import task_spec

@@ -22,6 +22,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 from shifted import SUITE, SWEPT, described, offered, scenes
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.intents import SETS, Intent
@@ -33,7 +34,6 @@ from magical_mj.learners.policy import export_policy
 from magical_mj.policies.interface import histories
 from magical_mj.policies.models import onnx_runtime
 from magical_mj.scene import Block, GoalRegion, Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.scene.constants import BLOCK_MASS, COLOURS, SHAPES
 from magical_mj.scene.geometry import check_scene

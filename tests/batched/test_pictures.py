@@ -15,8 +15,8 @@ from magical_mj.batched import tables
 from magical_mj.batched.pictures import Painter, check_accelerator
 from magical_mj.batched.scenes import BatchScenes, Capacity
 from magical_mj.batched.tables import episode_tables
+from magical_mj.observations import SEGMENTATIONS, VIEWS
 from magical_mj.scene import Scene
-from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.shifts.drawn import BLOCKS, BLUR, DIRT, LOSS, NOISE
 from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import DRAWN

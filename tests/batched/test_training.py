@@ -17,8 +17,8 @@ from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.run_folder import CHECKPOINT
 from magical_mj.learners.vector_envs import BatchedEnvs, LocalEnvs
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.helpers.learners import playing
 

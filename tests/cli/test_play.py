@@ -16,11 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn
 from magical_mj.cli import main, play
 from magical_mj.cli.play import AFTER, KEYS, Game, Window, play_in
 from magical_mj.demos import load, verify
 from magical_mj.envs.presets import PRESETS
-from magical_mj.scene.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn
 from tests.helpers.commands import Shell
 from tests.helpers.display import Display, hidden_display
 

@@ -16,11 +16,11 @@ from PIL import Image
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.actions import to_vector
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.demos.export.archives import to_robomimic
 from magical_mj.protocol import PROTOCOL
-from magical_mj.scene.actions import to_vector
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import example
 
@@ -36,7 +36,7 @@ def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
     other = demos.demonstrate("MoveToRegion", "Jitter", 5)
     demos.to_npz([demo, other], path, "State", drop_noop=False)
     with np.load(path, allow_pickle=False) as archive:
-        assert archive["observations"].shape == (100, len(magical_mj.scene.state_vector.STATE_NAMES))
+        assert archive["observations"].shape == (100, len(magical_mj.observations.STATE_NAMES))
         assert archive["episodes"].tolist() == [0] * 60 + [1] * 40
         assert archive["steps"].tolist() == [*range(60), *range(40)]
         assert np.array_equal(archive["actions"][:60], demo.actions)

@@ -11,10 +11,10 @@ import pytest
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.actions import ACTIONS
 from magical_mj.cli import main
 from magical_mj.demos.recording import MAX_BYTES
 from magical_mj.protocol import PROTOCOL
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import DemonstrationError, InvalidSeedError, MagicalError, StateError
 from tests.helpers.commands import Shell
 

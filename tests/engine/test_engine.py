@@ -16,12 +16,12 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import magical_mj
+from magical_mj.actions import Action, Drive
 from magical_mj.engine import Engine
+from magical_mj.observations import CAMERAS, MAX_BLOCKS, MAX_REGIONS, START_NAMES, STATE_NAMES
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
-from magical_mj.scene.actions import Action, Drive
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.geometry import check_scene
-from magical_mj.scene.state_vector import CAMERAS, MAX_BLOCKS, MAX_REGIONS, START_NAMES, STATE_NAMES
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     ClosedError,

@@ -28,10 +28,10 @@ from rollouts import (
 )
 
 import magical_mj
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.assets.contacts import SETTINGS, TIMESTEP
 from magical_mj.scene import Block, Dynamics, Robot, Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from tests.helpers.hostile import WORST, worst
 
 PROBES = recordings(Path(__file__).parents[1] / "data" / "probes.npz")

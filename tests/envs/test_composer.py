@@ -19,10 +19,10 @@ from dm_control.rl.control import PhysicsError
 from dm_env import test_utils
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.engine import Engine, State
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     ClosedError,

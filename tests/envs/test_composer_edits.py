@@ -19,10 +19,10 @@ from dm_control.composer.observation import observable
 from dm_control.composer.variation import MJCFVariator, distributions
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.scene import Dynamics, Robot, Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError
 from tests.helpers.environments import EACH
 

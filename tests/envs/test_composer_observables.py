@@ -18,8 +18,8 @@ from dm_control.composer.variation import distributions, noises
 
 import magical_mj
 from magical_mj.engine import Engine
+from magical_mj.observations import STATE_NAMES
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError
 
 OBSERVED = ("block0/pose", "block0/velocity", "robot/pose", "robot/velocity", "robot/fingers")

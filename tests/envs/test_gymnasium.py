@@ -21,9 +21,8 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.envs.presets import PRESETS
-from magical_mj.envs.wrappers import ScoreAtTheEnd
 from magical_mj.evaluation import Episode, rollouts
-from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
+from magical_mj.observations import SEGMENTATIONS, VIEWS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
     EvaluationError,
@@ -34,6 +33,7 @@ from magical_mj.utils.errors import (
     StateError,
     UnknownNameError,
 )
+from magical_mj.wrappers import ScoreAtTheEnd
 
 IDS = [magical_mj.env_id(*pair, preset) for pair in magical_mj.ENVIRONMENTS for preset in PRESETS]
 PRESET_IDS = [magical_mj.env_id("FindDupe", "All", preset) for preset in PRESETS]

@@ -10,10 +10,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
-from magical_mj.envs.wrappers import ContinuousActions
-from magical_mj.scene.actions import to_discrete, to_vector
+from magical_mj.actions import to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.wrappers import ContinuousActions
 from magical_mj.xmagical.suite import suite_id
 
 ID = "magical_mj/FixColour-Demo-State-v0"
@@ -32,7 +32,7 @@ def test_a_demonstration_played_by_its_vectors_ends_where_it_ended(make: Any) ->
     demo = magical_mj.demos.load("FixColour")[0]
     env = make()
     env.reset(seed=0, options={"scene": demo.scene})
-    for vector in magical_mj.scene.actions.to_vector(demo.actions):
+    for vector in magical_mj.actions.to_vector(demo.actions):
         _, _, _, truncated, info = env.step(vector)
     assert truncated
     assert info["eval_score"] == 1.0
@@ -52,7 +52,7 @@ def test_vectors_of_environments_take_batches_of_vectors() -> None:
     envs = gymnasium.make_vec(ID, 2, action="continuous")
     envs.reset(seed=[0, 1])
     assert envs.single_action_space.shape == (3,)
-    observations, *_ = envs.step(magical_mj.scene.actions.to_vector([1, 13]))
+    observations, *_ = envs.step(magical_mj.actions.to_vector([1, 13]))
     assert len(observations) == 2
     envs.close()
 

@@ -18,6 +18,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.actions import action_number
 from magical_mj.cli.film import film_episodes
 from magical_mj.evaluation import Episode, EvaluationSettings, rollouts
 from magical_mj.evaluation.replay import replay
@@ -25,7 +26,6 @@ from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare
 from magical_mj.evaluation.scores import SCORES, read
 from magical_mj.leaderboard import submit
-from magical_mj.scene.actions import action_number
 from magical_mj.utils.errors import ClosedError, EvaluationError, InvalidActionError, SettingsError, TaskError
 from tests.helpers import agents
 from tests.helpers.agents import Acting

@@ -22,9 +22,9 @@ import mujoco
 import numpy as np
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.assets.robot import controls
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks import RULES
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, task_spec

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import magical_mj
-from magical_mj.scene.actions import to_vector
+from magical_mj.actions import to_vector
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
@@ -65,7 +65,7 @@ def test_torchrl_seeds_are_ours_and_the_info_is_read(gym_env: Any) -> None:
 @pytest.mark.slow
 def test_torchrl_workers(gym_env: Any) -> None:
     env = gym_env("magical_mj:magical_mj/FixColour-Demo-State-v0", num_envs=2)
-    assert env.rollout(3)["observation"].shape == (2, 3, len(magical_mj.scene.state_vector.STATE_NAMES))
+    assert env.rollout(3)["observation"].shape == (2, 3, len(magical_mj.observations.STATE_NAMES))
     env.close()
 
 

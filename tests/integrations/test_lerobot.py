@@ -17,9 +17,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.actions import to_vector
 from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.export.lerobot import to_lerobot
-from magical_mj.scene.actions import to_vector
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, MagicalError, SettingsError, UnknownNameError
@@ -105,7 +105,7 @@ def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
     for number, action in enumerate(demo.actions[:5]):
         np.testing.assert_array_equal(made[number]["observation.environment_state"].numpy(), wanted[number])
         np.testing.assert_array_equal(observation["environment_state"], wanted[number])
-        observation = env.step(magical_mj.scene.actions.to_vector(action))[0]
+        observation = env.step(magical_mj.actions.to_vector(action))[0]
     env.close()
 
 

@@ -94,7 +94,7 @@ def test_a_checkpoint_sees_here_what_it_sees_in_lerobot(tmp_path: Path, options:
     policy.reset(Episode("FixColour", "Demo", 3, 3))
     with torch.inference_mode():
         wanted = theirs.select_action(preprocess_observation({name: _batch(value) for name, value in seen.items()}))
-    assert policy(observation) == magical_mj.scene.actions.to_discrete(wanted[0].numpy())
+    assert policy(observation) == magical_mj.actions.to_discrete(wanted[0].numpy())
     assert torch.equal(torch.get_rng_state(), generator)  # which is the user's
     env.close()
     ours.close()

@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 
 import magical_mj
+from magical_mj.actions import to_vector
 from magical_mj.experts import GoalPicture
-from magical_mj.scene.actions import to_vector
 from magical_mj.utils.errors import InvalidSeedError, MissingExtraError, SettingsError, StateError, UnknownNameError
 
 needs_library = pytest.mark.skipif(

@@ -15,7 +15,9 @@ from PIL import Image
 
 import magical_mj
 from magical_mj import Engine, demos
+from magical_mj.actions import NOOP
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.experts import Expert
 from magical_mj.intents import EIGHT, parse
 from magical_mj.intents.attribution import (
     FAILURES,
@@ -31,9 +33,7 @@ from magical_mj.intents.contrast import simplest_rivals
 from magical_mj.intents.explained import Explanation, write_explanation
 from magical_mj.intents.readings import ENDINGS, READINGS
 from magical_mj.leaderboard.entry import read_entry
-from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import actions_of, letters_of
-from magical_mj.scene.actions import NOOP
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE
 from tools import last_solvable

@@ -9,11 +9,11 @@ import pytest
 
 import magical_mj
 from magical_mj.engine import Engine
+from magical_mj.experts import Expert
 from magical_mj.intents import parse, rivals
 from magical_mj.intents.contrast import refutes, simplest_rivals
 from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
-from magical_mj.policies.expert import Expert
 from magical_mj.tasks.registry import code_digest, environments, sample_scene, task_name, task_spec
 from magical_mj.utils.errors import IntentError, UnknownNameError
 from magical_mj.variants import variants_of

@@ -13,13 +13,13 @@ import pytest
 import torch
 
 from magical_mj import demos
+from magical_mj.actions import NOOP
 from magical_mj.learners import load_settings
 from magical_mj.learners.bc import BehaviouralCloning, IQLearn, iq_loss, usable
 from magical_mj.learners.data import Dataset, drawn
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Heads, Torso, as_input
 from magical_mj.learners.settings import InverseSettings, NetworkSettings
-from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import DemonstrationError, SettingsError
 from tests.helpers.learners import tiny
 

@@ -28,7 +28,7 @@ from magical_mj.learners.rewards import (
     learns_reward,
     rewards,
 )
-from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.observations import STATE_NAMES
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
 from tests.helpers.learners import EXPORTS, check_resumes, from_states, playing, stopped

@@ -17,14 +17,14 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Actor, Heads
 from magical_mj.learners.ppo import PPO, ActorCritic, even_minibatches
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.vector_envs import Step, TrainingEnvs, training_envs
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY
-from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import STATE_NAMES
 from tests.helpers.learners import playing
 
 

@@ -27,9 +27,9 @@ from magical_mj.learners.bc import clone
 from magical_mj.learners.gail import GAIL
 from magical_mj.learners.networks import StateTorso, features_of
 from magical_mj.learners.settings import NetworkSettings
+from magical_mj.observations import MAX_BLOCKS, STATE_NAMES
 from magical_mj.policies.interface import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, SettingsError, TrainingError
 from magical_mj.utils.settings import changed
 from tests.helpers.agents import Alone
@@ -120,7 +120,7 @@ def test_every_scene_of_every_environment_can_be_seen() -> None:
     for task, variant in magical_mj.ENVIRONMENTS:
         scene = magical_mj.sample_scene(task, variant, 0)
         poses = np.array([[body.x, body.y, body.angle] for body in (scene.robot, *scene.blocks)])
-        state = magical_mj.scene.state_vector.StateEncoder(scene)(poses, poses * 0, np.array(scene.robot.fingers))
+        state = magical_mj.observations.StateEncoder(scene)(poses, poses * 0, np.array(scene.robot.fingers))
         robot, rows, present = features_of(torch.as_tensor(histories(state[None])))
         assert present.sum() == rows.shape[1] == len(scene.blocks) + len(scene.regions)
         assert rows[0, : len(scene.blocks), 6 : 6 + len(SHAPES) + len(COLOURS)].sum() == 2 * len(scene.blocks)

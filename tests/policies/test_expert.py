@@ -12,11 +12,11 @@ import pytest
 
 import magical_mj
 from magical_mj import TASKS, Block, Robot, Scene
-from magical_mj.policies.expert import Expert, GoalPicture
-from magical_mj.policies.expert.driving import HumanExecution, Lookahead, drive, steer
-from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplified
-from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
-from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
+from magical_mj.experts import Expert, GoalPicture
+from magical_mj.experts.driving import HumanExecution, Lookahead, drive, steer
+from magical_mj.experts.manoeuvres import manoeuvres, obstacles, simplified
+from magical_mj.experts.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks import move_to_region
 from magical_mj.tasks.planning import Noise, Subgoal

@@ -81,7 +81,7 @@ def test_a_class_derived_from_a_network_may_be_a_policy() -> None:
         def __call__(self, observation: Any) -> int:
             return int(super().__call__(torch.as_tensor(observation)).argmax())
 
-    network = Policy(len(magical_mj.scene.state_vector.STATE_NAMES), 18)
+    network = Policy(len(magical_mj.observations.STATE_NAMES), 18)
     assert magical_mj.evaluate({"it": network}, preset="State", **SMALL)["failure"].isna().all()
 
 
@@ -217,7 +217,7 @@ def test_onnx_files_need_onnx_runtime_alone_and_write_nothing_at_home(tmp_path: 
     pytest.importorskip("onnxruntime")
     home = tmp_path / "home"
     home.mkdir()
-    size = len(magical_mj.scene.state_vector.STATE_NAMES)
+    size = len(magical_mj.observations.STATE_NAMES)
     write_onnx(tmp_path / "model.onnx", ["n", size], ["n", 18])
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
     subprocess.run([sys.executable, "-c", ONNX], cwd=tmp_path, env=kept | {"HOME": str(home)}, check=True)
@@ -237,7 +237,7 @@ def test_onnx_runtime_is_imported_in_one_place_that_turns_its_telemetry_off() ->
 
 def test_an_onnx_input_needs_a_batch_axis(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    size = len(magical_mj.scene.state_vector.STATE_NAMES)
+    size = len(magical_mj.observations.STATE_NAMES)
     env: Any = gymnasium.make(STATE)
     observation, _ = env.reset(seed=3)
     for number, shape in enumerate(([size], ["names"], [96, 96, 12], [4, size])):

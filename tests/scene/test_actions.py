@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical_mj.scene.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn, action_number, to_discrete, to_vector
+from magical_mj.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn, action_number, to_discrete, to_vector
 from magical_mj.utils.errors import InvalidActionError
 
 

@@ -23,9 +23,9 @@ from torch import Tensor
 from torch.profiler import ProfilerActivity, profile
 
 from magical_mj import batched
+from magical_mj.actions import ACTIONS
 from magical_mj.batched.environment import BatchedEnv
 from magical_mj.envs.gymnasium_env import MagicalEnv
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.parallel import cores, map_unordered
 from tools.benchmarks.single import plans

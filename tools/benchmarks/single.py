@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls
 from magical_mj.assets.scene_model import SceneModel, compiled_model
@@ -26,7 +27,6 @@ from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import Preset, preset_named
 from magical_mj.rendering.renderer import new_renderer
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError
 
 Cause = Literal["rewritten", "compiled"]

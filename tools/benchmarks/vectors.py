@@ -16,8 +16,8 @@ import numpy as np
 import typer
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.envs.vector import VectorEnv
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.parallel import cores
 
 TURN = 2.0  # seconds of steps

@@ -26,8 +26,8 @@ from inputs import damaged_files, hostile_command
 from values import FindError, json_value, spoilt_tree, value
 
 import magical_mj
-from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import CAMERAS
+from magical_mj.actions import ACTIONS
+from magical_mj.observations import CAMERAS
 from magical_mj.utils.errors import MagicalError
 
 sys.path.append(str(Path(__file__).parents[2]))  # Python adds only the folder of this file
@@ -109,7 +109,7 @@ def _moved(robot: Any, blocks: Any) -> None:
 
 def _expert(task: Any, seed: Any) -> None:
     env = magical_mj.Engine("MoveToRegion")
-    env.step(magical_mj.policies.expert.Expert(env, task, seed)())
+    env.step(magical_mj.experts.Expert(env, task, seed)())
 
 
 def _learn(task: Any, preset: Any) -> None:

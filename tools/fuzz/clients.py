@@ -16,11 +16,11 @@ from gymnasium import wrappers
 from values import FindError, value
 
 import magical_mj
+from magical_mj.actions import ACTIONS
 from magical_mj.engine import State
 from magical_mj.envs.presets import PRESETS
-from magical_mj.envs.wrappers import ContinuousActions, ScoreAtTheEnd
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MagicalError
+from magical_mj.wrappers import ContinuousActions, ScoreAtTheEnd
 
 WRAPPERS: Final = (
     wrappers.RecordEpisodeStatistics,

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj import TASKS, demos, sample_scene
+from magical_mj.actions import ACTIONS, NOOP, Gripper
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos import Demonstration
 from magical_mj.demos.recording import strategy
-from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
 from magical_mj.scene.constants import CONTROL_RATE
 
 Demonstrations = list[Demonstration]

@@ -30,6 +30,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj import TASKS
+from magical_mj.actions import ACTIONS
 from magical_mj.demos import Demonstration, load, stored
 from magical_mj.learners import TrainingSettings, load_settings
 from magical_mj.learners.bc import BehaviouralCloning, successive, usable
@@ -37,7 +38,6 @@ from magical_mj.learners.data import Demonstrations
 from magical_mj.learners.encoder import Encoder, save_encoder
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Torso
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import VARIANTS
 

@@ -27,12 +27,12 @@ import numpy as np
 import pymunk
 from rollouts import Array, Case, Rollouts, demo_scene, distances, final_score, probe_poses, probe_scene, recordings
 
+from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.assets.block import INERTIA
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.robot import FINGER_INERTIA, SIGN
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored
 
 COPIES: Final = 8

@@ -15,11 +15,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import to_vector
 from magical_mj.demos.demonstration import Demonstration, check_seeds, checked, only_environment
 from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
 from magical_mj.demos.learning import environment_of, observations, rewards, stream
 from magical_mj.demos.recording import render_demo
-from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, check_name

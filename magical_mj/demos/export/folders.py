@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
+from magical_mj.actions import ACTIONS
 from magical_mj.demos.demonstration import Demonstration, demonstrators, group_name
 from magical_mj.demos.learning import environment_of, observations
 from magical_mj.demos.recording import render_demo
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from magical_mj.actions import to_vector
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export.folders import CARD, EACH, about, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
+from magical_mj.observations import STATE_NAMES
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import to_vector
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError, check_name

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, tostring
 
 from dm_control import composer, mjcf
 
+from magical_mj.actions import action_number
 from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.contacts import SETTINGS, TIMESTEP, default_classes
 from magical_mj.assets.mjcf import elements
@@ -38,7 +39,6 @@ from magical_mj.envs.composer.observables import (
 from magical_mj.envs.composer.planar import PlanarEntity
 from magical_mj.envs.composer.tree import Owned, Watch, refuse
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import action_number
 from magical_mj.scene.bodies import body_named
 from magical_mj.utils.errors import InvalidSceneError, SettingsError
 

@@ -23,11 +23,11 @@ from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, different_numbers
 from magical_mj.envs.composer.task import SceneTask, Settings
 from magical_mj.envs.old_names import with_old_names
+from magical_mj.observations import CAMERAS, VIEWS
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.picture import check_picture, check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import CAMERAS, VIEWS
 from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import task_spec

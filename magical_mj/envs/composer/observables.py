@@ -18,7 +18,7 @@ from dm_env import specs
 
 from magical_mj.envs.composer.planar import PlanarEntity, Rows
 from magical_mj.envs.presets import PRESETS, Draw, Images, frame_stacks
-from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES, StateEncoder
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES, StateEncoder
 from magical_mj.utils.errors import InvalidSceneError
 
 STACKS: Final = {"ego_stack": "LoRes4E", "allo_stack": "LoRes4A"}

@@ -15,6 +15,7 @@ from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from dm_env import specs
 
+from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.engine import State
@@ -22,10 +23,9 @@ from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.envs.composer.observables import STACKS, CurrentObservable, LatestFrames
+from magical_mj.observations import OBSERVATIONS, STATE_NAMES, StateEncoder
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import OBSERVATIONS, STATE_NAMES, StateEncoder
 from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward

@@ -30,6 +30,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from magical_mj.actions import to_discrete
 from magical_mj.demos.export.lerobot import (
     FINGERS,
     IMAGE_SIZE,
@@ -43,13 +44,12 @@ from magical_mj.demos.export.lerobot import (
 )
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import STATE_BOUND
+from magical_mj.observations import FINGERS as FINGER_ENTRIES
+from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import NEUTRAL, Episode
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import FINGERS as FINGER_ENTRIES
-from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.shifts.registry import Shifts, arms
 from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import SettingsError, check_name

@@ -1,5 +1,5 @@
 // @ts-check
-/** The state vector for policies, with the entries of `magical_mj.scene.state_vector.STATE_NAMES`. World units, rad, units/s, rad/s. */
+/** The state vector for policies, with the entries of `magical_mj.observations.STATE_NAMES`. World units, rad, units/s, rad/s. */
 const SHAPES = ["square", "pentagon", "star", "circle"], COLOURS = ["red", "green", "blue", "yellow"];
 const ROBOT = 8, BLOCK = 7 + SHAPES.length + COLOURS.length, REGION = 5 + COLOURS.length, BLOCKS = 10, REGIONS = 3;
 export const SIZE = ROBOT + BLOCKS * BLOCK + REGIONS * REGION;

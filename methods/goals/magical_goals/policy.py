@@ -11,12 +11,12 @@ from typing import Any, Final
 
 from magical_goals.inference import Goal, infer
 from magical_mj.engine import Engine
+from magical_mj.experts.driving import Lookahead
+from magical_mj.experts.planner import PlanFollower, Planner
 from magical_mj.intents import Intent, parse
 from magical_mj.intents.ambiguity import Ends, ends_of
 from magical_mj.intents.plans import plan
 from magical_mj.learners.settings import STATE
-from magical_mj.policies.expert.driving import Lookahead
-from magical_mj.policies.expert.planner import PlanFollower, Planner
 from magical_mj.policies.interface import NOOP, Episode
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError

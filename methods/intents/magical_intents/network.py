@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from magical_intents.subgoals import DONE, ROBOT
 from magical_intents.symmetries import LENGTH, WORDS
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, maxima, regions_of
-from magical_mj.scene.state_vector import FINGERS
+from magical_mj.observations import FINGERS
 
 SIZE: Final = 96
 HEADS: Final = 4

@@ -23,13 +23,13 @@ from magical_intents.network import SIZE, Sentences
 from magical_intents.policy import drawn_actions
 from magical_intents.symmetries import words_of
 from magical_intents.train import LARGEST, LEARNING_RATE, demonstrated, trained_intents, words_for
+from magical_mj.actions import ACTIONS, Drive, Turn
 from magical_mj.intents import Intent
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import ONE_HOT, maxima
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import Model, torch_settings
-from magical_mj.scene.actions import ACTIONS, Drive, Turn
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError
 

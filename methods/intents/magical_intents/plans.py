@@ -17,9 +17,9 @@ from magical_intents.subgoals import DONE, ROBOT, Labels, Shown
 from magical_mj.intents import Intent
 from magical_mj.intents.plans import plan
 from magical_mj.intents.scenes import ALL_RULES, demo_scene, redrawn
+from magical_mj.observations import StateEncoder
 from magical_mj.scene import Scene
 from magical_mj.scene.scene import Pose
-from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.planning import Noise, Subgoal, scene_after
 from magical_mj.utils.errors import IntentError, PlacementError
 

@@ -14,12 +14,12 @@ from torch import Tensor
 from magical_intents.network import Planner, Skill
 from magical_intents.subgoals import DONE, ROBOT
 from magical_intents.symmetries import words_of
+from magical_mj.actions import NOOP
 from magical_mj.learners import checkpoint
 from magical_mj.learners.settings import STATE
+from magical_mj.observations import FINGERS
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import Model, torch_settings
-from magical_mj.scene.actions import NOOP
-from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError
 

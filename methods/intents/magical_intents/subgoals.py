@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.learners.networks import blocks_of
-from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import MAX_BLOCKS
+from magical_mj.observations import MAX_BLOCKS
 
 ROBOT: Final = MAX_BLOCKS
 """The number of the robot among objects. Blocks have their own numbers."""

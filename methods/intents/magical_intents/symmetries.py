@@ -17,11 +17,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS, Turn
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, Turn
+from magical_mj.observations import FINGERS
 from magical_mj.scene.constants import COLOURS as COLOUR_NAMES
 from magical_mj.scene.constants import SHAPES as SHAPE_NAMES
-from magical_mj.scene.state_vector import FINGERS
 
 WORDS: Final = 1024
 """The number of word vectors. A word's number is its checksum modulo this, so no vocabulary has to be stored."""

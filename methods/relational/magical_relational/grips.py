@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.engine import Engine, State
 from magical_mj.learners.networks import blocks_of
-from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import FINGERS
+from magical_mj.observations import FINGERS
 from magical_mj.utils.errors import PhysicsError
 from magical_relational.hindsight import SPEED
 from magical_relational.replay import MOVED, PATH_POINTS, Replay, Samples, front, in_hand

@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import blocks_of
-from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS
+from magical_mj.observations import FINGERS, MAX_BLOCKS, MAX_REGIONS
 from magical_mj.utils.errors import PhysicsError
 from magical_relational.replay import PATH_POINTS, Replay, Samples, front, in_hand
 

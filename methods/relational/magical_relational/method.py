@@ -30,13 +30,13 @@ import numpy as np
 import torch
 from torch import nn
 
+from magical_mj.actions import NOOP
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners import data
 from magical_mj.learners.learner import Method, restore_optimizer, seeded
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.settings import STATE, TrainingSettings
-from magical_mj.scene.actions import NOOP
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 from magical_relational.grips import gripped

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, check_size, maxima, regions_of
-from magical_mj.scene.state_vector import FINGERS
+from magical_mj.observations import FINGERS
 from magical_relational.settings import RelationalSettings
 
 ARENA: Final = 4 + 4

@@ -29,9 +29,9 @@ from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Batch
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPE, SHAPES, blocks_of, regions_of
 from magical_mj.learners.settings import STATE, TrainingSettings
+from magical_mj.observations import FINGERS
 from magical_mj.rendering.picture import Picture
 from magical_mj.scene import Block, GoalRegion, Robot, Scene, constants
-from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import SettingsError
 from magical_relational.method import Relational
 from magical_relational.settings import RelationalTrainingSettings

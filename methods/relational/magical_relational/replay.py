@@ -21,11 +21,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS, NOOP, Action, Gripper
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, NOOP, Action, Gripper
-from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 
 MOVED: Final = 0.03
 """A block farther (units) from its start counts as moved."""

@@ -32,9 +32,9 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from magical_mj.actions import ACTIONS, NOOP, Turn
 from magical_mj.learners.networks import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, NOOP, Turn
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.observations import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_relational.replay import CLOSING, Freedom, Samples
 
 CLEAR: Final = 0.3

@@ -30,9 +30,9 @@ from magical_mj.learners.data import shipped
 from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.learners.policy import export_policy
 from magical_mj.learners.run_folder import RunFolder
+from magical_mj.observations import MAX_REGIONS
 from magical_mj.policies.interface import histories
 from magical_mj.scene import GoalRegion, Scene
-from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.learners import (
     EXPORTS,

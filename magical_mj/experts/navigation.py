@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import Drive, Turn
 from magical_mj.scene import Pose
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import Drive, Turn
 from magical_mj.scene.bodies import Body
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.policies.expert.driving import AIM, FACE, VIA, Lookahead, Patience, Point, drive, steer
-from magical_mj.policies.expert.navigation import (
+from magical_mj.actions import Drive, Gripper, Turn
+from magical_mj.experts.driving import AIM, FACE, VIA, Lookahead, Patience, Point, drive, steer
+from magical_mj.experts.navigation import (
     GRIP,
     LOADED,
     Goal,
@@ -24,7 +25,6 @@ from magical_mj.policies.expert.navigation import (
     points_ahead,
 )
 from magical_mj.scene import Pose, Scene
-from magical_mj.scene.actions import Drive, Gripper, Turn
 from magical_mj.scene.bodies import Body
 from magical_mj.tasks.planning import CARRYING, Noise, Subgoal
 

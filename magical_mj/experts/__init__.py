@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.policies.expert.planner import Expert
+from magical_mj.experts.planner import Expert
+from magical_mj.observations import CAMERAS
 from magical_mj.rendering.picture import check_size
 from magical_mj.scene import Scene
-from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.tasks.suites import suite_of
 from magical_mj.utils.errors import SettingsError, TaskError, check_name
+from magical_mj.utils.imports import moved
 
 __all__ = ["Expert", "GoalPicture", "expert_of"]
+
+__getattr__ = moved("magical_mj.xmagical.expert", "Sweeper")
 
 EXPERTS: Final = 10
 """The number of experts, each with another seed, that try to solve a scene for its picture."""

@@ -16,9 +16,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn
 from magical_mj.engine import Engine
 from magical_mj.scene import Pose, Scene
-from magical_mj.scene.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.bodies import body_named
 from magical_mj.shifts.episode import EpisodeShifts
 

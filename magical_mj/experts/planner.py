@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from magical_mj.actions import NOOP, Gripper
 from magical_mj.engine import Engine
-from magical_mj.policies.expert.driving import DELAY_PROBABILITY, HumanExecution, Lookahead, SavedState
-from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
-from magical_mj.policies.expert.navigation import EMPTY, cell_costs, explore, footprint
+from magical_mj.experts.driving import DELAY_PROBABILITY, HumanExecution, Lookahead, SavedState
+from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
+from magical_mj.experts.navigation import EMPTY, cell_costs, explore, footprint
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import NOOP, Gripper
 from magical_mj.tasks.planning import Noise, Subgoals, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError, SettingsError, short_repr
