@@ -165,8 +165,8 @@ def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
     if path.exists() and not path.is_file():
         raise error(f"{path} is not a plain file: it is a folder, a pipe or a device")
     with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
+        content = b"" if (size := path.stat().st_size) > most else file.read(most + 1)  # files in /proc have no size
+    if max(size, len(content)) > most:
         raise error(f"{path} is larger than {most:,} bytes, the limit")
     return content
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+import os
+import posixpath
+from collections.abc import Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
+from itertools import product
+from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, Final
-from xml.etree import ElementTree as ET
+from xml.parsers import expat
 
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError, SettingsError
 from magical_mj.web.npm import library_files
 from magical_mj.web.page_data import sample_models
@@ -20,6 +25,8 @@ FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
 """The attributes of models that name the folders of their files."""
 MOST_OF_MODEL: Final = 200_000_000
 """The largest size in bytes of a model with all its files. The browser keeps them in memory."""
+MOST_FILES, MOST_PLACES = 3_000, 30
+"""The largest numbers of files that a model refers to, and of folders in its compiler settings."""
 
 
 @dataclass
@@ -27,8 +34,8 @@ class InspectServer(PlayServer):
     """Serves `inspect.html` and its libraries, under a secret address like the page for playing.
 
     Args:
-        model: file name -> content: first the file that the page shows, then the files that it refers to. If it is
-            empty, the page shows scenes of the benchmark.
+        model: path -> content, as from `model_files`: first the file that the page shows, then the files that it
+            refers to. If it is empty, the page shows scenes of the benchmark.
 
     Raises:
         MagicalError: if the libraries cannot be fetched.
@@ -42,7 +49,7 @@ class InspectServer(PlayServer):
         super().__post_init__()
         self._files |= library_files()
         self._files |= {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
-        self._files |= {f"model/{name}": content for name, content in self.model.items()}
+        self._files |= {f"model/{number}": content for number, content in enumerate(self.model.values())}
 
     def _catalogue(self) -> dict[str, Any]:
         name, *files = self.model or [""]
@@ -61,33 +68,75 @@ class InspectServer(PlayServer):
             return None
 
 
-def model_files(path: Path) -> dict[str, bytes]:
-    """A model and the files that it refers to, by their file names. The model comes first.
+def model_files(path: Path, folders: Sequence[Path] = ()) -> dict[str, bytes]:
+    """A model and the files that it refers to, by their paths as MuJoCo looks for them. The model comes first.
 
-    Only files in `<include>`, meshes, textures, height fields and skins are read. Models that cannot be parsed are sent
-    to the page unchanged. It shows the errors of MuJoCo's compiler.
+    Only files in `<include>`, meshes, textures, height fields and skins are read, and only below the model's folder.
+    Models that cannot be parsed are sent to the page unchanged. It shows the errors of MuJoCo's compiler.
+
+    Args:
+        path: the model.
+        folders: other folders from which the model may use files.
 
     Raises:
         OSError: if the model cannot be read.
-        SettingsError: if the total size is too large.
+        SettingsError: if the model refers to a file elsewhere, to too many files, or the total size is too large.
     """
-    contents = {path.name: path.read_bytes()}
-    waiting = [path.name]
-    folders = {path.parent}
+    roots = [folder.resolve() for folder in (path.parent, *folders)]
+    contents = {path.name: files.read_foreign(path, most=MOST_OF_MODEL, error=SettingsError)}
+    most = MOST_OF_MODEL - len(contents[path.name])
+    waiting, places, named = [path.name], [PurePosixPath()], 0
     while waiting:
-        try:
-            root = ET.fromstring(contents[waiting.pop()])  # noqa: S314 (the user's own file)
-        except ET.ParseError:
-            continue
-        named = [element.get("file", "") for element in root.iter() if element.get("file")]
-        folders |= {path.parent / element.get(key, "") for element in root.iter("compiler") for key in FOLDERS}
-        for name in named:
-            found = next((folder / name for folder in sorted(folders) if (folder / name).is_file()), None)
-            if found is None or found.name in contents:
+        names, further = _references(contents[waiting.pop()])
+        places += [place for place in map(PurePosixPath, further) if place not in places]
+        named += len(names)
+        if named > MOST_FILES or len(places) > MOST_PLACES:
+            raise SettingsError(f"{path} refers to more than {MOST_FILES:,} files, or {MOST_PLACES} folders")
+        for name in names:
+            found = _found(path.parent, name, places, roots)
+            if found is None or (known := posixpath.normpath(found)) in contents:
                 continue
-            contents[found.name] = found.read_bytes()
-            if found.suffix == ".xml":
-                waiting.append(found.name)
-            if sum(map(len, contents.values())) > MOST_OF_MODEL:
+            if (path.parent / found).stat().st_size > most:
                 raise SettingsError(f"{path} and the files that it refers to have more than {MOST_OF_MODEL:,} bytes")
+            contents[known] = files.read_foreign(path.parent / found, most=most, error=SettingsError)
+            most -= len(contents[known])
+            if found.suffix == ".xml":
+                waiting.append(known)
     return contents
+
+
+def _references(content: bytes) -> tuple[list[str], list[str]]:
+    """The files that a model names, and the folders of its compiler settings. No elements are kept in memory."""
+    names, places = dict[str, None](), dict[str, None]()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if attributes.get("file"):
+            names[attributes["file"]] = None
+        if tag == "compiler":
+            places.update(dict.fromkeys(attributes[key] for key in FOLDERS if key in attributes))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    with suppress(expat.ExpatError):
+        parser.Parse(content, True)
+    return list(names), list(places)
+
+
+def _found(start: Path, name: str, places: Sequence[PurePosixPath], roots: Sequence[Path]) -> PurePosixPath | None:
+    """The path, relative to `start`, of the first file with this name in one of the places. None if there is none.
+
+    Raises:
+        SettingsError: if this file is not below the `roots`, also after symbolic links.
+    """
+    for place, ending in product(places, (name, PurePosixPath(name).name)):  # strippath="true" removes folders
+        candidate = place / ending
+        real = Path(os.path.realpath(start / candidate))
+        if not any(real.is_relative_to(root) for root in roots):
+            if os.path.lexists(start / candidate):
+                raise SettingsError(
+                    f"the model refers to {candidate}, which is not below its folder; to allow it, name its folder: "
+                    f"--folder {real.parent}"
+                )
+        elif real.is_file():
+            return candidate
+    return None

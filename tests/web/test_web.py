@@ -25,6 +25,7 @@ from magical_mj import demos
 from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
 from magical_mj.protocol import PROTOCOL
+from magical_mj.utils.errors import SettingsError
 from magical_mj.web.collection import Collection, Study, read_study
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
 from tests.helpers.commands import Shell
@@ -401,17 +402,56 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
 
 
 def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
-    (tmp_path / "shapes").mkdir()
-    (tmp_path / "shapes" / "stone.obj").write_text("v 0 0 0")
+    for folder in ("shapes/m", "shapes/n"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "stone.obj").write_text(f"# of {folder}")
     (tmp_path / "secret.txt").write_text("not named")
     (tmp_path / "parts.xml").write_text(
-        '<mujoco><compiler meshdir="shapes"/><asset><mesh file="stone.obj"/></asset></mujoco>'
+        '<mujoco><compiler meshdir="shapes"/><asset><mesh file="m/stone.obj"/>'
+        '<mesh file="./n/../n/stone.obj"/></asset></mujoco>'
     )
     model = tmp_path / "model.xml"
     model.write_text('<mujoco><include file="parts.xml"/><asset><mesh file="missing.obj"/></asset></mujoco>')
-    assert list(model_files(model)) == ["model.xml", "parts.xml", "stone.obj"]
+    contents = model_files(model)
+    assert list(contents) == ["model.xml", "parts.xml", "shapes/m/stone.obj", "shapes/n/stone.obj"]
+    assert contents["shapes/n/stone.obj"] == b"# of shapes/n", "files with one name in two folders are kept apart"
     model.write_text("<mujoco><broken")
     assert list(model_files(model)) == ["model.xml"]  # the page says what is wrong
+
+
+def test_a_strangers_model_cannot_read_files_outside_of_its_folder(tmp_path: Path) -> None:
+    own, other = tmp_path / "own", tmp_path / "other"
+    own.mkdir()
+    other.mkdir()
+    (other / "secret.png").write_text("secret")
+    (own / "link.png").symlink_to(other / "secret.png")
+    (own / "folder").symlink_to(other)
+    (own / "inner").mkdir()
+    model = own / "model.xml"
+
+    def read(text: str, *folders: Path) -> list[str]:
+        model.write_text(f"<mujoco>{text}</mujoco>")
+        return list(model_files(model, folders))
+
+    texture = f'<asset><texture file="{other}/secret.png"/></asset>'
+    for text in (
+        '<include file="/etc/passwd"/>',
+        '<asset><texture file="/proc/self/environ"/></asset>',
+        '<asset><mesh file="../other/secret.png"/></asset>',
+        '<compiler assetdir="../other"/><asset><mesh file="secret.png"/></asset>',
+        '<asset><mesh file="inner/../../other/secret.png"/></asset>',
+        '<asset><mesh file="link.png"/></asset>',
+        '<asset><skin file="folder/secret.png"/></asset>',
+        texture,
+    ):
+        with pytest.raises(SettingsError, match="not below its folder"):
+            read(text)
+    assert read(texture, other) == ["model.xml", f"{other}/secret.png"], "a folder that the user names"
+    assert read('<asset><mesh file="../other/missing.stl"/></asset>') == ["model.xml"]
+    (own / "inner" / "a.stl").write_text("a")
+    assert read('<asset><mesh file="inner/../inner/a.stl"/></asset>') == ["model.xml", "inner/a.stl"]
+    with pytest.raises(SettingsError, match="refers to more than 3,000 files"):
+        read("".join(f'<include file="{number}.xml"/>' for number in range(4_000)))
 
 
 def test_a_missing_model_is_named(shell: Shell) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Argument
+from typer import Argument, Option
 
 import magical_mj
 from magical_mj.cli import option
@@ -23,6 +23,9 @@ def inspect(
     model: Annotated[str, Argument(metavar="TASK|FILE", help="A task, or an MJCF file (.xml).")],
     variant: option.Variant = "Demo",
     seed: option.Seed = 0,
+    folder: Annotated[
+        list[Path] | None, Option(help="Another folder whose files FILE may use, besides its own; several times.")
+    ] = None,
     host: Host = "127.0.0.1",
     port: Port = 8008,
 ) -> None:
@@ -32,6 +35,7 @@ def inspect(
     """
     is_file = model.lower().endswith((".xml", ".mjcf"))
     check_fits(context, not is_file, "with TASK", "variant", "seed")
+    check_fits(context, is_file, "with FILE", "folder")
     check_extra("models in a browser", "web")
     from magical_mj.engine.export import mjcf_text  # imported late: it loads the simulator
     from magical_mj.web.inspection import InspectServer, model_files
@@ -40,7 +44,7 @@ def inspect(
         path = Path(model)
         if not path.is_file():
             raise SettingsError(f"the file {path} does not exist")
-        files, fragment = model_files(path), "#file"
+        files, fragment = model_files(path, folder or ()), "#file"
     else:
         name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
         if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:

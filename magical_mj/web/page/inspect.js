@@ -52,15 +52,15 @@ function say(what, isWrong = false) {
  * Opens a model. If that fails, the previous one stays, with its address.
  * @param {string} name
  * @param {string} address  with "#"
- * @param {() => Promise<{text: string, sceneId: import("./address.js").SceneId | null, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
+ * @param {() => Promise<{text: string, sceneId: import("./address.js").SceneId | null, files?: Map<string, Uint8Array>, isFlat?: boolean, expert?: string | number[][]}>} read
  * @param {boolean} [isNew]  whether to add an entry to the browser's history
  */
 async function open(name, address, read, isNew = false) {
   const choice = ++choices;
   try {
-    const [mujoco, { text, sceneId, files, expert }] = await Promise.all([loadMujoco(), read()]);
+    const [mujoco, { text, sceneId, files, isFlat, expert }] = await Promise.all([loadMujoco(), read()]);
     if (choice !== choices) return;
-    const inspected = new InspectedModel(mujoco, text, files);
+    const inspected = new InspectedModel(mujoco, text, files, isFlat);
     shown.inspected?.close();
     Object.assign(shown, { turned: shown.last, inspected, name, text, sceneId, address, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
     run(false);
@@ -309,6 +309,7 @@ async function openFiles(files) {
   reopen = () => open(main.name, "#file", async () => ({
     text,
     sceneId: await offered(text),
+    isFlat: true,
     files: new Map(await Promise.all(all.filter((file) => file !== main).map(
       async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
   }), true);
@@ -367,7 +368,7 @@ async function openAddress() {
   }
   if (given && (!hash || hash === "#file")) {
     return open(given.name, hash, async () => {
-      const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
+      const reply = await Promise.all([given.name, ...given.files].map((_, number) => fetch(`model/${number}`)));
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
       const text = new TextDecoder().decode(contents[0]);

@@ -20,11 +20,12 @@ export class InspectedModel {
   /**
    * @param {any} mujoco  the module
    * @param {string} text  MJCF
-   * @param {Map<string, Uint8Array>} files  those that the model needs, by name
+   * @param {Map<string, Uint8Array>} files  those that the model needs, by their paths from its folder
+   * @param {boolean} isFlat  whether they were dropped, and have only names
    */
-  constructor(mujoco, text, files = new Map()) {
+  constructor(mujoco, text, files = new Map(), isFlat = false) {
     this.mujoco = mujoco;
-    this.model = compiled(mujoco, text, files);
+    this.model = compiled(mujoco, text, files, isFlat);
     this.data = new mujoco.MjData(this.model);
     /** @type {Comments} */
     this.comments = readComments(text, this.model.nbody, this.model.ngeom);
@@ -159,11 +160,12 @@ export class InspectedModel {
  * @param {any} mujoco
  * @param {string} text
  * @param {Map<string, Uint8Array>} files
+ * @param {boolean} isFlat
  */
-function compiled(mujoco, text, files) {
+function compiled(mujoco, text, files, isFlat) {
   const vfs = new mujoco.MjVFS();
   try {
-    for (const [path, content] of placed(text, files)) vfs.addBuffer(path, content);
+    for (const [path, content] of placed(text, files, isFlat)) vfs.addBuffer(path, content);
     return mujoco.MjModel.from_xml_string(text, vfs);
   } catch (error) {
     throw new Error(explained(/** @type {Error} */ (error).message, text));
@@ -173,23 +175,39 @@ function compiled(mujoco, text, files) {
 }
 
 /**
- * The files under all paths in the model, since dropped files have only names without folders.
+ * The files under all paths by which the model may ask for them.
  * @param {string} text
  * @param {Map<string, Uint8Array>} files
+ * @param {boolean} isFlat
  */
-function placed(text, files) {
-  const found = new Map();
+export function placed(text, files, isFlat) {
+  const found = new Map(files), /** @type {Map<string, string>} */ asked = new Map();
   const texts = [text, ...[...files].filter(([name]) => name.endsWith(".xml")).map(([, content]) => new TextDecoder().decode(content))];
-  const folders = texts.flatMap((one) => [...one.matchAll(FOLDERS)].map(([, folder]) => folder.replace(/\/?$/, "/")));
-  for (const [name, content] of files) {
-    const paths = texts.flatMap((one) => [...one.matchAll(FILES)].map(([, path]) => path)).filter((path) => last(path) === last(name));
-    for (const path of [name, ...paths, ...paths.flatMap((path) => folders.map((folder) => folder + path))]) found.set(path.replace(/^\.\//, ""), content);
+  const folders = ["", ...texts.flatMap((one) => [...one.matchAll(FOLDERS)].map(([, folder]) => folder.replace(/\/?$/, "/")))];
+  for (const path of new Set(texts.flatMap((one) => [...one.matchAll(FILES)].map(([, path]) => path)))) {
+    const name = /** @type {string} */ (path.split(/[\\/]/).pop()), other = asked.get(name);
+    if (isFlat && files.has(name) && other !== undefined && tidy(other) !== tidy(path)) {
+      throw new Error(`The model needs two files with the name ${name}: ${other} and ${path}. magical-mj inspect FILE finds both.`);
+    }
+    asked.set(name, path);
+    for (const place of folders.flatMap((folder) => [folder + path, folder + name])) {
+      const content = files.get(isFlat ? name : tidy(place));
+      if (content) found.set(tidy(place), content);
+    }
   }
   return found;
 }
 
-/** @param {string} path */
-const last = (path) => path.split(/[\\/]/).pop();
+/** A path without "." and "..", as far as possible. @param {string} path */
+function tidy(path) {
+  /** @type {string[]} */
+  const parts = [];
+  for (const part of path.split(/[\\/]/)) {
+    if (part === ".." && parts.length && parts[parts.length - 1] !== "..") parts.pop();
+    else if (part !== "." && (part || !parts.length)) parts.push(part);
+  }
+  return parts.join("/");
+}
 
 /** The compiler's message, without internal details, and with the line that it refers to. @param {string} message @param {string} text */
 function explained(message, text) {
