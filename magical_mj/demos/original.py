@@ -38,6 +38,11 @@ MOST_PACKED: Final = 200_000_000
 """The size of the largest file that is read."""
 MOST_UNPACKED: Final = 500_000_000
 """The size of the largest content: pictures of 384 x 384 take about 200 MB in the longest episodes."""
+MOST_OPERATIONS: Final = 60_000
+"""The largest number of operations in a pickle, and so of its objects. Longest episodes with a dict, several arrays and
+numbers for each step have 20,000. Far more would take gigabytes, or, as keys with equal hashes, hours."""
+MOST_NAMES: Final = 100
+"""The largest number of different names that a pickle refers to."""
 RECORDS: Final = ("magical", "imitation")
 """The packages whose records a file may hold."""
 ARRAYS: Final = ("numpy.core.multiarray", "numpy._core.multiarray", "numpy.core.numeric", "numpy._core.numeric")
@@ -158,7 +163,7 @@ def loaded(path: Path) -> Any:
         raise DemonstrationError(f"{path} unpacks to more than {MOST_UNPACKED:,} bytes, which are not read")
     try:
         _check_opcodes(content)
-        return _Unpickler(io.BytesIO(content)).load()
+        return _Unpickler(content).load()
     except pickle.UnpicklingError as error:
         raise DemonstrationError(f"{path} is refused: {error}") from None
     except Exception as error:  # noqa: BLE001 - damaged pickles raise any type
@@ -168,11 +173,13 @@ def loaded(path: Path) -> Any:
 
 
 def _check_opcodes(content: bytes) -> None:
-    """Raises an `UnpicklingError` for operations that plain containers and arrays do not need.
+    """Raises an `UnpicklingError` for operations that plain containers and arrays do not need, and for too many.
 
     Large numbers in the memo would take any amount of memory.
     """
     for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
+        if count >= MOST_OPERATIONS:
+            raise pickle.UnpicklingError(f"it has more than {MOST_OPERATIONS:,} operations, the limit")
         if operation.name in BANNED:
             raise pickle.UnpicklingError(
                 f"it contains the operation {operation.name}, which demonstrations do not need"
@@ -184,12 +191,22 @@ def _check_opcodes(content: bytes) -> None:
 class _Unpickler(pickle.Unpickler):
     """Imports nothing: for each allowed name in the file, the arguments and the state are kept."""
 
+    def __init__(self, content: bytes) -> None:
+        super().__init__(io.BytesIO(content))
+        self._kinds: dict[tuple[str, str], type] = {}
+
     def find_class(self, module: str, name: str, /) -> Any:
         if (module, name) == ("collections", "OrderedDict"):
             return dict
+        if (module, name) in self._kinds:
+            return self._kinds[module, name]
+        if len(self._kinds) == MOST_NAMES:
+            raise pickle.UnpicklingError(f"it refers to more than {MOST_NAMES} names, the limit")
         is_record = module.partition(".")[0] in RECORDS and name.isidentifier()
         if is_record or (module, name) in KEPT:
-            return type(name, (_Kept,), {"maker": "record" if is_record else name})
+            kind = type(name, (_Kept,), {"maker": "record" if is_record else name})
+            self._kinds[module, name] = kind
+            return kind
         raise pickle.UnpicklingError(
             f"it refers to {module}.{name}, and demonstrations are read without running code: only arrays and plain "
             "containers are allowed"

@@ -193,7 +193,7 @@ def _made(key: Key) -> Stored | str:
     return problem
 
 
-def demonstration_of(stored: Stored, path: Path) -> Demonstration:
+def replay(stored: Stored, path: Path) -> Demonstration:
     """The demonstration with its states. `path` is its file.
 
     Raises:

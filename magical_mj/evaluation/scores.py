@@ -34,6 +34,8 @@ MUJOCO_VERSION: Final = version("mujoco")
 
 StoredInt = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """An integer that tables of scores can hold."""
+StoredText = Annotated[str, msgspec.Meta(max_length=10_000)]
+"""A text of a record, such as a name. Names of intents, the longest ones, have 200 characters."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
 NO_SETTINGS_NEEDED: Final = ("", "instruction")
@@ -89,31 +91,31 @@ class EpisodeResult:
             in the scene or holds at the start, or if the policy failed.
     """
 
-    policy: str
+    policy: StoredText
     run: StoredInt
-    task: str
-    variant: str
+    task: StoredText
+    variant: StoredText
     seed: StoredInt
     score: Annotated[float, msgspec.Meta(ge=0, le=1)]
     steps: StoredInt
     seconds: float
-    rules: str
-    preset: str | None
-    version: str
-    mujoco: str
-    gl: str
+    rules: StoredText
+    preset: StoredText | None
+    version: StoredText
+    mujoco: StoredText
+    gl: StoredText
     actions: str
-    failure: str | None = None
-    scene: str | None = None
-    worlds: str = "single"
-    split: str = "test"
-    shift: str = ""
-    wrap: str = ""
-    body: str = GRIPPER
+    failure: StoredText | None = None
+    scene: StoredText | None = None
+    worlds: StoredText = "single"
+    split: StoredText = "test"
+    shift: StoredText = ""
+    wrap: StoredText = ""
+    body: StoredText = GRIPPER
     retry: StoredInt = 0
-    given: str = ""
-    demonstrations: str = ""
-    other: str = ""
+    given: StoredText = ""
+    demonstrations: StoredText = ""
+    other: StoredText = ""
     other_score: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
 
     @classmethod

@@ -79,7 +79,7 @@ class Dataset(Sequence[Example]):
 
     def demonstration(self, index: int) -> Demonstration:
         """A demonstration without observations."""
-        return stored.demonstration_of(self.stored[index], self.path)
+        return stored.replay(self.stored[index], self.path)
 
 
 def dataset(

@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import chain, product
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +28,8 @@ SHARE: Final = 0.1
 MOST_REPLAYED: Final = 500
 """The largest number of an entry's episodes that are replayed by default, so that a large folder takes minutes. If
 one episode in a hundred is false, such a sample misses all of them once in 150 times. The next check draws others."""
+MOST_SENTENCES: Final = 1_000
+"""The largest number of sentences about missing episodes: a small file may list very many runs."""
 
 COMPARED: Final = ("score", "actions", "failure", "rules")
 """The fields that must be the same in all records of an episode."""
@@ -40,7 +42,8 @@ class Findings:
     Attributes:
         episodes: the number of replayed episodes.
         differing: a sentence for each episode that differs from its record.
-        missing: a sentence for each run and environment with missing episodes.
+        missing: a sentence for each run and environment with missing episodes; the last one counts those beyond
+            `MOST_SENTENCES`.
         unfit: sentences about all other deviations from this version's protocol.
     """
 
@@ -180,6 +183,8 @@ def _unfit_entry(entry: Entry) -> list[str]:
 def _missing(stored: Sequence[_Stored]) -> list[str]:
     """A sentence for each run and environment that lacks episodes which the protocol requires, in all parts together.
 
+    After `MOST_SENTENCES`, another one counts the others.
+
     Each run must have played all environments of the tasks. The settings may include runs without any episodes.
     """
     seeds: dict[tuple[str, int, str, str], set[int]] = defaultdict(set)
@@ -192,15 +197,18 @@ def _missing(stored: Sequence[_Stored]) -> list[str]:
         if not episode.shift:
             runs[episode.policy].add(episode.run)
             seeds[episode.policy, episode.run, episode.task, episode.variant].add(episode.seed)
+    pairs = [(task, variant) for task, variant in ENVIRONMENTS if task in tasks]
+    required = set(range(SEEDS))
+    complete = {key for key, played in seeds.items() if key[2:] in pairs and required <= played}
+    places = ((policy, run, *pair) for policy in runs for run in sorted(runs[policy]) for pair in pairs)
+    gaps = (place for place in places if place not in complete)
     problems: list[str] = []
-    for policy, numbers in runs.items():
-        for run, (task, variant) in product(sorted(numbers), ENVIRONMENTS):
-            absent = set(range(SEEDS)) - seeds[policy, run, task, variant]
-            if task in tasks and absent:
-                which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
-                where = f"{policy}, run {run}, {task} {variant}"
-                problems.append(f"{where}: {which} of the {SEEDS} episodes are missing")
-    return problems
+    for policy, run, task, variant in islice(gaps, MOST_SENTENCES):
+        absent = required - seeds[policy, run, task, variant]
+        which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
+        problems.append(f"{policy}, run {run}, {task} {variant}: {which} of the {SEEDS} episodes are missing")
+    others = sum(map(len, runs.values())) * len(pairs) - len(complete) - len(problems)
+    return problems + ([f"{others} other environments of its runs"] if others else [])
 
 
 def _contradictions(part: _Stored) -> list[str]:

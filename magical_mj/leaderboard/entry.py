@@ -157,7 +157,7 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
     """
 
     format: Literal[2]
-    runs: Annotated[list[Natural], Meta(min_length=1)]
+    runs: Annotated[list[Natural], Meta(min_length=1, max_length=1_000)]
     episodes: Columns
     sha256: str
     played_in: Annotated[list[Annotated[str, Meta(pattern=r"^\w{1,80}$(?!\n)")]], Meta(max_length=20)] = []

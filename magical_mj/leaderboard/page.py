@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from importlib.resources import files as resources
 from pathlib import Path
-from typing import Final, NamedTuple
-
-import jinja2
+from typing import Final
 
 from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.evaluation.reports.statistics import area, half_lost
@@ -29,7 +28,7 @@ from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
-from magical_mj.utils.escape import terminal
+from magical_mj.utils.escape import html
 
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 STAR: Final = "★"
@@ -87,65 +86,111 @@ def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
     return [out / name for name in pages]
 
 
-class Figure(NamedTuple):
-    """A cell with a number: its value, the interval and the share of environments below it, and its shade in %."""
-
-    value: str
-    below: tuple[str, ...]
-    share: int
-
-
-class Mark(NamedTuple):
-    """A method in the chart: its name, also shortened, its kind, its score, and the interval if it has one."""
-
-    name: str
-    short: str
-    kind: str
-    value: float
-    interval: tuple[float, float] | None
-
-
 def _html(methods: Sequence[Standing], contents: Sequence[Table]) -> str:
-    folder = Path(__file__).parent
-    # the values are other people's: control characters are escaped first, and then what means something in HTML
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        finalize=lambda value: terminal(value) if type(value) is str else value,
+    contents_of = {table.name: _table(table) for table in contents}
+    contents_of["scores"] = intervals(methods) + contents_of["scores"]
+    contents_of["entries"] = "".join(map(_card, _entered(methods)))
+    sections = "\n".join(
+        f'<section id="{name}"><h2>{HEADINGS[name]}</h2>{content}</section>' for name, content in contents_of.items()
     )
-    return environment.get_template("page.html").render(
-        title=TITLE,
-        introduction=INTRODUCTION,
-        style=(folder / "style.css").read_text(encoding="utf-8"),
-        headings=HEADINGS,
-        sections={**{table.name: table for table in contents}, "entries": None},
-        entered=_entered(methods),
-        marks=[_mark(method) for method in methods if method.everywhere],
-        shaded=SHADED,
-        uses=USES,
-        figure_of=_figure,
-        x=_x,
-        row=ROW,
-        width=WIDTH,
-        names=NAMES,
+    links = " ".join(f'<a href="#{name}">{HEADINGS[name]}</a>' for name in contents_of)
+    style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
+    return (
+        f"{BEGINNINGS[HTML]}"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
+        f"<nav>{links}</nav></header>\n<main>\n{sections}</main></body></html>\n"
     )
 
 
-def _figure(text: str) -> Figure | None:
-    """The parts of a cell. None if it has no number."""
-    found = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\)| \?)?", text)
-    if found is None:
-        return None
-    return Figure(found[1], tuple(filter(None, found.groups()[1:])), round(60 * min(1.0, abs(float(found[1])))))
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{html(name)}</th>" for name in table.header)
+    body = ""
+    for heading, rows in table.groups:
+        if heading:
+            body += f'<tr><th class="group" colspan="{len(table.header)}">{html(heading)}</th></tr>'
+        for method, *cells in rows:
+            figures = "".join(
+                chips(cell) if name == USES else _cell(cell, table.name in SHADED)
+                for name, cell in zip(table.header[1:], cells, strict=True)
+            )
+            body += f"<tr><th>{html(method)}</th>{figures}</tr>"
+    notes = "".join(f"<li>{html(note)}</li>" for note in table.notes)
+    caption = html(table.caption)
+    return (
+        f'<p class="caption">{caption}.</p><div class="wide" tabindex="0" role="region" aria-label="{caption}">'
+        f"<table><thead><tr>{head}</tr></thead>"
+        f"<tbody>{body}</tbody></table></div><ul>{notes}</ul>"
+    )
 
 
-def _mark(method: Standing) -> Mark:
-    """The generalisation of a method with all environments: above doing nothing."""
-    name, most, score = label(method), int((NAMES - 10) / LETTER), method.scores[ABOVE]
-    interval = None if math.isnan(score.low) else (score.low, score.high)
-    return Mark(name, name if len(name) <= most else f"{name[: most - 1]}…", method.kind, score.value, interval)
+def chips(text: str) -> str:
+    """A table cell with a chip for each privilege."""
+    spans = " ".join(f"<span>{html(name)}</span>" for name in text.split(", ") if name)
+    return f'<td class="chips">{spans}</td>'
+
+
+def _cell(text: str, shaded: bool) -> str:
+    """A table cell. A number has its interval and its share of the environments below it, and a shade by its size."""
+    figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\)| \?)?", text)
+    if figure is None:
+        return f"<td>{html(text)}</td>"
+    share = round(60 * min(1.0, abs(float(figure[1])))) if shaded else 0
+    below = "".join(f"<small>{part}</small>" for part in figure.groups()[1:] if part)
+    return f'<td class="figure" style="--share: {share}%">{figure[1]}{below}</td>'
+
+
+def _card(method: Standing) -> str:
+    """The declarations of an entry's card."""
+    entry, card = method.entry, method.entry.card
+    links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
+    facts = {
+        "by": card.authors,
+        "other data": card.demonstrations.other,
+        "runs": ", ".join(map(str, entry.runs)),
+        "episodes": len(entry.episodes),
+        "protocol": entry.protocol,
+        "magical_mj": ", ".join(entry.versions.version),
+        "MuJoCo": ", ".join(entry.versions.mujoco),
+    }
+    items = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
+    text = html(card.description or "")
+    repeat = f"<p>Repeat it:</p><pre>{html(lines)}</pre>" if (lines := "\n".join(card.commands or ())) else ""
+    return f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{items}</dl>{repeat}</article>"
+
+
+def intervals(methods: Sequence[Standing]) -> str:
+    """The generalisation of each method with all environments: above doing nothing, a dot with its interval."""
+    methods = [method for method in methods if method.everywhere]
+    height = ROW * (len(methods) + 1)
+    rows = _grid(height - ROW)
+    for index, method in enumerate(methods):
+        score, y = method.scores[ABOVE], ROW * (index + 0.5)
+        rows += _name(label(method), NAMES - 10, y + 4)
+        if not math.isnan(score.low):
+            rows += f'<line class="{method.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
+        rows += f'<circle class="{method.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
+    title = "Generalisation above doing nothing, with 95 % intervals"
+    picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{rows}</svg>'
+    box = f'<div class="wide" tabindex="0" role="region" aria-label="{title}">{picture}</div>'
+    return f'<p class="caption">{title}.</p>{box}'
+
+
+def _name(name: str, right: float, y: float) -> str:
+    """A method's name, shortened if it is long, ending at the position `right`."""
+    most = int(right / LETTER)
+    short = name if len(name) <= most else f"{name[: most - 1]}…"
+    whole = f"<title>{html(name)}</title>" if short != name else ""
+    return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{html(short)}{whole}</text>'
+
+
+def _grid(height: float) -> str:
+    lines = ""
+    for tick in range(0, 11, 2):
+        x = _x(tick / 10)
+        lines += f'<line class="grid" x1="{x}" x2="{x}" y1="0" y2="{height}"/>'
+        lines += f'<text x="{x}" y="{height + 16}" text-anchor="middle">{tick / 10:g}</text>'
+    return lines
 
 
 def _x(share: float) -> float:

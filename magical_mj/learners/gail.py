@@ -175,7 +175,7 @@ class AIRL(GAIL):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self.expert = PairedDataset(settings, drop_noop=False)
+        self.expert = Steps(settings, drop_noop=False)
 
     def new_discriminator(self) -> nn.Module:
         """A new network for f."""
@@ -219,7 +219,7 @@ class Shaped(nn.Module):
         return self.head(self.torso(histories), tasks)[:, 0]
 
 
-class PairedDataset(Dataset):
+class Steps(Dataset):
     """Demonstrations whose rows also contain the following state."""
 
     def rows(self, indices: Sequence[Tensor]) -> Batch:

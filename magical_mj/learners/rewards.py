@@ -178,7 +178,7 @@ def agreements(frame: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows).groupby(names, sort=False)[["correlation", "auc"]].mean().reset_index()
 
 
-class _Episode(NamedTuple):
+class _Played(NamedTuple):
     kind: str
     player: str
     demonstration: Demonstration
@@ -186,7 +186,7 @@ class _Episode(NamedTuple):
 
 def _episodes(
     task: str, variant: str, scenes: int, runs: Mapping[Path, TrainingSettings], jobs: int | None
-) -> Iterator[_Episode]:
+) -> Iterator[_Played]:
     """The episodes of all kinds in an environment."""
     steps = task_spec(task).horizon()
     keys = [(task, variant, SPLITS["dev"] + number) for number in range(scenes)]
@@ -204,16 +204,16 @@ def _episodes(
             ("random", random, "random"),
         ]
         for kind, chosen, demonstrator in kinds:
-            yield _Episode(kind, "", replayed(task, variant, made.seed, chosen.tolist(), demonstrator))
+            yield _Played(kind, "", replayed(task, variant, made.seed, chosen.tolist(), demonstrator))
     policies = {f"{settings.method} {number}": path for number, (path, settings) in enumerate(runs.items())}
     preset = next(iter(runs.values())).preset
     frame = evaluate(policies, tasks=task, variants=variant, episodes=scenes, split="dev", preset=preset, jobs=jobs)
     for row in frame.itertuples():
         demonstration = replayed(task, variant, int(row.seed), actions_of(row.actions), "policy")
-        yield _Episode("policy", str(row.policy).partition(" ")[0], demonstration)
+        yield _Played("policy", str(row.policy).partition(" ")[0], demonstration)
 
 
-def _judged(path: Path, settings: TrainingSettings, played: Sequence[_Episode]) -> Iterator[dict[str, object]]:
+def _judged(path: Path, settings: TrainingSettings, played: Sequence[_Played]) -> Iterator[dict[str, object]]:
     """A row for each episode."""
     with torch_settings(threads_for(settings)), closing(learner_of_reward(path, settings)) as learner:
         for kind, player, demonstration in played:

@@ -29,6 +29,9 @@ SMALLEST_ARENA, LARGEST_ARENA = 0.5, 2.0
 MAX_NUMBER: Final = 1e10
 """The largest absolute value of a number in a scene. MuJoCo treats larger values as a failed simulation."""
 
+LONGEST_JSON: Final = 100_000
+"""The largest length of a scene's JSON. Ten blocks take 1,500 characters."""
+
 Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
 
@@ -231,6 +234,10 @@ class Scene:
             InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
             UntrustedNameError: if its body is a reference that is not trusted.
         """
+        if isinstance(text, str | bytes | bytearray) and len(text) > LONGEST_JSON:
+            raise InvalidSceneError(
+                f"a scene's JSON has at most {LONGEST_JSON:,} characters, and this text has {len(text):,}"
+            )
         try:
             data = json.loads(text, object_pairs_hook=_without_repeats)
         except (ValueError, TypeError, RecursionError) as error:
@@ -295,10 +302,11 @@ def _at(body: _Body, pose: Sequence[float]) -> _Body:
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object's fields. Raises a ValueError if a name occurs twice."""
-    fields = dict(pairs)
-    if len(fields) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} occurs twice in one object")
+    fields: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in fields:
+            raise ValueError(f"{short_repr(name)} occurs twice in one object")
+        fields[name] = value
     return fields
 
 
@@ -311,7 +319,7 @@ def _check_fields(kind: type, data: dict[str, Any]) -> None:
         if entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
     ]
     for name in sorted(data.keys() - set(names)):
-        raise InvalidSceneError(f"{kind.__name__} has no field {name!r}; it has {', '.join(names)}")
+        raise InvalidSceneError(f"{kind.__name__} has no field {short_repr(name)}; it has {', '.join(names)}")
     for name in sorted(set(required) - data.keys()):
         raise InvalidSceneError(f"{kind.__name__} lacks the field {name!r}; it needs {', '.join(required)}")
 

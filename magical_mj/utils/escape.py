@@ -7,6 +7,7 @@ terminals and browsers.
 
 from __future__ import annotations
 
+import html as _html
 import re
 from typing import Final
 
@@ -29,6 +30,11 @@ _MARKDOWN: Final = re.compile(
 def terminal(text: str) -> str:
     """The text for a terminal, without escape sequences."""
     return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
+
+
+def html(text: object) -> str:
+    """A value's text for HTML, in elements and in quoted attributes."""
+    return _html.escape(terminal(str(text)))
 
 
 def markdown(text: str) -> str:

@@ -14,7 +14,7 @@ from magical_mj.utils.errors import MissingExtraError
 
 MODULES: Final = {
     "dask": ("distributed",),
-    "eval": ("jinja2", "matplotlib", "pandas", "scipy"),
+    "eval": ("matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "tensorboard", "tomli_w", "torch"),
     "minari": ("h5py", "minari"),

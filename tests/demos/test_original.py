@@ -155,9 +155,11 @@ def stacked(*names: str) -> bytes:
         (stacked("magical", "os.system"), "refers to magical.os.system"),
         (stacked("numpy.core.multiarray", "frombuffer"), r"refers to numpy.core.multiarray.frombuffer"),
         (stacked("collections", "OrderedDict.fromkeys"), "refers to collections.OrderedDict.fromkeys"),
-        (b"(" * 300_000 + b".", "unexpected MARK"),
+        (b"(" * 30_000 + b".", "unexpected MARK"),
+        (b"(" * 300_000 + b".", "more than 60,000 operations"),
+        (b"".join(b"cmagical\na%d\n" % number for number in range(200)) + b".", "more than 100 names"),
     ],
-    ids=range(10),
+    ids=range(12),
 )
 def test_damaged_and_forged_pickles_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "demo-x.pkl.gz"

@@ -52,6 +52,7 @@ def test_markdown_is_read_as_the_text() -> None:
 def test_control_characters_are_shown() -> None:
     assert escape.terminal("a\x1b[2Jb\u202ec\nd") == "a\\x1b[2Jb\\u202ec\nd"
     assert escape.markdown("a\nb\x00") == "a b\\x00"
+    assert escape.html("<b>\x07\ud800") == "&lt;b&gt;\\x07\\ud800"
 
 
 def test_a_spreadsheet_gets_texts_and_numbers() -> None:

@@ -64,6 +64,8 @@ LONGEST: Final = 30  # letters of a task's name in figures
 CURVES_PER_ROW: Final = 4
 CURVES: Final = (2.6, 2.2)  # inches
 BARS_PER_ROW: Final = 7
+MOST_DRAWN: Final = 42
+"""The largest number of methods in the figures: with more, nobody can read them, and drawing takes minutes."""
 LETTER: Final = 0.065  # inches; the width of a small letter
 DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
@@ -238,16 +240,21 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
 
 
 def heat_map(results: Results) -> Figure:
-    """A panel for each method with its mean score in every environment. Pairs without an environment are grey."""
-    policies, rows = results.policies, len(results.tasks)
+    """A panel for each drawn method with its mean score in every environment. Pairs without an environment are grey."""
+    policies, rows = results.policies[:MOST_DRAWN], len(results.tasks)
     height = PANEL[1] * max(1.0, rows / len(TASKS)) if rows > 1 else ONE_TASK
     figure, panels = panels_of(len(policies), PANELS_PER_ROW, (PANEL[0], height))
     image: Any = None
     for axes, policy in zip(panels.flat, policies, strict=False):
         image = _panel(axes, results, policy)
     figure.colorbar(image, ax=panels, label="mean score", shrink=0.8, aspect=30)
-    _write_below(figure, results.mark)
+    _write_below(figure, _undrawn(results), results.mark)
     return figure
+
+
+def _undrawn(results: Results) -> str:
+    others = len(results.policies) - MOST_DRAWN
+    return f"{counted(others, 'other method')} only in the tables" if others > 0 else ""
 
 
 def _panel(axes: Axes, results: Results, policy: str) -> Any:
@@ -274,14 +281,15 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
 
 
 def bars(results: Results) -> Figure:
-    """Bars for each method: the mean score over tasks in the demo and in each test variant, with 95 % intervals."""
+    """Bars for each drawn method: the mean over tasks in the demo and in each test variant, with 95 % intervals."""
     from matplotlib.figure import Figure
 
-    rows = math.ceil(len(results.policies) / BARS_PER_ROW)
-    columns = min(BARS_PER_ROW, len(results.policies))
+    policies = results.policies[:MOST_DRAWN]
+    rows = math.ceil(len(policies) / BARS_PER_ROW)
+    columns = min(BARS_PER_ROW, len(policies))
     figure = Figure((max(7.0, 1.8 * columns), 0.5 + 2.9 * rows), layout="constrained")
     for index, axes in enumerate(figure.subplots(rows, squeeze=False).flat):
-        _bar_row(axes, results, results.policies[index * BARS_PER_ROW :][:BARS_PER_ROW], columns)
+        _bar_row(axes, results, policies[index * BARS_PER_ROW :][:BARS_PER_ROW], columns)
         if index == 0:
             handles = axes.get_legend_handles_labels()
             figure.legend(*handles, loc="outside upper center", ncols=8, frameon=False, fontsize=9, handlelength=1)
@@ -291,7 +299,8 @@ def bars(results: Results) -> Figure:
             results.variants["missing"].ne("").any()
         ),
     }
-    _write_below(figure, "; ".join(mark for mark, needed in marks.items() if needed), results.mark)
+    notes = "; ".join(mark for mark, needed in marks.items() if needed)
+    _write_below(figure, notes, _undrawn(results), results.mark)
     return figure
 
 

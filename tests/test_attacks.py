@@ -1,0 +1,19 @@
+"""Files that cost much more to read than to write are refused, or read within bounds."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.helpers.attacks import ATTACKS, cost
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_a_strangers_file_takes_bounded_time_and_memory(name: str) -> None:
+    attack, spent = ATTACKS[name], cost(name)
+    assert spent.code is not None, "it was stopped"
+    assert attack.says in spent.said
+    assert "Traceback" not in spent.said
+    assert spent.seconds < attack.seconds
+    assert spent.megabytes < attack.megabytes
