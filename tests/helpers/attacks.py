@@ -132,41 +132,6 @@ def lists(folder: Path) -> list[str]:
     return _python("magical_mj.Scene.from_json(open('scene.json').read())")
 
 
-def loop(folder: Path) -> list[str]:
-    """An ONNX network with a loop of 2^62 rounds."""
-    import onnx
-    from onnx import TensorProto, helper
-
-    body = helper.make_graph(
-        [helper.make_node("Identity", ["c"], ["d"]), helper.make_node("Identity", ["x"], ["y"])],
-        "body",
-        [
-            helper.make_tensor_value_info("i", TensorProto.INT64, []),
-            helper.make_tensor_value_info("c", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("x", TensorProto.FLOAT, None),
-        ],
-        [
-            helper.make_tensor_value_info("d", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("y", TensorProto.FLOAT, None),
-        ],
-    )
-    graph = helper.make_graph(
-        [helper.make_node("Loop", ["n", "t", "o"], ["a"], body=body)],
-        "g",
-        [helper.make_tensor_value_info("o", TensorProto.FLOAT, ["batch", 3])],
-        [helper.make_tensor_value_info("a", TensorProto.FLOAT, None)],
-        [
-            helper.make_tensor("n", TensorProto.INT64, [], [2**62]),
-            helper.make_tensor("t", TensorProto.BOOL, [], [True]),
-        ],
-    )
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9), folder / "x.onnx")
-    return _python(
-        "import numpy\nfrom pathlib import Path\nfrom magical_mj.policies.models import load_onnx\n"
-        "load_onnx(Path('x.onnx'))(numpy.zeros(3, numpy.float32))"
-    )
-
-
 def meshes(folder: Path) -> list[str]:
     """An MJCF file that names 3,000 folders and 3,000 missing meshes."""
     folders = "".join(f'<compiler meshdir="f{number}"/>' for number in range(3000))
@@ -199,18 +164,6 @@ def _model() -> list[str]:
     )
 
 
-def policies(folder: Path) -> list[str]:
-    """An evaluation of 300 policies with 60 episodes each, which is no attack, but much."""
-    from magical_mj.tasks.registry import ENVIRONMENTS
-
-    with (folder / "scores.jsonl").open("w") as file:
-        for number in range(300):
-            for task, variant in ENVIRONMENTS:
-                episode = {"policy": f"p{number}", "task": task, "variant": variant, "score": number % 7 / 7}
-                file.write(json.dumps(EPISODE | episode) + "\n")
-    return [*COMMAND, "report", ".", "--out", "report"]
-
-
 class Attack(NamedTuple):
     """A file, and what reading it may cost: ten times what it needs on a quiet machine, apart from Python's start."""
 
@@ -233,13 +186,11 @@ ATTACKS: Final = {
         Attack(digits, "seed"),
         Attack(members, "characters"),
         Attack(line, "limit for a line"),
-        Attack(names, "twice"),
+        Attack(names, "limit"),
         Attack(lists, "limit"),
-        Attack(loop, "Loop"),
         Attack(meshes, "30 folders"),
         Attack(model, "more than 200,000,000 bytes"),
         Attack(entities, "model.xml"),
-        Attack(policies, "report.md"),
     )
 }
 
