@@ -25,6 +25,8 @@ TOGETHER: Final = 100
 class BatchedSettings(BaseSettings):
     """Settings for many episodes in one batch on an accelerator."""
 
+    panel = "Batches on an accelerator"
+
     simulator: Annotated[
         Simulator,
         Meta(

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 
 import typer
 from typer import Option
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from magical_mj._version import __version__
@@ -94,6 +94,23 @@ def all_commands() -> dict[str, tuple[str, str]]:
     return COMMANDS | {name: facts for commands in further_commands().values() for name, facts in commands.items()}
 
 
+class Command(TyperCommand):
+    """A command whose help has a section for each panel of options: those without a panel come first."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes the arguments and the options."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            panel = getattr(parameter, "rich_help_panel", None) or usual
+            if record := parameter.get_help_record(ctx):
+                sections.setdefault(panel, []).append(record)
+        for title, rows in sections.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
 class Group(TyperGroup):
     """The group of all subcommands of `magical-mj`."""
 
@@ -115,7 +132,7 @@ class Group(TyperGroup):
             command = resolve_installed(all_commands()[cmd_name][0])
             if not isinstance(command, typer.Typer):
                 function, command = command, typer.Typer(add_completion=False)
-                command.command(cmd_name)(function)
+                command.command(cmd_name, cls=Command)(function)
             for name, (reference, _) in all_commands().items():
                 group, _, inner = name.partition(" ")
                 if group == cmd_name and inner:

@@ -53,6 +53,13 @@ SHEET: Final = "environments.png"
 SAME: Final = ("policies", "environments", "episodes", "preset", "rules", "time_limit", "worlds")
 """The settings that identify an earlier run of the same tour. Settings that depend on the version do not count."""
 
+ENVIRONMENTS: Final = "Environments"
+PANELS: Final = {
+    ENVIRONMENTS: ("split", "first_seed", "rules", "renderer", "wrap", "body"),
+    "Runs and files": ("run", "retry_failed", "trust"),
+    "Workers": ("backend", "address", "time_limit"),
+}
+"""Heading in the help of `evaluate` -> settings that few people need."""
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
     "several with commas."
@@ -64,7 +71,12 @@ def evaluate(
         str, Option(help=f"{_POLICIES} NAME=... names a method; policies with the same name are its runs.")
     ],
     out: Annotated[Path, Option(help="The folder for the scores.")],
-    like: Annotated[str, Option("--as", help="The task name that policies receive instead of the real one.")] = "",
+    like: Annotated[
+        str,
+        Option(
+            "--as", help="The task name that policies receive instead of the real one.", rich_help_panel=ENVIRONMENTS
+        ),
+    ] = "",
     **options: Any,
 ) -> None:
     """Evaluate policies in the test scenes; all scores are stored in OUT/scores.jsonl."""
@@ -82,7 +94,7 @@ def evaluate(
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {shlex.quote(str(out))}", soft_wrap=True)
 
 
-option.add_options(evaluate, EvaluationSettings)
+option.add_options(evaluate, EvaluationSettings, panels=PANELS)
 
 
 def rollout(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from typer import Argument, Option
 
@@ -13,7 +14,7 @@ from magical_mj import VARIANTS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.rendering.backend import RendererName
 from magical_mj.tasks import KNOWN
-from magical_mj.utils.settings import Names, described
+from magical_mj.utils.settings import Names, Settings, described
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
@@ -37,8 +38,7 @@ TASK_HELP = (
 )
 VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
 
-METAVARS = {"control": "<control>"}
-"""Names of options' values, where the list of choices would be wider than a narrow terminal."""
+WIDEST = 30  # letters of a list of choices: a wider one does not fit into narrow terminals
 COMPLETIONS = {"tasks": some_of(KNOWN), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
 
 Task = Annotated[str, Argument(help=TASK_HELP, autocompletion=one_of(KNOWN))]
@@ -62,6 +62,11 @@ Force = Annotated[bool, Option("--force", help="Replace existing files.")]
 Folders = Annotated[list[Path], Argument(help="The folders of evaluations, or entries of the leaderboard.")]
 
 
+def choices(kind: Any) -> list[str]:
+    """The names of a `Literal`, or of a `Literal` or None. Empty for other types."""
+    return [name for part in (kind, *get_args(kind)) if get_origin(part) is Literal for name in get_args(part)]
+
+
 def add_flags(command: Callable[..., None], flags: Mapping[str, str]) -> None:
     """Adds flags, name -> help, to a command with `**options`."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
@@ -73,12 +78,20 @@ def add_flags(command: Callable[..., None], flags: Mapping[str, str]) -> None:
     command.__signature__ = inspect.Signature([*named, *added])
 
 
-def add_options(command: Callable[..., None], *settings: type, only: Sequence[str] = ()) -> None:
-    """Adds options for settings to a command with `**options`: all except its parameters, or `only` these."""
+def add_options(
+    command: Callable[..., None],
+    *settings: type[Settings],
+    only: Sequence[str] = (),
+    panels: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> None:
+    """Adds options for settings to a command with `**options`: all except its parameters, or `only` these.
+
+    `panels` are headings in the help, with names of settings. Other settings are below the `panel` of their class.
+    """
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     parameters = {parameter.name: parameter for parameter in named}
-    every = {name: setting for kind in settings for name, setting in described(kind).items()}
-    for name, setting in every.items():
+    every = {name: (kind, setting) for kind in settings for name, setting in described(kind).items()}
+    for name, (owner, setting) in every.items():
         if name not in parameters and (not only or name in only):
             declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
             kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
@@ -86,8 +99,9 @@ def add_options(command: Callable[..., None], *settings: type, only: Sequence[st
                 *declared,
                 help=setting.description,
                 min=setting.least,
-                metavar=METAVARS.get(name),
+                metavar=f"<{name}>" if len("|".join(choices(setting.kind))) > WIDEST else None,
                 autocompletion=COMPLETIONS.get(name),
+                rich_help_panel=next((title for title, names in panels.items() if name in names), owner.panel_of(name)),
             )
             parameters[name] = inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=setting.default, annotation=Annotated[kind, option]

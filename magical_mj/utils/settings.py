@@ -73,6 +73,13 @@ class Settings:
     """
 
     part: ClassVar[str] = ""
+    panel: ClassVar[str | None] = None
+    """The heading of a class's settings in the help of a command. None: they are among the first options."""
+
+    @classmethod
+    def panel_of(cls, name: str) -> str | None:
+        """The `panel` of the class that declares a setting."""
+        return next(kind.panel for kind in cls.__mro__ if name in vars(kind).get("__annotations__", ()))
 
     def __init_subclass__(cls, part: str = "") -> None:
         cls.part = part or cls.part
