@@ -1,4 +1,4 @@
-"""Draws docs/architecture.png: the folders of the package as layers, the lowest at the bottom.
+"""Draws docs/architecture.png: the folders of the core as layers, the lowest at the bottom.
 
 python -m tools.architecture_picture
 """
@@ -11,56 +11,46 @@ from typing import Final
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from tests.test_architecture import LAYERS
+from tests.test_architecture import CORE
 
 OUT = Path(__file__).parents[1] / "docs" / "architecture.png"
 CONTENT: Final = {
-    "utils": "errors, files, imports, settings, parallel work",
-    "scene": "Scene, geometry, bodies, constants",
-    "variants": "the scenes of a variant",
-    "tasks": "demo scene, rules, score, plan; registry",
-    "intents": "a language of goals, and their rivals",
-    "shifts": "changes of any environment, with strengths 0 to 5",
+    "utils": "errors, files, imports, settings, processes",
+    "scene": "Scene, geometry, actions, state vector",
+    "variants": "which scenes a variant has",
+    "tasks": "goals: scene, rules, score, plan",
     "assets": "MJCF models of scenes, and their look",
-    "rendering": "pictures by OpenGL or in software",
-    "engine": "one MuJoCo simulation: steps, score, saved states, export",
-    "envs": "interfaces: Gymnasium, dm_env",
-    "xmagical": "x-magical's suite",
-    "batched": "many environments on one accelerator",
+    "rendering": "pictures, by OpenGL or in software",
+    "shifts": "changes of any environment",
+    "engine": "one simulation: step, score, states",
+    "envs": "Gymnasium and dm_env",
     "experts": "planners that know the true state",
-    "policies": "interface, agents, loading of model files",
+    "policies": "interface, agents, model files",
     "demos": "demonstrations: files, replay, export",
-    "evaluation": "rollouts by the protocol, and reports",
-    "leaderboard": "entries, which are replayed",
-    "learners": "BC, GAIL, WGAIL-GP, AL",
-    "web": "playing in a browser",
-    "integrations": "plug-ins for other tools",
+    "evaluation": "episodes by the protocol, and reports",
     "cli": "the command magical-mj",
 }
 ROWS: Final = (
     ("utils",),
     ("scene",),
-    ("variants", "tasks", "intents"),
+    ("variants", "tasks"),
     ("assets", "rendering"),
-    ("shifts",),
-    ("engine",),
-    ("envs", "batched", "xmagical"),
+    ("shifts", "engine"),
+    ("envs",),
     ("experts", "policies", "demos"),
-    ("evaluation", "leaderboard"),
-    ("learners", "web", "integrations", "cli"),
+    ("evaluation", "cli"),
 )
 KINDS: Final = {  # colour and name of groups of rows
     range(3): ("#e9f5ec", "plain data and pure functions"),
-    range(3, 7): ("#eef4fa", "simulation"),
-    range(7, 9): ("#fdf3e3", "agents and results"),
-    range(9, 10): ("#f4eef8", "applications"),
+    range(3, 6): ("#eef4fa", "simulation"),
+    range(6, 8): ("#fdf3e3", "agents and results"),
 }
 INK, LINE = "#1f2d3d", "#9fb3c8"
 
 
 def draw() -> Figure:
     """A figure with a box for each folder that describes its content."""
-    figure = Figure(figsize=(10, 6.6), layout="constrained")
+    figure = Figure(figsize=(10, 5.3), layout="constrained")
     axes = figure.subplots()
     axes.set(xlim=(0, 4.75), ylim=(0, len(ROWS)))
     axes.axis("off")
@@ -80,5 +70,5 @@ def draw() -> Figure:
 
 
 if __name__ == "__main__":
-    assert [folder for row in ROWS for folder in row] == list(LAYERS)  # noqa: S101
+    assert [folder for row in ROWS for folder in row] == list(CORE)  # noqa: S101
     draw().savefig(OUT, dpi=110)

@@ -45,7 +45,7 @@ DEMONSTRATIONS_GIVEN: Final = 8
 class GivenSettings(BaseSettings):
     """Settings for the demonstrations and instructions that policies receive."""
 
-    panel = "Demonstrations at test time, and controls"
+    panel = "Demonstrations and controls"
 
     demonstrations: Annotated[
         Count | None,
