@@ -13,7 +13,7 @@ from typer import Argument, Option
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
 from magical_mj.cli.film import by_file_name, film_episodes
-from magical_mj.evaluation.folder import other_format, recorded_settings
+from magical_mj.evaluation.folder import folders_of, other_format, recorded_settings
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
@@ -49,6 +49,7 @@ def make_report(
     **options: Any,
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV), figures, videos and explanations."""
+    folders = folders_of(folders)
     if out is None and (len(folders) > 1 or other_format(folders[0])):
         raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")

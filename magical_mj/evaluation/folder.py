@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -30,6 +31,8 @@ FORMAT_GROUP: Final = "magical_mj.result_formats"
 """The entry-point group of other formats, such as ``leaderboard = "magical_mj.leaderboard.entry:ENTRIES"``."""
 MOST_SETTINGS: Final = 10_000_000
 """The largest size of a settings file in bytes."""
+CODE: Final = "code of "
+"""The beginning of the names of settings with hashes of code."""
 EXTENDABLE: Final = ("policies", "environments", "shifts")
 """The settings that a resumed evaluation may extend. It may add seeds as well."""
 OLD_DEFAULTS: Final = {
@@ -164,7 +167,7 @@ def check_continues(folder: Path, settings: dict[str, Any]) -> None:
             f"{wanted.stop - 1} are requested: a resumed evaluation may have more scenes, but must keep all of these"
         )
     free = {*EXTENDABLE, "episodes", "first_seed"}
-    free |= {name for name in settings if name.startswith(("code of ", "demonstrations of ")) and name not in before}
+    free |= {name for name in settings if name.startswith((CODE, "demonstrations of ")) and name not in before}
     check_unchanged(folder, before, {name: value for name, value in settings.items() if name not in free})
 
 
@@ -213,17 +216,33 @@ def recorded_method(policy: PlayedPolicy, settings: Mapping[str, Any]) -> str:
     return method_name(policy.name, settings["body"], settings["wrap"], policy.given)
 
 
-def check_trainings(known: Iterable[Mapping[str, Any]], name: str | None = None) -> None:
-    """Raises an `EvaluationError` if two runs of a method have equal policies: each run must be a separate training.
+def check_trainings(folders: Iterable[Path], name: str | None = None) -> None:
+    """Checks the runs of the methods in the folders of evaluations, or only of the policy `name`.
 
-    `known` are the settings of evaluations. Only the policy `name` is checked; with None, all are.
+    Raises:
+        EvaluationError: if two runs of a method have equal policies, since each must be a separate training; or if two
+            folders with a run, task and shift in common differ in the policy or in the code that they played with.
     """
-    check_runs(
-        (recorded_method(policy, settings), policy.run, policy.sha256)
-        for settings in known
+    known = {folder: recorded_settings(folder) for folder in folders}
+    played = [
+        (folder, settings, policy)
+        for folder, settings in known.items()
         for policy in recorded_policies(settings)
         if name in (None, policy.name)
-    )
+    ]
+    check_runs((recorded_method(policy, settings), policy.run, policy.sha256) for _, settings, policy in played)
+    for (folder, settings, policy), (other, others, same) in combinations(played, 2):
+        if (recorded_method(policy, settings), policy.run) != (recorded_method(same, others), same.run):
+            continue
+        common = {*settings["environments"]} & {*others["environments"]}
+        facts = {field: (getattr(policy, field), getattr(same, field)) for field in PlayedPolicy.__struct_fields__}
+        facts |= {key: (settings[key], others[key]) for key in settings.keys() & others.keys() if key.startswith(CODE)}
+        if common and (differing := [field for field, pair in facts.items() if pair[0] != pair[1]]):
+            raise EvaluationError(
+                f"run {policy.run} of {policy.name} is not the same in {folder} and {other}, which both hold "
+                f"{min(common)}: they differ in {', '.join(differing)}; evaluate one of them with another --run or "
+                "NAME=POLICY"
+            )
 
 
 def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
@@ -241,7 +260,8 @@ def check_runs(policies: Iterable[tuple[str, int, str]]) -> None:
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:
-    """The folders as a list. A single path is a `SettingsError`, since its letters would be taken as paths."""
+    """The folders as a list, each once. A single path is a `SettingsError`: its letters would be taken as paths."""
     if isinstance(folders, str | bytes | PathLike):
         raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
-    return [files.to_path(folder) for folder in folders]
+    paths = map(files.to_path, folders)
+    return list({path.resolve(): path for path in paths}.values())

@@ -78,7 +78,7 @@ def submit(
     except msgspec.ValidationError as error:
         raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
     known = {folder: recorded_settings(folder) for folder in folders}
-    check_trainings(known.values(), name)
+    check_trainings(known, name)
     learnt = [row for settings in known.values() for row in recorded_policies(settings) if row.name == name]
     played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
     other_tasks = sorted({task for row in learnt for task in row.other_tasks})

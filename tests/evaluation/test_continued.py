@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import magical_mj
+from magical_mj.cli import main
 from magical_mj.utils.errors import SettingsError
 
 MODULES = {
@@ -108,6 +110,40 @@ def test_what_has_changed_is_noticed(what: str, folder: Path) -> None:
     (folder / file).write_text(original)
     after = evaluated(episodes=2, **settings)
     assert len(after) == 2 * len(before)
+
+
+def test_one_run_is_one_policy_in_all_folders(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluated("P=policies:Imports", 1, out="a")
+    (folder / "kept/deep.py").write_text("DRIVE = 0")
+    evaluated("P=policies:Imports", 1, out="b", first_seed=1)
+    for command in (["report", "a", "b", "--out", "r"], ["submit", "a", "b", "--out", "e.json.xz"]):
+        assert main(command) == 1
+        error = " ".join(capsys.readouterr().err.split())
+        assert "run 0 of P is not the same in a and b, which both hold MoveToRegion-Demo: they differ in code" in error
+
+
+def test_a_folder_given_twice_counts_once(folder: Path) -> None:
+    evaluated("P=policies:Imports", 1, out="a")
+    assert main(["report", "./a", str(folder / "a"), "--out", "a/report"]) == 0
+    assert main(["report", "a", "a/"]) == 0
+    assert "1 episode in each environment" in (folder / "a/report/report.md").read_text()
+
+
+def test_comparisons_of_different_tasks_print_no_warning(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluated("A=policies:Reads", 2, out="a", tasks="MoveToCorner,MoveToRegion", variants="Demo,Jitter")
+    evaluated("B=policies:Reads", 2, out="b", tasks="MoveToRegion", variants="Jitter,Demo", first_seed=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert main(["compare", "a", "b"]) == 0
+    assert "without 8 scenes that only one of them has played" in " ".join(capsys.readouterr().out.split())
+
+
+def test_two_runs_of_one_deterministic_object_are_said_to_be_one(folder: Path) -> None:
+    evaluated("P=policies:Imports,P=policies:Imports,Q=policies:Draws,Q=policies:Draws", 2, out="a")
+    assert main(["report", "a"]) == 0
+    text = " ".join((folder / "a/report/report.md").read_text().split())
+    assert "the runs 0 and 1 of P act alike in 2 common episodes, so that they are one run" in text
+    assert "of Q act alike" not in text
 
 
 def test_policies_with_unseeded_random_numbers_continue(folder: Path) -> None:

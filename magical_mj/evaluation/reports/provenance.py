@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -143,8 +143,28 @@ def _deviations(
     for name, text in {**words, "time_limit": "a time limit of {} s"}.items():
         if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
             yield text.format(", ".join(map(str, others)))
+    yield from _equal_runs(known, scores)
     if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
         yield f"tasks from outside the benchmark: {listing(own)}"
+
+
+def _equal_runs(known: Sequence[Settings], scores: pd.DataFrame) -> Iterator[str]:
+    """Runs of own code that act alike in all common episodes. Equal model files are refused before."""
+    code = {
+        (recorded_method(policy, settings), policy.run)
+        for settings in known
+        for policy in recorded_policies(settings)
+        if not policy.sha256
+    }
+    for (policy, first), (other, second) in combinations(sorted(code), 2):
+        if policy != other:
+            continue
+        rows = scores[scores["policy"] == policy].set_index([*COLUMNS[2:], "seed"])
+        ours, theirs = (rows.loc[rows["run"] == run, "actions"] for run in (first, second))
+        common = ours.index.intersection(theirs.index)
+        if len(common) and ours.loc[common].equals(theirs.loc[common]):
+            alike = counted(len(common), "common episode")
+            yield f"the runs {first} and {second} of {policy} act alike in {alike}, so that they are one run"
 
 
 def _facts(known: Sequence[Settings]) -> Iterator[str]:

@@ -128,7 +128,7 @@ def gather(
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
-    check_trainings(map(recorded_settings, folders))
+    check_trainings(folders)
     scores = _read(folders, rules, trusted, **replaying)
     check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder and its copy hold the same episodes
