@@ -106,7 +106,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         observation, reward, terminated, truncated, info = self._inner.step(action)
         if (terminated or truncated) and not self._base.engine.over:  # a wrapper has ended the episode
             score = np.float64(self._base.score())
-            info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
+            info = info | {"eval_score": score, "is_success": bool(score == 1.0)}
             if getattr(self._base, "reward", "none") != "none":
                 reward = float(reward) + float(score)
         return observation, reward, terminated, truncated, info

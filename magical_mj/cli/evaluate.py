@@ -62,7 +62,7 @@ PANELS: Final = {
 """Heading in the help of `evaluate` -> settings that few people need."""
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
-    "several with commas."
+    "several with commas (in a name: \\,)."
 )
 
 

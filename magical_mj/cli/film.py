@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -36,6 +37,8 @@ INK: Final = (60, 60, 60)
 TITLE_SHADE: Final = (255, 255, 255, 225)  # RGBA of the band behind a title
 SMALLEST_TEXT: Final = 8  # pixels
 PAUSE: Final = 1  # seconds; an episode's first and last frame are shown this long
+UNUSABLE: Final = re.compile(r'[/\\:*?"<>|\x00-\x1f]')
+"""Characters that file names cannot contain on some systems."""
 REPORT_SIZE: Final = 192  # pixels; of the videos in reports
 REPORT_SPEED: Final = 4  # times real time
 
@@ -179,7 +182,7 @@ def by_file_name(episodes: Iterable[tuple[str, EpisodeResult]]) -> dict[str, tup
     """The episodes by the names of the videos that `film_episodes` makes."""
     named: dict[str, tuple[str, EpisodeResult]] = {}
     for which, score in episodes:
-        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
+        name = UNUSABLE.sub("-", f"{which}-{score.policy}-{score.task}.mp4")
         named[f"{len(named)}-{name}" if name in named else name] = which, score  # methods a/b and a-b are the same here
     return named
 

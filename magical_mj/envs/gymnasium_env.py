@@ -350,14 +350,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         super().close()
 
     def _info(self, *, last: bool) -> dict[str, Any]:
-        """The info, always with the same keys.
-
-        TorchRL reads the `dtype` of each value. `is_success` is an array, since vector environments would lose the
-        dtype of a `numpy.bool`.
-        """
+        """The info, always with the same keys. JSON can hold it, and arrays of its values have the right types."""
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
-        info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
+        info = {"eval_score": np.float64(reached), "is_success": bool(reached == 1.0)}
         if self._instruction or self.engine.episode_shifts.changes_instruction:
             info["instruction"] = np.str_(self.instruction)  # not an array: `check_env` cannot compare arrays of text
         if self._score_every_step:

@@ -337,14 +337,17 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
 
 
 def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
-    """Raises an `EvaluationError` if a wrapper has ended an episode before the environment did, so it has no score."""
+    """Raises an `EvaluationError` unless each action of the policy was one step of the environment, up to its end."""
     inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else env
     limits = inside.get_attr("limit") if hasattr(inside, "get_attr") else [getattr(inside, "limit", 0)]
-    if len(actions) < min(limits):
+    if len(actions) >= min(limits):
+        return
+    if getattr(getattr(inside, "engine", None), "over", False):
         raise EvaluationError(
-            f"a wrapper ended the episode after {len(actions)} of {min(limits)} steps: leave it out, or give "
-            "max_episode_steps to gymnasium.make for shorter episodes"
+            f"a wrapper made {min(limits)} steps from {len(actions)} actions, and results need an action for each "
+            "step: leave it out, and repeat actions in the policy instead"
         )
+    raise EvaluationError(f"a wrapper ended the episode after {len(actions)} of {min(limits)} steps: leave it out")
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:

@@ -189,14 +189,19 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
 
 def _traced(network: nn.Module, example: Tensor) -> Any:
     """The network as an ONNX program for batches of any size."""
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings(action="ignore"):  # both warnings are about PyTorch's internals
-        return torch.onnx.export(
-            network,
-            (example,),
-            input_names=["observations"],
-            output_names=["logits"],
-            opset_version=OPSET,
-            dynamic_shapes={"observations": {0: torch.export.Dim.DYNAMIC}},
-            verbose=False,
-        )
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # both warnings are about PyTorch's internals
+            return torch.onnx.export(
+                network,
+                (example,),
+                input_names=["observations"],
+                output_names=["logits"],
+                opset_version=OPSET,
+                dynamic_shapes={"observations": {0: torch.export.Dim.DYNAMIC}},
+                verbose=False,
+            )
+    finally:
+        logger.setLevel(level)

@@ -53,6 +53,8 @@ CHECKS: Final = {"demonstration_set": check_set, "played_in": check_variants, "o
 """A field of `LEARNT` -> the function that checks its value."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
+_COMMA: Final = re.compile(r"(?<!\\),")
+"""A comma that separates policies."""
 TORCH: Final = (
     "To evaluate a PyTorch network, give --policy mine:Policy, where mine.py contains a class Policy. Its "
     "__init__(self) loads the network, and its __call__(self, observation) returns an action, such as "
@@ -332,11 +334,11 @@ def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _parse_text(text: str, *, is_path: bool) -> Iterator[tuple[str, str]]:
-    """The policies in a text: one path, or a comma-separated list. Each item may be ``NAME=...``."""
+    r"""The policies in a text: one path, or a list. Each item may be ``NAME=...``. Names hold commas as ``\,``."""
     if is_path or os.path.exists(text):  # noqa: PTH110  (`Path.exists` raises errors for some texts)
         yield _default_name(text), text
         return
-    for part in filter(None, map(str.strip, text.split(","))):
+    for part in filter(None, (part.strip().replace("\\,", ",") for part in _COMMA.split(text))):
         name, equals, origin = part.partition("=")
         if equals and not origin:  # `Path("")` would be the working directory
             raise SettingsError(f"{part} lacks a policy after the =: give {ACCEPTED_POLICIES}")

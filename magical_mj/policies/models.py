@@ -31,6 +31,7 @@ from magical_mj.actions import ACTIONS
 from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
 from magical_mj.tasks.registry import EVERY_VARIANT
+from magical_mj.utils.environment import environment_restored
 from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer, short_repr
 
 OTHER_ACTIONS: Final = (
@@ -131,7 +132,8 @@ def torch_settings(threads: int | None = None) -> Iterator[None]:
     """A context with PyTorch's default settings: float32, gradients, the highest precision, the CPU.
 
     Policies act on one thread, because sums depend on the number of threads, and workers share the cores. With None,
-    the number of threads is not changed.
+    for code that makes networks, the number of threads is not changed, and the state of PyTorch's global random
+    generator is restored at the end.
     """
     import torch
 
@@ -143,6 +145,8 @@ def torch_settings(threads: int | None = None) -> Iterator[None]:
             stack.enter_context(torch.autocast(device, enabled=False))
         if torch.empty(0).device.type != "cpu":
             stack.enter_context(torch.device("cpu"))
+        if threads is None:
+            stack.enter_context(torch.random.fork_rng(devices=[]))
         stack.callback(_set_torch, *before)
         _set_torch(threads or before[0], torch.float32, "highest")
         yield
@@ -397,8 +401,9 @@ def check_tasks(value: object, where: str) -> tuple[str, ...]:
 
 def onnx_runtime() -> Any:
     """The module `onnxruntime`, without its telemetry, which would write into the user's home folder."""
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    import onnxruntime
+    with environment_restored("ORT_DISABLE_TELEMETRY"):
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # it is read at the first import
+        import onnxruntime
 
     return onnxruntime
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from threading import RLock
 from typing import Any, Final, Literal, NamedTuple, cast, get_args
 
+from magical_mj.utils.environment import environment_restored
 from magical_mj.utils.errors import check_name
 
 RendererName = Literal["opengl", "software"]
@@ -108,13 +109,9 @@ def _start(name: str) -> None:
         raise RuntimeError("GLFW needs a display")
     if name == "glfw" and sys.platform == "darwin":
         raise RuntimeError("on macOS it draws in the main thread only")
-    missing = {"LP_NUM_THREADS", "PYOPENGL_PLATFORM"} - os.environ.keys()
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL draws small pictures faster without threads
-    try:
+    with environment_restored("LP_NUM_THREADS", "PYOPENGL_PLATFORM"):
+        os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL draws small pictures faster so
         new_context(name).free()
-    finally:  # other code and child processes look at these variables
-        for variable in missing:
-            os.environ.pop(variable, None)
     if name == "egl":
         from OpenGL import EGL
 

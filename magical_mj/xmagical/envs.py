@@ -195,7 +195,7 @@ class XMagicalEnv(SpeedsEnv):
     def _info(self, *, last: bool) -> dict[str, Any]:
         inside = arrived(self.scene)
         score = float(inside.mean()) if last else 0.0
-        return {"eval_score": np.float64(score), "is_success": np.array(score == 1.0), "in_zone": inside}
+        return {"eval_score": np.float64(score), "is_success": bool(score == 1.0), "in_zone": inside}
 
 
 make_suite_vector: Final = partial(make_vector, XMagicalEnv)

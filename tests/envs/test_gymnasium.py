@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import pickle
 import re
 import subprocess
@@ -373,11 +374,11 @@ def test_the_score_at_every_step() -> None:
 
 
 def test_infos_have_types_that_other_libraries_read() -> None:
-    """TorchRL reads `dtype`; LeRobot needs arrays of bools from vector environments; scores can be used as floats."""
-    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")
+    """TorchRL reads the score's `dtype`; LeRobot needs arrays of bools from vector environments; loggers write JSON."""
+    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", score_every_step=True, instruction=True)
     for info in (env.reset(seed=0)[1], env.step(0)[-1]):
-        assert [info[name].dtype for name in ("eval_score", "is_success")] == [np.float64, np.bool_]
-        assert isinstance(info["eval_score"], float)
+        assert info["eval_score"].dtype == np.float64
+        assert json.loads(json.dumps(info)) == info
     vector = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", num_envs=2)
     infos = vector.reset(seed=0)[1]
     assert [infos[name].dtype for name in ("eval_score", "is_success")] == [np.float64, np.bool_]

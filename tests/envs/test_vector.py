@@ -84,7 +84,7 @@ def test_every_environment_is_the_single_one_to_the_bit(threads: int, alone: lis
 def info_of(infos: dict[str, Any], index: int) -> dict[str, Any]:
     """An environment's info, with the types of a single environment."""
     assert infos["_eval_score"][index]
-    return {"eval_score": infos["eval_score"][index], "is_success": np.array(infos["is_success"][index])}
+    return {"eval_score": infos["eval_score"][index], "is_success": bool(infos["is_success"][index])}
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

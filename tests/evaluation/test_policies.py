@@ -26,6 +26,7 @@ from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare
 from magical_mj.evaluation.scores import SCORES, read
 from magical_mj.leaderboard import submit
+from magical_mj.policies.loading import sources
 from magical_mj.utils.errors import ClosedError, EvaluationError, InvalidActionError, SettingsError, TaskError
 from tests.helpers import agents
 from tests.helpers.agents import Acting
@@ -256,10 +257,33 @@ def test_tasks_may_be_a_word_and_an_iterator() -> None:
     assert settings.environments == settings.environments == [("FindDupe", "Demo"), ("MakeLine", "Demo")]
 
 
+def test_names_may_hold_commas() -> None:
+    named = sources(r"slowly\, twice=noop,random")
+    assert [(source.name, source.origin) for source in named] == [("slowly, twice", "noop"), ("random", "random")]
+
+
+class Skips(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Repeats each action four times."""
+
+    def step(self, action: Any) -> Any:
+        for _ in range(4):
+            result = super().step(action)
+            if result[3]:
+                break
+        return result
+
+
+def test_a_wrapper_that_repeats_actions_is_explained() -> None:
+    env = Skips(magical_mj.MagicalEnv("MoveToRegion", preset="State"))
+    with pytest.raises(EvaluationError, match="a wrapper made 40 steps from 10 actions, and results need an action"):
+        list(rollouts(env, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
+
+
 def test_videos_of_methods_with_similar_names_are_kept_apart(tmp_path: Path) -> None:
-    scores = [replace(TEMPLATE, policy=name, task="MoveToRegion", actions="a") for name in ("a/b", "a-b")]
+    scores = [replace(TEMPLATE, policy=name, task="MoveToRegion", actions="a") for name in ("a/b", "a-b", 'a:?*"<|>b')]
     links = film_episodes([("best", score) for score in scores], tmp_path)
-    assert len(links) == len(set(links.values())) == len(list(tmp_path.glob("*.mp4"))) == 2
+    assert len(links) == len(set(links.values())) == len(list(tmp_path.glob("*.mp4"))) == 3
+    assert not any(set(link) & set('/\\:*?"<>|') for link in links.values())
     with pytest.raises(InvalidActionError, match="stored actions are letters from a to r, not 'abz'"):
         film_episodes([("best", replace(scores[0], actions="abz"))], tmp_path)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from gymnasium.error import ResetNeeded
 
 import magical_mj
@@ -50,7 +51,11 @@ def test_torchrl_finds_nothing_wrong(gym_env: Any, name: str, options: dict[str,
 
 
 def test_torchrl_seeds_are_ours_and_the_info_is_read(gym_env: Any) -> None:
-    env = gym_env("magical_mj/FixColour-Demo-State-v0").auto_register_info_dict()
+    from torchrl.data import Unbounded
+    from torchrl.envs import default_info_dict_reader
+
+    env = gym_env("magical_mj/FixColour-Demo-State-v0")
+    env.set_info_dict_reader(default_info_dict_reader(["eval_score"], [Unbounded((), dtype=torch.float64)]))
     env.set_seed(3)
     rollout = env.rollout(100)
     ours = magical_mj.MagicalEnv("FixColour", "Demo", "State")

@@ -11,6 +11,7 @@ import mujoco
 
 from magical_mj.engine import State
 from magical_mj.rendering.backend import HEADLESS, REMEDY, has_display, load_triton, opengl, wanted_backend
+from magical_mj.utils.environment import environment_restored
 from magical_mj.utils.errors import MissingExtraError, RenderingError
 
 _OTHERS: Final = ("glfw", "on", "enable", "enabled", "true", "1", "off", "disable", "disabled", "false", "0")
@@ -51,9 +52,10 @@ def _prepare() -> None:
 
 
 try:
-    _prepare()  # before the first import of dm_control
-    from magical_mj.envs.composer.entities import Arena
-    from magical_mj.envs.composer.environment import Environment, load, load_scene
+    with environment_restored("MUJOCO_GL", "PYOPENGL_PLATFORM"):
+        _prepare()  # before the first import of dm_control
+        from magical_mj.envs.composer.entities import Arena
+        from magical_mj.envs.composer.environment import Environment, load, load_scene
 except (ImportError, AttributeError) as error:  # AttributeError: versions of dm_control and MuJoCo do not match
     MISSING = (
         "magical_mj.load needs dm_control, which requires Python below 3.13 and MuJoCo 3 (this is Python "
