@@ -96,22 +96,22 @@ def sb3() -> None:
     evaluated("model.zip")
 
 
-def trained() -> None:
-    from magical_mj.learners import load_settings, train
+def untrained() -> None:
+    """A folder with the policy of an untrained network."""
+    from magical_mj.learners import load_settings
+    from magical_mj.learners.networks import Actor
+    from magical_mj.learners.policy import save_policy
 
-    train(load_settings("bc", "MoveToRegion", quick=True, **{"bc.batches": 2}), "run")
+    settings = load_settings("bc", "MoveToRegion", preset="State")
+    generator = torch.get_rng_state()
+    actor = Actor(settings.network, 1, states=True, batch_norm=False)
+    torch.set_rng_state(generator)
+    Path("run").mkdir()
+    save_policy(Path("run"), actor, settings)
 
 
 def evaluated(policy: Any, **settings: Any) -> None:
     magical_mj.evaluate(policy, tasks="MoveToRegion", variants="Demo", **{"episodes": 1, "jobs": 1, **settings})
-
-
-def loaded() -> None:
-    from magical_mj.learners.policy import export_policy, load_policy
-
-    load_policy("run")
-    export_policy("run", "policy.onnx")
-    evaluated("policy.onnx")
 
 
 def reported() -> None:
@@ -145,9 +145,8 @@ CALLS: dict[str, Callable[[], Any]] = {
     "a vector environment": vector,
     "importing composer": composer_imported,
     "composer": composed,
-    "training": trained,
+    "saving a policy": untrained,
     "a trained policy": lambda: evaluated("run"),
-    "loading and exporting a policy": loaded,
     "stable-baselines3": sb3,
     "an expert": lambda: evaluated("expert,random"),
     "reports": reported,
