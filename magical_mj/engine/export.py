@@ -124,7 +124,7 @@ def mjcf_text(source: Scene | Engine, *, rounded: bool = True) -> str:
             "seed": source.seed,
             "shifts": shift_label(source.shifts) or None,
             "rules": source.rules if source.task else None,
-            "horizon": source.horizon,
+            "horizon": source.limit,
         }
         about = {name: value for name, value in about.items() if value is not None}
     return _header(about, 2 * scene.half_width) + _indented(_model(scene, about, data, rounded=rounded))

@@ -127,8 +127,13 @@ class VariationSpace(spaces.Dict):
             scene: gives the properties that a variation lacks, such as fingers and masses.
 
         Raises:
+            UnknownNameError: for an unknown factor.
             SettingsError: if the variation is not in this space.
         """
+        for name, part in values.items():
+            if isinstance(part, Mapping) and isinstance(space := self.spaces.get(name), spaces.Dict):
+                for factor in part:
+                    check_name(f"factor of {name}", factor, space.spaces)
         values = {name: _cast(self.spaces.get(name), value) for name, value in values.items()}
         if not self.contains(values):
             wrong = [name for name, value in values.items() if name not in self.spaces or value not in self[name]]

@@ -56,9 +56,10 @@ class Body:
             corners = self.corners
         except (TypeError, ValueError):
             corners = np.empty(0)  # rejected below
-        if self.outline and not (corners.shape[1:] == (2,) and len(corners) > 3 and is_convex(corners)):
+        fitting = corners.shape[1:] == (2,) and len(corners) > 3 and is_convex(corners) and surrounds_origin(corners)
+        if self.outline and not fitting:
             raise InvalidSceneError(
-                "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
+                "the outline of a body must be the corners (x, y) of a convex polygon around the origin, four or more, "
                 f"counter-clockwise, not {short_repr(self.outline)}"
             )
 
@@ -82,7 +83,15 @@ def is_convex(corners: NDArray[np.float64]) -> bool:
     """Whether a polygon with these corners, shape (n, 2), is convex and counter-clockwise."""
     ahead = np.roll(corners, -1, axis=0) - corners
     onward = np.roll(ahead, -1, axis=0)
-    return bool((ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all())
+    turns = ahead[:, 0] * onward[:, 1] - ahead[:, 1] * onward[:, 0]
+    whole = np.arctan2(turns, (ahead * onward).sum(axis=1)).sum()  # a pentagram turns twice
+    return bool((turns > 0).all() and whole < 3 * np.pi)
+
+
+def surrounds_origin(corners: NDArray[np.float64]) -> bool:
+    """Whether the origin is inside a convex polygon with these counter-clockwise corners, shape (n, 2)."""
+    ahead = np.roll(corners, -1, axis=0) - corners
+    return bool((ahead[:, 1] * corners[:, 0] > ahead[:, 0] * corners[:, 1]).all())
 
 
 def stick(width: float, inertia: float) -> Body:

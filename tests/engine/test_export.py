@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Comment, TreeBuilder, XMLParser, parse
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -76,6 +77,13 @@ def texts(model: mujoco.MjModel) -> dict[str, str]:
         name: model.text_data[model.text_adr[index] :][: model.text_size[index] - 1].decode()
         for name, index in names.items()
     }
+
+
+def test_an_export_has_the_number_of_steps_of_its_episode(tmp_path: Path) -> None:
+    env = gymnasium.make("magical_mj/FindDupe-Demo-State-v0", max_episode_steps=30)
+    env.reset(seed=0)
+    model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(env, tmp_path / "short.xml")))
+    assert model.numeric("horizon").data.tolist() == [30]
 
 
 def test_the_file_alone_plays_every_task_and_variant_to_the_bit(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+from magical_mj.scene.bodies import Body
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene
 from magical_mj.utils.errors import InvalidSceneError, MagicalError
 
@@ -25,6 +26,15 @@ SCENE = Scene(
     regions=(GoalRegion("green", -0.9, -0.8, -0.3, 1 / 3),),
     dynamics=Dynamics(drive_force=2.345678901234567),
 )
+
+
+@pytest.mark.parametrize("wrong", ["pentagram", "beside the origin"])
+def test_bodies_are_convex_and_around_the_origin(wrong: str) -> None:
+    turns = {"pentagram": 2, "beside the origin": 1}[wrong]
+    angles = 2 * np.pi * turns * np.arange(5) / 5
+    corners = 0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1) + 0.2 * (wrong != "pentagram")
+    with pytest.raises(InvalidSceneError, match="convex polygon around the origin"):
+        Body(tuple(map(tuple, corners.tolist())))
 
 
 def test_a_scene_is_an_immutable_hashable_value() -> None:

@@ -21,6 +21,12 @@ def environment(task: str = "FindDupe", variant: str = "TestAll", **options: Any
     return gymnasium.make(name, renderer="software", disable_env_checker=True, image_size=32, **options)
 
 
+def test_an_unknown_factor_is_named() -> None:
+    env = magical_mj.MagicalEnv("MoveToRegion", preset="State")
+    with pytest.raises(UnknownNameError, match=r"unknown factor of camera 'zom'\. Did you mean 'zoom'"):
+        env.reset(seed=0, options={"variation": {"camera": {"zom": 0.3}}})
+
+
 @pytest.mark.parametrize("task", ["FindDupe", "MatchRegions", "MoveToCorner"])
 def test_a_round_trip_gives_the_same_episode(task: str) -> None:
     able = {name: strength for name, strength in EVERYTHING.items() if not SHIFTS[name].supports(task)}

@@ -21,6 +21,18 @@ from tests.helpers import regenerate_protocol as fingerprints
 GOLDEN = fingerprints.golden()
 
 
+def test_the_only_scene_that_starts_solved_is_on_the_card() -> None:
+    solved = [
+        (variant, seed)
+        for variant in ("Layout", "CountPlus", "All")
+        for seed in range(100)
+        if magical_mj.score("MakeLine", scene := magical_mj.sample_scene("MakeLine", variant, seed), scene) == 1.0
+    ]
+    assert solved == [("CountPlus", 13), ("All", 13)]
+    card = (Path(__file__).parents[2] / "docs" / "benchmark-card.md").read_text()
+    assert "In MakeLine CountPlus and All, the scene of seed 13 starts with score 1" in card
+
+
 def test_the_numbers_are_those_of_the_data_file_and_of_the_page() -> None:
     assert GOLDEN["numbers"] == {"protocol": PROTOCOL, "demonstrations": DEMONSTRATIONS}
     page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
