@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from magical_mj.actions import ACTIONS
 from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
+from magical_mj.policies.onnx_files import check_onnx
 from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils.environment import environment_restored
 from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer, short_repr
@@ -309,13 +310,16 @@ def _trusted(path: Path) -> Any:
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
-    """An ONNX network that outputs actions, or a value for each action. The action with the largest value is taken."""
-    del trust  # ONNX files contain no code
+    """An ONNX network that outputs actions, or a value for each action. The action with the largest value is taken.
+
+    `trust`: it may have loops, which need not end.
+    """
     if find_spec("onnxruntime") is None:
         raise MissingExtraError(f"{path} needs ONNX Runtime: pip install onnxruntime")
     onnxruntime = onnx_runtime()
     if path.stat().st_size > MOST_OF_POLICY:
         raise SettingsError(f"{path} is not read: it has more than {MOST_OF_POLICY:,} bytes")
+    check_onnx(path, MOST_OF_POLICY, trust)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # no log of errors, since they are raised as well
