@@ -22,6 +22,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.leaderboard.names import check_method_name
 from magical_mj.protocol import PROTOCOL, SEEDS, SHIFT_SEEDS
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.registry import ENVIRONMENTS
@@ -312,7 +313,7 @@ def _card_in(folder: Path) -> Card:
         card = msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise EvaluationError(f"{path} is not a card: {str(error)[:200]}") from error
-    _check_name(card.method, path)
+    check_method_name(card.method, path)
     return card
 
 
@@ -328,18 +329,12 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         raise EvaluationError(f"{name} was altered after it was made: its hash does not match its content")
     if content.protocol not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content.protocol}, but this version plays {PROTOCOL}")
-    _check_name(content.card.method, name)
+    check_method_name(content.card.method, name)
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
     shared = {name: getattr(content, name) for name in EntryFields.__struct_fields__}
     return Entry(**shared, episodes=episodes, played_in=content.played_in, other_tasks=content.other_tasks)
-
-
-def _check_name(method: str, name: object) -> None:
-    if not method.isprintable() or method != method.strip():
-        problem = "has invisible characters, or begins or ends with a space"
-        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
 
 
 def _decompressed(data: bytes, name: object) -> bytes:

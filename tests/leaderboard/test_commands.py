@@ -85,7 +85,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_
     submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
     code, _, error = shell("leaderboard", entries, "--all", "--out", tmp_path / "pages")
     assert code == 1
-    assert "twin.json.xz is not shown: good.json.xz has a method of the same name" in error
+    assert "twin.json.xz is not shown: good.json.xz has a method whose name reads the same" in error
     assert "cut.json.xz is cut short" in error
     assert "folder.json.xz is not a plain file" in error
     assert "half.json.xz is not an entry" in error

@@ -15,6 +15,7 @@ from magical_mj.cli.console import check_fits, complain, console, counting, make
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.entry import entry_files
+from magical_mj.leaderboard.names import appearance
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
 from magical_mj.utils.errors import EvaluationError, counted
@@ -94,9 +95,10 @@ def make_leaderboard(
     for name, entry in entries.items():
         replayed = counted(findings[name].episodes, "episode")
         screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
-        owner = next((other for other in good if good[other].method == entry.method), None)
+        alike = appearance(entry.method)
+        owner = next((other for other in good if appearance(good[other].method) == alike), None)
         if owner is not None and good[owner].rules == entry.rules:
-            complain(f"{name} is not shown: {owner} has a method of the same name, {entry.method}")
+            complain(f"{name} is not shown: {owner} has a method whose name reads the same, {entry.method}")
         elif not _printed_problems(name, findings[name]):
             good[name] = entry
     for page in write_pages(standings(list(good.values())), out):
