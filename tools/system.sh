@@ -1,6 +1,7 @@
 #!/bin/sh
 # What pip cannot install: OpenGL without a display (EGL), and Debian's separately packaged `venv`.
 # Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
+# NO_APT=1 forbids it.
 # Usage: tools/system.sh PYTHON [node] [chromium] [firefox] [xvfb]
 
 python=$1
@@ -28,7 +29,7 @@ esac
 [ -z "$missing" ] && exit 0
 
 if [ "$(id -u)" = 0 ]; then as_root=""; else as_root="sudo -n"; fi
-if command -v apt-get >/dev/null && $as_root true 2>/dev/null; then
+if [ -z "$NO_APT" ] && command -v apt-get >/dev/null && $as_root true 2>/dev/null; then
     echo "installing with apt-get:$missing"
     export DEBIAN_FRONTEND=noninteractive
     $as_root apt-get update -qq && $as_root apt-get install -qq -y --no-install-recommends $missing >/dev/null && exit 0
