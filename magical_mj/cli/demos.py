@@ -104,18 +104,18 @@ def rollouts(
     They have the format of demonstrations, so `export` accepts them. Their scenes are never test scenes.
     """
     from magical_mj.evaluation.settings import EvaluationSettings
-    from magical_mj.evaluation.worker import Player
-    from magical_mj.policies.loading import playable
+    from magical_mj.evaluation.worker import Player, prepared
 
-    pairs = environments(tasks, variants)
-    source, *others = playable(policy, pairs, preset)
+    settings = EvaluationSettings(tasks=tasks, variants=variants, split="dev", preset=preset)
+    (source, *others), settings = prepared(policy, settings)
     if others:
         raise typer.BadParameter("give one policy; use another folder for another policy.")
     keys = [
-        (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
+        (*pair, SPLITS["dev"] + k)
+        for pair in settings.environments
+        for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
     ]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
-    settings = EvaluationSettings(split="dev", preset=source.preset)
     check_repeats({key: path for key, path in paths.items() if path.exists()}, Player([source], settings))
     play = partial(roll_out, Player([source], settings))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))

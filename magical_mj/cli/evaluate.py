@@ -6,7 +6,6 @@ import shlex
 import time
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
-from dataclasses import replace as changed
 from math import isnan
 from pathlib import Path
 from statistics import fmean
@@ -39,8 +38,8 @@ from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit
-from magical_mj.evaluation.worker import Player
-from magical_mj.policies.loading import playable, sources
+from magical_mj.evaluation.worker import Player, prepared
+from magical_mj.policies.loading import sources
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
@@ -120,11 +119,8 @@ def rollout(
     pair = task_name(task), variant_name(variant)  # single names, neither lists nor "all"
     shift = shift_label(parse_shifts(shifts, pair[0]))
     settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), shifts=shift, **options)
+    listed, settings = prepared(policy, settings)
     first = SPLITS[settings.split] + seed
-    listed = playable(policy, [pair], settings.preset, trust=settings.trust)
-    settings.check_policies(listed)
-    settings = changed(settings, preset=listed[0].preset)
-    settings.shift_labels(pair[0], listed)  # raises an error if a policy does not notice the shifts
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0

@@ -6,7 +6,6 @@ import inspect
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,9 +18,9 @@ from magical_mj.evaluation.repeatable import check_repeatable
 from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.evaluation.worker import Played, Player, plan, single_env
+from magical_mj.evaluation.worker import Played, Player, plan, prepared, single_env
 from magical_mj.policies.interface import reason
-from magical_mj.policies.loading import Source, playable
+from magical_mj.policies.loading import Source
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.parallel import cores, map_here, map_unordered
 from magical_mj.utils.settings import described, with_values
@@ -102,21 +101,12 @@ class Evaluation:
         called with the number of finished demonstrations, and their total number.
         """
         settings.check_extras()
-        self._sources = playable(
-            policy,
-            settings.environments,
-            settings.preset,
-            first_run=settings.run,
-            trust=settings.trust,
-            batched=settings.batched,
-            like=settings.like,
-        )
+        self._sources, settings = prepared(policy, settings)
+        self.settings = settings
         check_runs((source.name, source.run, source.digest.get("sha256", "")) for source in self._sources)
-        self.settings = settings = replace(settings, preset=self._sources[0].preset)
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
-        settings.check_policies(self._sources)
         check_repeatable(settings, self._sources)
         self._player = Player(self._sources, settings, watch)
         self._cause: Exception | None = None

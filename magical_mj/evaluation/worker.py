@@ -23,7 +23,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
 from magical_mj.policies.interface import Episode, PolicyError, policy_task
-from magical_mj.policies.loading import Source
+from magical_mj.policies.loading import Source, playable
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
@@ -35,6 +35,28 @@ T = TypeVar("T")
 
 GRACE: Final = 1.0
 """Seconds from the time limit until a worker process is killed. It is only needed if a call does not return."""
+
+
+def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], EvaluationSettings]:
+    """The policies in the argument of `evaluate`, each loaded once, and the settings with their preset.
+
+    Raises:
+        SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or the settings do not fit it.
+    """
+    listed = playable(
+        policy,
+        settings.environments,
+        settings.preset,
+        first_run=settings.run,
+        trust=settings.trust,
+        batched=settings.batched,
+        like=settings.like,
+    )
+    settings = replace(settings, preset=listed[0].preset)
+    settings.check_policies(listed)
+    for task, _ in settings.environments:
+        settings.shift_labels(task, listed)
+    return listed, settings
 
 
 def plan(

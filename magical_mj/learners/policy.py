@@ -121,7 +121,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    return TrainedPolicy(actor, tasks, preset, **learnt_from(path.parent))
+    return TrainedPolicy(actor, tasks, preset, **learnt_from(path.parent)._asdict())
 
 
 class _Logits(nn.Module):
@@ -179,7 +179,7 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
             part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
-        learnt = learnt_from(folder)
+        learnt = learnt_from(folder)._asdict()
         learnt["other_tasks"] = "\n".join(learnt["other_tasks"])
         texts = {name: str(value) for name, value in learnt.items()}
         program.model.metadata_props.update(task=task, preset=policy.preset, **texts)

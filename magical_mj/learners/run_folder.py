@@ -29,7 +29,7 @@ from magical_mj.learners.encoder import encoder_digest
 from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
-from magical_mj.policies.loading import CONFIG, LEARNT, loader_in, sources
+from magical_mj.policies.loading import CONFIG, LEARNT, Learnt, loader_in, sources
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import code_digest
@@ -293,8 +293,9 @@ def _joined(digests: Iterable[str]) -> str:
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:
     """The time, command, versions, threads and external inputs of a run's start, as a table of TOML."""
-    read = {name: usual for name, (usual, sources) in LEARNT.items() if (START, name) in sources}
-    learnt = {name: value for name, usual in read.items() if (value := getattr(method, name, usual)) != usual}
+    usual = Learnt()
+    read = {name: getattr(method, name, getattr(usual, name)) for name in LEARNT if (START, name) in LEARNT[name]}
+    learnt = usual._replace(**read).unusual()
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),

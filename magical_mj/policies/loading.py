@@ -14,7 +14,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from inspect import ismethod
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, observation_space, preset_named
 from magical_mj.policies.interface import (
@@ -44,13 +44,13 @@ WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 CONFIG: Final = "config.toml"
 """The file with the settings of a training in its folder."""
 LEARNT: Final = {
-    "demonstration_set": (1, [("demos", "set")]),
-    "played_in": ("Demo", [("reward", "variant"), ("made", "played_in")]),
-    "other_tasks": ((), [("made", "other_tasks")]),
+    "demonstration_set": [("demos", "set")],
+    "played_in": [("reward", "variant"), ("made", "played_in")],
+    "other_tasks": [("made", "other_tasks")],
 }
-"""A field of `Source` about the policy's training -> its default, and where settings contain it: (table, name)."""
+"""A field of `Learnt` -> where a run's settings contain it: (table, name)."""
 CHECKS: Final = {"demonstration_set": check_set, "played_in": check_variants, "other_tasks": check_tasks}
-"""A field of `LEARNT` -> the function that checks its value."""
+"""A field of `Learnt` -> the function that checks its value."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 _COMMA: Final = re.compile(r"(?<!\\),")
@@ -66,6 +66,24 @@ FOLDER_GROUP: Final = "magical_mj.policy_folders"
 
 The name of an entry point is the name of a file in such folders.
 """
+
+
+class Learnt(NamedTuple):
+    """What a policy's training used, as far as it is known.
+
+    Attributes:
+        demonstration_set: the set of the package's demonstrations.
+        played_in: the variants of the scenes that it was trained in, separated by commas.
+        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
+    """
+
+    demonstration_set: int = 1
+    played_in: str = "Demo"
+    other_tasks: tuple[str, ...] = ()
+
+    def unusual(self) -> dict[str, Any]:
+        """The fields without a default value."""
+        return {name: value for name, value in self._asdict().items() if value != self._field_defaults[name]}
 
 
 @dataclass(frozen=True)
@@ -84,9 +102,7 @@ class Source:
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
         uses_simulation: whether it uses the simulation instead of observations.
         uses_demonstrations: whether it receives demonstrations.
-        demonstration_set: the set of the package's demonstrations that it was trained on, if known.
-        played_in: the variants of the scenes that it was trained in, if known, separated by commas.
-        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on, if known.
+        learnt: what its training used.
         needs_plan: whether it is an expert, which follows the task's plan.
     """
 
@@ -100,9 +116,7 @@ class Source:
     unnoticed: frozenset[Effect] = frozenset()
     uses_simulation: bool = False
     uses_demonstrations: bool = False
-    demonstration_set: int = 1
-    played_in: str = "Demo"
-    other_tasks: tuple[str, ...] = ()
+    learnt: Learnt = field(default_factory=Learnt)
     needs_plan: bool = False
 
     def load(self) -> Act:
@@ -150,14 +164,10 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        facts: dict[str, Any] = {"name": self.name, "run": self.run, "origin": origin, **self.digest}
-        if self.demonstration_set != 1:
-            facts["demonstration_set"] = self.demonstration_set
-        if self.played_in != "Demo":
-            facts["played_in"] = self.played_in
-        if self.other_tasks:
-            facts["other_tasks"] = list(self.other_tasks)
-        return facts
+        learnt = {
+            name: list(value) if name == "other_tasks" else value for name, value in self.learnt.unusual().items()
+        }
+        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt}
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -240,13 +250,13 @@ def playable(
             warnings.warn(
                 f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
                 "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
-                stacklevel=4,  # the call of `evaluate`
+                stacklevel=5,  # the call of `evaluate`
             )
         if statistics := statistics_of(source.origin):
             warnings.warn(
                 f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
                 "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
-                stacklevel=4,  # the call of `evaluate`
+                stacklevel=5,  # the call of `evaluate`
             )
         checked.append(
             replace(
@@ -258,30 +268,30 @@ def playable(
                 uses_simulation=uses_simulation(policy),
                 uses_demonstrations=uses_demonstrations(policy),
                 needs_plan=getattr(policy, "needs_plan", False),
-                **learnt_from(source.origin, policy),
+                learnt=learnt_from(source.origin, policy),
             )
         )
     return checked
 
 
-def learnt_from(origin: object, policy: object = None) -> dict[str, Any]:
-    """The fields of `Source` in `LEARNT`.
+def learnt_from(origin: object, policy: object = None) -> Learnt:
+    """What a policy's training used.
 
     Args:
-        origin: the policy's origin. If it is the folder of a training, they are read from its settings.
+        origin: the policy's origin. If it is the folder of a training, the fields are read from its settings.
         policy: the policy. Otherwise, they are its attributes with these names, if it has them.
     """
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     settings = read_toml(path) if path.is_file() else {}
     facts: dict[str, Any] = {}
-    for name, (usual, sources) in LEARNT.items():
-        value, where = getattr(policy, name, usual), f"the policy's attribute {name}"
+    for name, sources in LEARNT.items():
+        value, where = getattr(policy, name, Learnt._field_defaults[name]), f"the policy's attribute {name}"
         for part, setting in sources:
             known = settings.get(part)
             if isinstance(known, dict) and setting in known:
                 value, where = known[setting], f"{part}.{setting} in {path}"
         facts[name] = CHECKS[name](value, where)
-    return facts
+    return Learnt(**facts)
 
 
 def statistics_of(origin: object) -> Path | None:

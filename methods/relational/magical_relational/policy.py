@@ -41,6 +41,6 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         chosen = {name: contents["relational"][name] for name in PLAYED}
         actor = Ensemble(changed(RelationalSettings(), chosen))
         actor.load_state_dict(contents["weights"])
-        return TrainedPolicy(actor, contents["tasks"], STATE, **learnt_from(path.parent))
+        return TrainedPolicy(actor, contents["tasks"], STATE, **learnt_from(path.parent)._asdict())
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy of relational: {error}") from error
