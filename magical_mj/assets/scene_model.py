@@ -177,11 +177,8 @@ def scene_spec(structure: Structure) -> mujoco.MjSpec:
         block.inertia = [block_inertia(shape, mass)] * 3
         outline = block.first_geom()
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
-        for body, geoms in (
-            (block, style.block_sides(f"block{index}_sides", shape, "red")),
-            (block.first_body(), collision_geoms(f"block{index}", shape, mass)),
-        ):
-            for kind, attributes in _parsed(geoms):
+        for body, geoms in zip((block, block.first_body()), _shape_geoms(index, shape, mass), strict=True):
+            for kind, attributes in geoms:
                 geom = body.add_geom(find_class(kind))
                 for name, value in attributes:  # twice as fast as passing them to `add_geom`
                     setattr(geom, name, value)
@@ -211,8 +208,17 @@ def _unshaped(
     return spec
 
 
-@cache
-def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
+_Geoms = tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]
+
+
+@lru_cache(256)  # writing and parsing the text takes longer than adding the geoms
+def _shape_geoms(index: int, shape: Shape, mass: float) -> tuple[_Geoms, _Geoms]:
+    """The geoms that a block's shape determines: its sides, and those for collisions; see `_parsed`."""
+    name = f"block{index}"
+    return _parsed(style.block_sides(f"{name}_sides", shape, "red")), _parsed(collision_geoms(name, shape, mass))
+
+
+def _parsed(geoms: str) -> _Geoms:
     """For each of these geoms: its class, and the attributes that differ from those of the class."""
     spec = mujoco.MjSpec.from_string(
         f"<mujoco><default>{default_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"

@@ -16,7 +16,7 @@ from magical_mj.scene import Robot, Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
-from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
+from magical_mj.tasks.registry import check_rules, drawn_scene, environment_axes, task_spec, variant_name
 from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, as_integer, short_repr
 from magical_mj.utils.frozen import FrozenDict, frozen
@@ -118,7 +118,7 @@ class Setup:
         """The scene of this seed. Raises a `SettingsError` without a task."""
         if self.task is None:
             raise SettingsError("a plain scene has no seeds: give a scene or a state")
-        return sample_scene(self.task, self.variant, seed, self.body)
+        return drawn_scene(self.spec, self.variant, seed, self.body)
 
     def scene_and_shifts(
         self,

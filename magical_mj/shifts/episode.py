@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magical_mj.actions import ACTIONS
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
-from magical_mj.shifts.registry import SHIFTS, shift_class
+from magical_mj.shifts.registry import METHODS, SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
@@ -50,19 +50,18 @@ class EpisodeShifts:
     def __init__(self, draws: Draws = MappingProxyType({})) -> None:
         self.draws: Draws = frozen(draws)
         self._shifts = {name: shift_class(name)(values) for name, values in self.draws.items()}
-        self._with_action, self._with_picture, self._with_ground = map(self._with, ("action", "picture", "ground"))
+        self._with = {
+            method: [name for name, shift in self._shifts.items() if overrides(type(shift), method)]
+            for method in METHODS
+        }
         self._ground: tuple[float, Picture] | None = None
-        self.changes_ground = bool(self._with_ground)
-        self.filters = bool(self._with_picture)
+        self.changes_ground = bool(self._with["ground"])
+        self.filters = bool(self._with["picture"])
         self.changes_pictures = self.changes_ground or self.filters
-        self.changes_instruction = bool(self._with("instruction"))
-        self.changes_model = self.changes_ground or bool(self._with("model"))
+        self.changes_instruction = bool(self._with["instruction"])
+        self.changes_model = self.changes_ground or bool(self._with["model"])
         self.steps = 0
-        self.commands: dict[str, list[int]] = {name: [] for name in self._with_action}
-
-    def _with(self, method: str) -> list[str]:
-        """The names of the shifts that override a method."""
-        return [name for name, shift in self._shifts.items() if overrides(type(shift), method)]
+        self.commands: dict[str, list[int]] = {name: [] for name in self._with["action"]}
 
     def _call(self, name: str, method: str, *arguments: Any) -> Any:
         """Calls a method of a shift. This package's errors pass through, all others become a `ShiftError`."""
@@ -79,7 +78,7 @@ class EpisodeShifts:
         Raises:
             ShiftError, InvalidSceneError, TaskError: if a user's shift does not return a legal scene of the task.
         """
-        for name in self._with("scene"):
+        for name in self._with["scene"]:
             scene = self._call(name, "scene", scene, task_spec(task))
             if name in SHIFTS:
                 continue
@@ -94,15 +93,15 @@ class EpisodeShifts:
         """Changes a new model. If a shift changes the ground, the surroundings are drawn white and replaced later."""
         if self.changes_ground:
             model.geom_rgba[model.geom("surround").id, 3] = 0
-        for name in self._with("model"):
+        for name in self._with["model"]:
             self._call(name, "model", model)
 
     @property
     def delay(self) -> int:
         """The delay (steps) of the action that takes effect in the next step, according to the first shift."""
-        if not self._with_action:
+        if not self._with["action"]:
             return 0
-        first = next(iter(self._with_action))
+        first = next(iter(self._with["action"]))
         delay = as_integer(self._call(first, "delay", self.steps), 0, HISTORY - 1)
         if delay is None:
             raise ShiftError(f"{first}.delay must return a number of steps, 0 to {HISTORY - 1}")
@@ -114,7 +113,7 @@ class EpisodeShifts:
 
     def action(self, action: int) -> int:
         """The action that is executed if `action` is commanded."""
-        for name in self._with_action:
+        for name in self._with["action"]:
             commands = self.commands[name]
             commands.append(action)
             del commands[:-HISTORY]
@@ -141,7 +140,7 @@ class EpisodeShifts:
             from magical_mj.shifts.kernels import put_on_ground
 
             put_on_ground(picture, uncovered, self.ground(half_width), GROUND_REACH, frame.camera)
-        for name in self._with_picture:
+        for name in self._with["picture"]:
             picture = _checked(f"{name}.picture", self._call(name, "picture", picture, frame), picture.shape)
         return picture
 
@@ -149,7 +148,7 @@ class EpisodeShifts:
         """The shifted picture of the ground in and around an arena of this half width."""
         if self._ground is None or self._ground[0] != half_width:
             ground = _plain_ground(half_width).copy()
-            for name in self._with_ground:
+            for name in self._with["ground"]:
                 ground = _checked(f"{name}.ground", self._call(name, "ground", ground), ground.shape)
             self._ground = half_width, ground
         return self._ground[1]
@@ -160,7 +159,7 @@ class EpisodeShifts:
 
     def instruction(self, instruction: str, task: str) -> str:
         """The shifted instruction."""
-        for name in self._with("instruction"):
+        for name in self._with["instruction"]:
             instruction = self._call(name, "instruction", instruction, task)
             if not isinstance(instruction, str):
                 raise ShiftError(f"{name}.instruction must return text, not {short_repr(instruction)}")
@@ -175,7 +174,7 @@ class EpisodeShifts:
     def resume(self, steps: int, commands: Mapping[str, tuple[int, ...]]) -> None:
         """Restores the number of steps and the commands so far."""
         self.steps = steps
-        self.commands = {name: list(commands.get(name, ())) for name in self._with_action}
+        self.commands = {name: list(commands.get(name, ())) for name in self._with["action"]}
 
 
 @lru_cache(4)

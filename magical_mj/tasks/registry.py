@@ -262,6 +262,11 @@ def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Sce
     """
     spec, variant = task_spec(task), variant_name(variant)
     check_body_name(body)
+    return drawn_scene(spec, variant, seed, body)
+
+
+def drawn_scene(spec: TaskSpec, variant: str, seed: int, body: str) -> Scene:
+    """As `sample_scene`, for a known variant and body."""
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
     with imports.errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):

@@ -22,7 +22,6 @@ import mujoco
 import numpy as np
 
 import magical_mj
-from magical_mj.actions import ACTIONS
 from magical_mj.assets.robot import controls
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.scene.constants import CONTROL_RATE
@@ -77,8 +76,7 @@ def physics(task: str) -> str:
     env = magical_mj.Engine(task, "All", scene=sample_scene(task, "All", 0))
     env.reset()
     model = env.model
-    controls = [controls()[action].tolist() for action in range(len(ACTIONS))]
-    found = model_digest(model), round(1 / CONTROL_RATE / model.opt.timestep), controls
+    found = model_digest(model), round(1 / CONTROL_RATE / model.opt.timestep), controls().tolist()
     env.close()
     return _digest(found)
 
