@@ -32,6 +32,13 @@ class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], 
     gripper, otherwise it opens. `to_vector(number)` converts one of the 18 actions, so demonstrations can be used in
     both forms.
 
+    Example:
+        >>> env = ContinuousActions(gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0"))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, *_ = env.step([1.0, 0.0, -1.0])  # forward, with open fingers
+        >>> env.to_vector(1).tolist()  # the same as a vector
+        [1.0, 0.0, -1.0]
+
     Args:
         env: an environment with the 18 discrete actions, such as `gymnasium.make("magical_mj/...")`.
 
@@ -65,6 +72,14 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     If a `TimeLimit` is directly inside, its limit is set in the environment, and the `TimeLimit` is bypassed. The
     environment counts steps from the start of an episode. `TimeLimit` would count from the last reset, which differs
     after a state was restored.
+
+    Example:
+        >>> short = gymnasium.wrappers.TimeLimit(gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0"), 3)
+        >>> env = ScoreAtTheEnd(short)
+        >>> observation, info = env.reset(seed=0)
+        >>> steps = [env.step(0) for _ in range(3)]
+        >>> float(steps[-1][4]["eval_score"]) == env.unwrapped.score()
+        True
 
     Args:
         env: a `magical_mj` environment, with any wrappers.

@@ -36,6 +36,12 @@ class Engine(Simulation):
     A new engine is at the start of its first episode: in `scene` if given, otherwise in
     `sample_scene(task, variant, seed)`.
 
+    Example:
+        >>> engine = magical_mj.Engine("MoveToRegion", seed=0)
+        >>> ended = [engine.step(1) for _ in range(engine.horizon)]  # drives forward until the horizon
+        >>> ended[-1], 0 <= engine.score() <= 1
+        (True, True)
+
     Args:
         task: one of `magical_mj.TASKS`, a task of an installed plug-in, or ``"package.module:SPEC"``.
         variant: a variant of the task, one of `magical_mj.VARIANTS`.

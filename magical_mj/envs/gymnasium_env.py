@@ -58,6 +58,13 @@ STARTS: Final = ("scene", "state", "variation")
 class MagicalEnv(gymnasium.Env[Observation, Any]):
     """One of the benchmark's environments; make it with `gymnasium.make("magical_mj/...")`.
 
+    Example:
+        >>> env = gymnasium.make("magical_mj/FindDupe-TestShape-State-v0")
+        >>> observation, info = env.reset(seed=7)  # starts in magical_mj.sample_scene("FindDupe", "Shape", 7)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> info["eval_score"].item()  # the score of the episode, at its last step
+        0.0
+
     ## Actions
     `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s. With
     `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.wrappers.ContinuousActions`.

@@ -44,8 +44,10 @@ def make_vec(
         settings: the arguments of `make_vector` and of `MagicalEnv`.
 
     Example:
-        >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
-        >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
+        >>> envs = magical_mj.make_vec("FindDupe", 4, renderer="software")
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations.shape
+        (4, 96, 96, 12)
 
     Raises:
         SettingsError: for `vectorization_mode`, which is an argument of `gymnasium.make_vec`, and for the reasons given

@@ -94,7 +94,7 @@ class Environment(composer.Environment):
     @property
     def horizon(self) -> int | None:
         """The number of control steps of an episode; None if it never ends."""
-        return self.task.setup.horizon
+        return self.task.horizon
 
     @property
     def instruction(self) -> str:
@@ -374,6 +374,14 @@ def load(
     compiled again after a change, and if an episode has other blocks than the previous one. Otherwise the scene is
     written into the compiled model, which takes a millisecond.
 
+    Example:
+        >>> env = magical_mj.load("MoveToRegion", "Jitter", seed=0, observations=["state"])
+        >>> timestep = env.reset()
+        >>> while not timestep.last():
+        ...     timestep = env.step(1)
+        >>> 0 <= env.score() <= 1
+        True
+
     Args:
         task: one of `magical_mj.TASKS`, a task of an installed plug-in, or ``"package.module:SPEC"``.
         variant: a variant of the task, one of `magical_mj.VARIANTS`.
@@ -416,6 +424,15 @@ def load_scene(
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
     """A dm_env environment that starts every episode in `scene`. Without a task, it has no score and no horizon.
+
+    Example:
+        >>> scene = Scene(Robot(0, -0.5, 0), [Block("star", "red", 0, 0.2, 0)])
+        >>> env = magical_mj.load_scene(scene, observations=["state"])
+        >>> timestep = env.reset()
+        >>> for _ in range(8):  # one second forward, against the block
+        ...     timestep = env.step(1)
+        >>> env.scene.blocks[0].y > 0.2
+        True
 
     For the arguments and errors, see `load`.
     """

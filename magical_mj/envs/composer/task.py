@@ -74,6 +74,7 @@ class SceneTask(composer.Task):
     Otherwise they are one substep, because composer's own loop takes longer than the physics.
 
     Attributes:
+        horizon: the number of actions of an episode; None if it never ends.
         scene_model: the initial scene of this episode, and its coordinates.
         shifts: the shifts of this episode.
         stepwise: whether an action has ten substeps of composer, as of the last compilation.
@@ -81,13 +82,13 @@ class SceneTask(composer.Task):
     """
 
     def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts) -> None:
-        self.settings, self.setup = settings, settings.setup
+        self.settings, self.setup, self.horizon = settings, settings.setup, settings.setup.horizon
         self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None  # a model and its copy before shifts
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
-        self._observers = list[int]()
+        self._observers, self._stacks = list[int](), list[LatestFrames]()
         self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
@@ -109,12 +110,9 @@ class SceneTask(composer.Task):
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
 
-    def _stacks(self) -> list[LatestFrames]:
-        return [entry for entry in self._observables.values() if isinstance(entry, LatestFrames)]
-
     def state(self, physics: Any) -> State:
         """The current state of the episode, with the frames of stacks."""
-        frames = {name: frames for stack in self._stacks() for name, frames in stack.save(physics).items()}
+        frames = {name: frames for stack in self._stacks for name, frames in stack.save(physics).items()}
         return replace(self.simulation(physics).get_state(), frames=frames)
 
     def simulation(self, physics: Any) -> Simulation:
@@ -224,15 +222,16 @@ class SceneTask(composer.Task):
         mujoco.mj_resetData(model, data)
         physics.after_reset()
         self.simulation(physics).clear_records()
+        self._stacks = [entry for entry in self._observables.values() if isinstance(entry, LatestFrames)]
         if self._state is not None:
             self.simulation(physics).resume(self._state)
-        for stack in self._stacks():
+        for stack in self._stacks:
             stack.begin({} if self._state is None else self._state.frames)
 
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
         del random_state
-        for stack in self._stacks():
+        for stack in self._stacks:
             stack.catch_up(physics)
         if self.settings.reward == "dense":
             self._remaining = self.simulation(physics).remaining()
@@ -252,13 +251,12 @@ class SceneTask(composer.Task):
         """Counts the action, and requests frames, which are drawn after all hooks."""
         del random_state
         self.simulation(physics).record()
-        for stack in self._stacks():
+        for stack in self._stacks:
             stack.after_action()
 
     def should_terminate_episode(self, physics: Any) -> bool:
         """Whether the horizon is reached."""
-        horizon = self.setup.horizon
-        return horizon is not None and self.simulation(physics).steps >= horizon
+        return self.horizon is not None and self.simulation(physics).steps >= self.horizon
 
     def get_reward(self, physics: Any) -> float:
         """The reward of the last step; see `magical_mj.load`."""
