@@ -82,6 +82,7 @@ class PlayedPolicy(Struct):
     demonstration_set: StoredInt = 1
     played_in: str = "Demo"
     other_tasks: list[str] = []
+    unfinished: str = ""
 
 
 class Played(Struct):

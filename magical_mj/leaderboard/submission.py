@@ -80,6 +80,11 @@ def submit(
     known = {folder: recorded_settings(folder) for folder in folders}
     check_trainings(known, name)
     learnt = [row for settings in known.values() for row in recorded_policies(settings) if row.name == name]
+    if unfinished := [row for row in learnt if row.unfinished]:
+        raise EvaluationError(
+            f"the training of {name}, run {unfinished[0].run}, has stopped at {unfinished[0].unfinished}: finish it "
+            "with magical-mj train --resume, and evaluate it again"
+        )
     played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
     other_tasks = sorted({task for row in learnt for task in row.other_tasks})
     _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in, other_tasks)

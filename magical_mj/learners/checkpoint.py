@@ -14,6 +14,8 @@ from safetensors.torch import save
 from magical_mj.utils import files
 from magical_mj.utils.errors import MissingFileError, TrainingError
 
+CHECKPOINT: Final = "checkpoint.safetensors"
+"""The name of the checkpoint in the folder of a training."""
 TENSOR: Final = "tensor:"
 """The prefix of a string in the JSON that refers to a tensor by name."""
 ARRAY: Final = "array:"
@@ -43,6 +45,16 @@ def read(path: Path) -> dict[str, Any]:
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise TrainingError(f"cannot read {path}: {error}") from error
     return state
+
+
+def plain_values(path: Path) -> dict[str, Any]:
+    """The plain values at the top of a file, by name, read from its header. Empty if it is missing or damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            pairs = json.loads((file.metadata() or {})["tree"])["pairs"]
+        return {name: value for name, value in pairs if isinstance(value, int | float | str)}
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError):
+        return {}
 
 
 def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:

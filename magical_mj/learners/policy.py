@@ -43,6 +43,7 @@ class TrainedPolicy(Model):
         demonstration_set: the set of the package's demonstrations that it was trained on.
         played_in: the variants of the scenes in its training, separated by commas.
         other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
+        unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
     """
 
     def __init__(
@@ -54,10 +55,12 @@ class TrainedPolicy(Model):
         demonstration_set: int = 1,
         played_in: str = "Demo",
         other_tasks: Sequence[str] = (),
+        unfinished: str = "",
     ) -> None:
         super().__init__(self._draw_actions, remembers=preset == STATE)
         self.demonstration_set, self.played_in, self.other_tasks = demonstration_set, played_in, tuple(other_tasks)
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
+        self.unfinished = unfinished
         self._device = next(actor.parameters()).device
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -121,7 +124,14 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    return TrainedPolicy(actor, tasks, preset, **learnt_from(path.parent)._asdict())
+    return TrainedPolicy(actor, tasks, preset, unfinished=_unfinished(path.parent), **learnt_from(path.parent)._asdict())
+
+
+def _unfinished(folder: Path) -> str:
+    """Where the training in a folder has stopped; empty if it is finished, or if the folder has no checkpoint."""
+    last = checkpoint.plain_values(folder / checkpoint.CHECKPOINT)
+    update, updates = last.get("update", 0), last.get("updates", 0)
+    return f"update {update} of {updates}" if update < updates else ""
 
 
 class _Logits(nn.Module):
@@ -164,6 +174,8 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     policy = None if loader_in(folder) is None else policy_in(folder)
     if not isinstance(policy, TrainedPolicy):
         raise SettingsError(f"{folder} contains no trained network: export a folder written by magical-mj train")
+    if policy.unfinished:
+        warnings.warn(f"the training in {folder} has stopped at {policy.unfinished}", stacklevel=2)
     if out.suffix != ".onnx":
         raise SettingsError(f"the file name must end in .onnx, not {out.name!r}")
     if not task:

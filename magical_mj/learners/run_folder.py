@@ -23,6 +23,7 @@ from torch.utils.tensorboard.writer import SummaryWriter
 from magical_mj._version import __version__
 from magical_mj.evaluation.scores import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
+from magical_mj.learners.checkpoint import CHECKPOINT
 from magical_mj.learners.config import START, as_toml, from_toml, recorded, to_toml
 from magical_mj.learners.data import digest
 from magical_mj.learners.encoder import encoder_digest
@@ -38,7 +39,6 @@ from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, sh
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.settings import check_unchanged
 
-CHECKPOINT: Final = "checkpoint.safetensors"
 CODE: Final = "code"
 """The name of the hash of the modules that define tasks outside the benchmark."""
 METRICS: Final = "metrics.csv"

@@ -104,6 +104,7 @@ class Source:
         uses_demonstrations: whether it receives demonstrations.
         learnt: what its training used.
         needs_plan: whether it is an expert, which follows the task's plan.
+        unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
     """
 
     name: str
@@ -118,6 +119,7 @@ class Source:
     uses_demonstrations: bool = False
     learnt: Learnt = field(default_factory=Learnt)
     needs_plan: bool = False
+    unfinished: str = ""
 
     def load(self) -> Act:
         """The policy.
@@ -167,7 +169,8 @@ class Source:
         learnt = {
             name: list(value) if name == "other_tasks" else value for name, value in self.learnt.unusual().items()
         }
-        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt}
+        stopped = {"unfinished": self.unfinished} if self.unfinished else {}
+        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt, **stopped}
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -251,6 +254,12 @@ def playable(
                 f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
                 "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
                 stacklevel=5,  # the call of `evaluate`
+            )
+        if stopped := getattr(policy, "unfinished", ""):
+            warnings.warn(
+                f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
+                "of an unfinished training: magical-mj train --resume finishes it",
+                stacklevel=4,  # the call of `evaluate`
             )
         if statistics := statistics_of(source.origin):
             warnings.warn(

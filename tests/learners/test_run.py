@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -23,6 +24,8 @@ from safetensors.torch import save_file
 import magical_mj
 from magical_mj import demos
 from magical_mj.demos.recording import demonstrate
+from magical_mj.evaluation.reports.report import report
+from magical_mj.leaderboard import submit
 from magical_mj.learners import METHODS, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION, BehaviouralCloning
 from magical_mj.learners.config import from_toml, recorded
@@ -30,7 +33,14 @@ from magical_mj.learners.policy import POLICY, TrainedPolicy
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
 from magical_mj.learners.training import Progress
 from magical_mj.protocol import PROTOCOL
-from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, TrainingError, UnknownNameError
+from magical_mj.utils.errors import (
+    DemonstrationError,
+    EvaluationError,
+    MagicalError,
+    SettingsError,
+    TrainingError,
+    UnknownNameError,
+)
 from magical_mj.utils.files import read_toml
 from tests.helpers.commands import Shell
 from tests.helpers.learners import from_states, is_done, playing, stopped, tiny
@@ -469,3 +479,16 @@ def test_demonstrations_of_a_demo_scene_that_has_changed_are_refused(
         train(settings, tmp_path / "run")
     command = ("demos", "generate", "--tasks", "moved_task:SPEC", "--count", 2, "--jobs", 1, "--out", made.parent)
     assert "Moved-Demo-000.npz does not start in the scene of its variant and seed any more" in shell.fails(2, *command)
+
+
+def test_an_interrupted_training_is_not_evaluated_as_if_it_were_finished(tmp_path: Path) -> None:
+    run, out = tmp_path / "run", tmp_path / "out"
+    stopped(run)
+    with pytest.warns(UserWarning, match=r"the training of run in .* has stopped at update \d+ of \d+"):
+        magical_mj.evaluate(run, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, out=out)
+    (policy,) = json.loads((out / "run.json").read_text())["policies"]
+    assert re.fullmatch(r"update \d+ of \d+", policy["unfinished"])
+    page = report([out], tmp_path / "report")
+    assert f"the training of run, run 0, has stopped at {policy['unfinished']}" in " ".join(page.read_text().split())
+    with pytest.raises(EvaluationError, match=r"has stopped at update .*: finish it with magical-mj train --resume"):
+        submit([out], tmp_path / "entry.json.xz")

@@ -143,6 +143,10 @@ def _deviations(
     for name, text in {**words, "time_limit": "a time limit of {} s"}.items():
         if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
             yield text.format(", ".join(map(str, others)))
+    for settings in known:
+        for policy in filter(lambda policy: policy.unfinished, recorded_policies(settings)):
+            method = recorded_method(policy, settings)
+            yield f"the training of {method}, run {policy.run}, has stopped at {policy.unfinished}"
     yield from _equal_runs(known, scores)
     if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
         yield f"tasks from outside the benchmark: {listing(own)}"
