@@ -28,7 +28,7 @@ REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
 """A requirement of an extra in the package's metadata."""
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 SOFTWARE: Final = "software"
-TIMEOUT: Final = 60  # seconds for one renderer
+TIMEOUT: Final = 180  # seconds for one renderer; the software renderer may have to be compiled
 
 
 def doctor() -> None:

@@ -124,10 +124,11 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    return TrainedPolicy(actor, tasks, preset, unfinished=_unfinished(path.parent), **learnt_from(path.parent)._asdict())
+    learnt = learnt_from(path.parent)._asdict()
+    return TrainedPolicy(actor, tasks, preset, unfinished=stopped_at(path.parent), **learnt)
 
 
-def _unfinished(folder: Path) -> str:
+def stopped_at(folder: Path) -> str:
     """Where the training in a folder has stopped; empty if it is finished, or if the folder has no checkpoint."""
     last = checkpoint.plain_values(folder / checkpoint.CHECKPOINT)
     update, updates = last.get("update", 0), last.get("updates", 0)

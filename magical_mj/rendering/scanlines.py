@@ -10,18 +10,23 @@ On a processor, `paint` draws the polygons one after the other. On an accelerato
 some of the polygons (`place`), and then fills some of the rows (`fill` with the rows that it may fill).
 
 Numba keeps the machine code on disk: next to this file, in NUMBA_CACHE_DIR, or in the user's cache folder. If none of
-these can be written to, each process compiles, which takes some seconds.
+these can be written to: in a private folder below the system's temporary folder. Otherwise each process compiles.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 from numba.extending import register_jitable
+
+from magical_mj.utils import files
 
 GRID_BITS: Final = 8
 """The grid of corners has 2 ** GRID_BITS steps a sample, as usual in OpenGL."""
@@ -37,20 +42,59 @@ _ROUND: Final = np.uint64(0x0002_0002)
 _BYTE: Final = np.uint64(0xFF)
 _2, _8, _16, _32 = np.uint64(2), np.uint64(8), np.uint64(16), np.uint64(32)
 
+_COMPILING: Final = threading.RLock()
 inlined: Final = njit(forceinline=True)
 """Compiles a function into those that call it."""
 
 
-def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
-    """Compiles a kernel for this signature now, or loads the code that an earlier process has compiled."""
+class Kernel:
+    """A function that numba compiles at its first call, or loads from the code that an earlier process has compiled.
 
-    def decorate(function: Callable[..., None]) -> Any:
-        try:
-            return njit(signature, cache=True, nogil=True)(function)
-        except Exception:  # noqa: BLE001 - many kinds: no folder can be written, the disk is full, a file is damaged
-            return njit(signature, nogil=True)(function)
+    Args:
+        signature: the types of the arguments.
+        function: the function.
+    """
 
-    return decorate
+    def __init__(self, signature: str, function: Callable[..., None]) -> None:
+        self._signature, self._function = signature, function
+        self._dispatcher: Any = None
+
+    def __call__(self, *arguments: Any) -> None:
+        """Calls the compiled function."""
+        (self._dispatcher or self.dispatcher)(*arguments)
+
+    @property
+    def dispatcher(self) -> Any:
+        """The compiled function, as numba's dispatcher."""
+        with _COMPILING:
+            self._dispatcher = self._dispatcher or self._compiled()
+        return self._dispatcher
+
+    def _compiled(self) -> Any:
+        for keeping in (nullcontext, _kept_in_temporary_folder):
+            with suppress(Exception), keeping():  # many kinds: no folder can be written, the disk is full, a bad file
+                return njit(self._signature, cache=True, nogil=True)(self._function)
+        return njit(self._signature, nogil=True)(self._function)
+
+
+def compiled(signature: str) -> Callable[[Callable[..., None]], Kernel]:
+    """Makes a kernel for arguments of these types."""
+    return partial(Kernel, signature)
+
+
+@contextmanager
+def _kept_in_temporary_folder() -> Iterator[None]:
+    """Numba keeps code in a folder below the system's temporary one, which nobody else can read or write.
+
+    Machine code is loaded from it, so its owner and permissions are checked before.
+    """
+    settings: Any = config
+    folder, before = files.private_folder("magical-mj-numba"), settings.CACHE_DIR
+    settings.CACHE_DIR = str(folder)
+    try:
+        yield
+    finally:
+        settings.CACHE_DIR = before
 
 
 @inlined

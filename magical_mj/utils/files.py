@@ -8,6 +8,8 @@ import os
 import platform
 import re
 import shutil
+import stat
+import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -36,6 +38,23 @@ def to_path(path: str | os.PathLike[str]) -> Path:
 def cache_folder() -> Path:
     """The folder of this package in the user's cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "magical_mj"
+
+
+def private_folder(name: str) -> Path:
+    """A folder of this user below the system's temporary folder. It is created if it is missing.
+
+    Raises:
+        PermissionError: if another user could have written to it.
+        OSError: if it cannot be created.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0  # on Windows, each user has a temporary folder
+    path = Path(tempfile.gettempdir()) / f"{name}-{user}"
+    with suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    facts = path.lstat()
+    if os.name == "posix" and (facts.st_uid, facts.st_mode) != (user, stat.S_IFDIR | 0o700):
+        raise PermissionError(f"{path} is not a folder that only this user can read and write: delete it")
+    return path
 
 
 def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode: int | None = None) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -206,24 +207,35 @@ def test_pictures_have_the_hashes_that_were_published(task: str) -> None:
     assert digest_of(task) == hashes[task]
 
 
-def test_a_process_without_a_cache_draws_the_same(tmp_path: Path) -> None:
-    """It compiles anew, since numba cannot write anywhere."""
-    hidden = tmp_path / "file"
-    hidden.touch()  # not a folder, so that nothing can be written in it, not even by root
+@pytest.mark.skipif(os.name != "posix", reason="permissions")
+@pytest.mark.parametrize("mode", [0o700, 0o755])
+def test_a_process_without_a_cache_draws_the_same(mode: int, tmp_path: Path) -> None:
+    """The code is kept in a temporary folder, unless others could write machine code into it."""
+    package, installed = Path(magical_mj.__file__).parent, tmp_path / "magical_mj"
+    installed.mkdir()
+    for part in package.iterdir():
+        if part.name != "rendering":
+            (installed / part.name).symlink_to(part)
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(package / "rendering", installed / "rendering", ignore=ignored)
+    (installed / "rendering" / "__pycache__").touch()  # a file, so that not even root can write into it
+    folder = tmp_path / f"magical-mj-numba-{os.getuid()}"
+    folder.mkdir(mode=mode)
     result = subprocess.run(
         [sys.executable, "-c", HASH, "MakeLine"],
-        env=BARE | {"NUMBA_CACHE_DIR": str(hidden / "folder")},
-        cwd=Path(__file__).parents[2],
+        env=BARE | {"PYTHONPATH": str(tmp_path), "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": f"{installed}/__init__.py"},
+        cwd=tmp_path,
         capture_output=True,
         text=True,
         check=True,
     )
     assert result.stdout == f"{digest_of('MakeLine')}\n"
+    assert any(folder.rglob("scanlines.draw_picture*")) == (mode == 0o700)
 
 
 def test_no_instruction_fuses_a_product_with_a_sum() -> None:
     """It would round once where others round twice."""
-    kernel = scanlines.draw_picture
+    kernel = scanlines.draw_picture.dispatcher
     (code,) = njit(kernel.signatures[0])(kernel.py_func).inspect_asm().values()  # that of cached ones is not shown
     assert re.search(r"\bv?(mulsd|mulpd|fmul)", code)
     assert not re.search(r"\b(vfn?m(add|sub)|fn?m(add|sub|la|ls)\b)", code)
