@@ -259,7 +259,7 @@ def playable(
             warnings.warn(
                 f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
                 "of an unfinished training: magical-mj train --resume finishes it",
-                stacklevel=4,  # the call of `evaluate`
+                stacklevel=5,  # the call of `evaluate`
             )
         if statistics := statistics_of(source.origin):
             warnings.warn(
@@ -278,6 +278,7 @@ def playable(
                 uses_demonstrations=uses_demonstrations(policy),
                 needs_plan=getattr(policy, "needs_plan", False),
                 learnt=learnt_from(source.origin, policy),
+                unfinished=getattr(policy, "unfinished", ""),
             )
         )
     return checked
