@@ -14,7 +14,7 @@ import pytest
 from magical_mj.utils.errors import MagicalError
 
 FUZZ = Path(__file__).parent.parent / "tools" / "fuzz"
-CASES = {"calls": 200, "scenes": 30, "states": 30, "hands": 5, "files": 6, "commands": 6, "clients": 8}
+CASES = {"calls": 200, "scenes": 30, "states": 30, "hands": 5, "files": 6, "commands": 6, "clients": 8, "costs": 40}
 
 
 @pytest.mark.slow

@@ -51,7 +51,9 @@ def _check_places(path: Path, places: set[str], most: int) -> None:
     for place in sorted(places):
         real = (folder / place).resolve()
         if Path(place).is_absolute() or not real.is_relative_to(folder) or not real.is_file():
-            raise SettingsError(f"{path} is not read: it refers to {short_repr(place)}, which is no file in its folder")
+            raise SettingsError(
+                f"{path} is not read: its folder does not contain {short_repr(place)}, to which it refers"
+            )
         size += real.stat().st_size
     if size > most:
         raise SettingsError(f"{path} is not read: its tensors in other files have more than {most:,} bytes")

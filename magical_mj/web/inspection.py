@@ -94,7 +94,7 @@ def model_files(path: Path, folders: Sequence[Path] = ()) -> dict[str, bytes]:
             raise SettingsError(f"{path} refers to more than {MOST_FILES:,} files, or {MOST_PLACES} folders")
         for name in names:
             found = _found(path.parent, name, places, roots)
-            if found is None or (known := posixpath.normpath(found)) in contents:
+            if found is None or (known := str(found)) in contents:
                 continue
             if (path.parent / found).stat().st_size > most:
                 raise SettingsError(f"{path} and the files that it refers to have more than {MOST_OF_MODEL:,} bytes")
@@ -129,7 +129,7 @@ def _found(start: Path, name: str, places: Sequence[PurePosixPath], roots: Seque
         SettingsError: if this file is not below the `roots`, also after symbolic links.
     """
     for place, ending in product(places, (name, PurePosixPath(name).name)):  # strippath="true" removes folders
-        candidate = place / ending
+        candidate = PurePosixPath(posixpath.normpath(place / ending))  # as MuJoCo does, before links are followed
         real = Path(os.path.realpath(start / candidate))
         if not any(real.is_relative_to(root) for root in roots):
             if os.path.lexists(start / candidate):

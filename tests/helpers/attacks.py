@@ -66,8 +66,12 @@ def collisions(folder: Path) -> list[str]:
 
 def zeros(folder: Path) -> list[str]:
     """499 MB of zeros in a pickle of 0.5 MB."""
-    size = 499_000_000
-    return _pickle(folder, b"\x80\x04\x8e" + size.to_bytes(8, "little") + bytes(size) + b".")
+    with gzip.open(folder / "demo-x.pkl.gz", "wb", 1) as file:
+        file.write(b"\x80\x04\x8e" + (499 * 10**6).to_bytes(8, "little"))
+        for _ in range(499):
+            file.write(bytes(10**6))
+        file.write(b".")
+    return [*COMMAND, "demos", "import", "demo-x.pkl.gz", "--out", "mine"]
 
 
 def runs(folder: Path) -> list[str]:
@@ -128,7 +132,11 @@ def names(folder: Path) -> list[str]:
 
 def lists(folder: Path) -> list[str]:
     """20 million lists in a scene."""
-    (folder / "scene.json").write_text(f'{{"format": 1, "blocks": [{"[]," * 20_000_000}[]]}}')
+    with (folder / "scene.json").open("w") as file:
+        file.write('{"format": 1, "blocks": [')
+        for _ in range(200):
+            file.write("[]," * 100_000)
+        file.write("[]]}")
     return _python("magical_mj.Scene.from_json(open('scene.json').read())")
 
 
@@ -182,12 +190,12 @@ ATTACKS: Final = {
         Attack(collisions, "operations"),
         Attack(zeros, "holds no demonstration", megabytes=2500),
         Attack(runs, "length <= 1000"),
-        Attack(spaces, "characters"),
+        Attack(spaces, "length <= 10000"),
         Attack(digits, "seed"),
         Attack(members, "characters"),
         Attack(line, "limit for a line"),
-        Attack(names, "limit"),
-        Attack(lists, "limit"),
+        Attack(names, "at most 100,000 characters"),
+        Attack(lists, "at most 100,000 characters"),
         Attack(meshes, "30 folders"),
         Attack(model, "more than 200,000,000 bytes"),
         Attack(entities, "model.xml"),

@@ -39,6 +39,7 @@ class Used(NamedTuple):
     seconds: float
     """Processor time, which does not depend on other processes of the machine."""
     megabytes: float
+    """At least as many as the process that started it has used, since Linux does not count anew."""
     said: str
 
 

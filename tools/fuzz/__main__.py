@@ -20,7 +20,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-KINDS: Final = ("calls", "scenes", "states", "hands", "files", "commands", "clients")
+KINDS: Final = ("calls", "scenes", "states", "hands", "files", "commands", "clients", "costs")
 SLICE: Final = 180.0  # seconds for each kind in turn, in a separate process
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from clients import clients, states
+from costs import costs
 from gymnasium.error import Error as GymnasiumError
 from inputs import damaged_files, hostile_command
 from values import FindError, json_value, spoilt_tree, value
@@ -188,6 +189,7 @@ KINDS: Final[dict[str, Case]] = {
     "files": damaged_files,
     "commands": hostile_command,
     "clients": clients,
+    "costs": costs,
 }
 
 
