@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Final
@@ -20,10 +21,10 @@ from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.languages import described_tasks
 from magical_mj.tasks.languages import languages as task_languages
-from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
+from magical_mj.tasks.registry import Pair, environment_axes, environments, task_plugins, task_spec
 from magical_mj.tasks.suites import suite_of
 from magical_mj.utils import files
-from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.errors import MagicalError, counted
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
@@ -63,11 +64,23 @@ def list_environments(
             for id_ in [env_id(task, variant)] if suite is None else suite.ids(task, variant):
                 out.print(id_)
         return
+    groups = [[pair for pair in pairs if (pair[0] in TASKS) == is_ours] for is_ours in (True, False)]
+    for number, group in enumerate(groups):
+        if tasks is None:
+            what = "Beside the benchmark: other suites and installed tasks" if number else "The benchmark"
+            names = len({task for task, _ in group})
+            out.print(f"{what}: {counted(names, 'task')}, {counted(len(group), 'environment')}", style="bold")
+        if group:
+            out.print(_table(group))
+
+
+def _table(pairs: Sequence[Pair]) -> Table:
+    """The horizons and the varied axes of environments."""
     table = Table("task", "variant", "steps", "varied axes", box=None, pad_edge=False, header_style="bold")
     for task, variant in pairs:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
-    out.print(table)
+    return table
 
 
 option.add_flags(

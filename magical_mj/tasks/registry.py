@@ -151,7 +151,7 @@ def variant_name(variant: str) -> str:
     """
     name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else ""
     if name not in EVERY_VARIANT:
-        raise unknown_name("variant", variant, EVERY_VARIANT)
+        raise unknown_name("variant", variant, VARIANTS)
     return name
 
 

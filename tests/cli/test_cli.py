@@ -34,12 +34,21 @@ SPEC = replace(OURS, name="PushToWall")
 
 def test_list_shows_every_environment(shell: Shell) -> None:
     code, out, _ = shell("list")
-    rows = [line.split() for line in out.splitlines()[1:]]
+    lines = out.splitlines()
     assert code == 0
+    assert lines[0] == "The benchmark: 8 tasks, 60 environments"
+    assert lines[62] == "Beside the benchmark: other suites and installed tasks: 1 task, 6 environments"
+    rows = [line.split() for line in (*lines[2:62], *lines[64:])]
     sweep = [("SweepToTop", variant) for variant in ("Demo", "Layout", "Colour", "Shape", "Dynamics", "All")]
     assert [(row[0], row[1]) for row in rows] == [*magical_mj.ENVIRONMENTS, *sweep]
     assert ["FindDupe", "Layout", "100", "layout"] in rows
     assert ["MoveToCorner", "Demo", "80", "nothing"] in rows
+
+
+def test_an_unknown_variant_is_told_the_benchmarks(shell: Shell) -> None:
+    error = shell("view", "FindDupe", "Dem0")[2]
+    assert "Did you mean 'Demo'" in error
+    assert "Diagnose" not in error
 
 
 def test_list_ids(shell: Shell) -> None:

@@ -281,7 +281,10 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
 
 
 def bars(results: Results) -> Figure:
-    """Bars for each drawn method: the mean over tasks in the demo and in each test variant, with 95 % intervals."""
+    """Bars for each drawn method: the mean over tasks in the demo and in each test variant, with 95 % intervals.
+
+    A cross at 0 marks a variant that was not played.
+    """
     from matplotlib.figure import Figure
 
     policies = results.policies[:MOST_DRAWN]
@@ -293,8 +296,13 @@ def bars(results: Results) -> Figure:
         if index == 0:
             handles = axes.get_legend_handles_labels()
             figure.legend(*handles, loc="outside upper center", ncols=8, frameon=False, fontsize=9, handlelength=1)
+    rules = dict(results.variants.groupby("published")["rules"].first())
+    others = (
+        "" if len(set(rules.values())) < 2 else f", by the rules {rules[True]!r}, and all others by {rules[False]!r}"
+    )
     marks = {
-        f"{DAGGER} published, in the original simulator": results.variants["published"].any(),
+        f"{DAGGER} published, in the original simulator{others}": results.variants["published"].any(),
+        "x: not played": len(results.variants) < len(policies) * len(results.shown_variants),
         "hatched: mean over only some of the tasks with the variant; their number is above the bar": (
             results.variants["missing"].ne("").any()
         ),
@@ -323,6 +331,7 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
         means, low, high = (rows[name].to_numpy(float) for name in ("mean", "low", "high"))
         ends = np.stack([means - low, high - means]).clip(min=0)
         centres = np.arange(len(policies)) + (index - (len(variants) - 1) / 2) * width
+        axes.plot(centres[np.isnan(means)], np.full(np.isnan(means).sum(), 0.015), "x", color="#999", ms=3)
         drawn = axes.bar(centres, means, width * 0.92, color=colour, label=variant)
         for bar, end, row in zip(drawn, ends[1], rows.itertuples(), strict=True):
             if isinstance(row.missing, str) and row.missing:
@@ -340,7 +349,7 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
     axes.set_xlim(-0.55, columns - 0.45)
     axes.set_ylim(0, 1.2 if results.variants["missing"].ne("").any() else 1.02)  # room for labels above bars of 1.0
     axes.set_yticks(np.linspace(0, 1, 6))
-    axes.set_ylabel("mean score over tasks")
+    axes.set_ylabel("mean score over tasks" if len(results.tasks) > 1 else f"mean score in {results.tasks[0]}")
     axes.spines[["top", "right"]].set_visible(False)
 
 
