@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,15 @@ def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     exec(compile(code, str(EXAMPLE), "exec"), shown)
     assert is_done(tmp_path / "runs" / "forgetful-0")
     assert len(shown["scores"]) == 4
+
+
+def test_a_torch_loop_of_ones_own_ends_with_a_score(capsys: pytest.CaptureFixture[str]) -> None:
+    example = EXAMPLE.with_name("own_torch.py")
+    assert len(example.read_text().splitlines()) <= 50
+    runpy.run_path(str(example), run_name="__main__")
+    scores = dict(line.split() for line in capsys.readouterr().out.splitlines()[1:4])
+    assert float(scores["Demo"]) >= 0.9
+    assert float(scores["Layout"]) < 0.5
 
 
 def test_the_experiment_can_be_read(tmp_path: Path) -> None:
