@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,8 +35,15 @@ def rows(heading: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("code", CODE, ids=range(len(CODE)))
-def test_code_runs(code: str) -> None:
-    exec(compile(code, "composer.md", "exec"), {"__name__": "composer_page"})
+def test_code_runs_in_a_new_process_without_a_display(code: str, tmp_path: Path) -> None:
+    chosen = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")
+    env = {name: value for name, value in os.environ.items() if name not in chosen}
+    paths = [str(Path(magical_mj.__file__).parents[1]), env.get("PYTHONPATH", "")]
+    env["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+    result = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
 
 
 def test_the_page_lists_all_observations_with_their_shapes() -> None:
