@@ -120,9 +120,9 @@ def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
     out.print()
     out.print(table)
     if "error" not in results[SOFTWARE]:
-        out.print(
-            "The software renderer's first frame includes its compilation, unless an earlier run has compiled it."
-        )
+        kept = results[SOFTWARE]["code"]
+        where = f"which {kept} keeps" if kept else "in each process: numba's cache has no folder that it can write to"
+        out.print(f"The software renderer's first frame includes its compilation, {where}.", soft_wrap=True)
     for name, facts in results.items():
         if "error" in facts:  # an error may be too long for the table
             out.print(f"{name}: {facts['error']}", soft_wrap=True)

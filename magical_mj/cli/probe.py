@@ -29,6 +29,10 @@ def probe() -> None:
 
     renderer = "on the processor, without OpenGL" if drawn_by() == "software" else opengl_name()
     facts = {"renderer": renderer, "first": times[0], "typical": sorted(times)[FRAMES // 2]}
+    if drawn_by() == "software":
+        from magical_mj.rendering.scanlines import draw_picture  # imported late: numba takes 0.3 s
+
+        facts["code"] = draw_picture.folder
     sys.stdout.write(json.dumps(facts))
 
 

@@ -70,6 +70,11 @@ class Kernel:
             self._dispatcher = self._dispatcher or self._compiled()
         return self._dispatcher
 
+    @property
+    def folder(self) -> str | None:
+        """The folder that keeps the machine code; None if each process compiles."""
+        return self.dispatcher.stats.cache_path
+
     def _compiled(self) -> Any:
         for keeping in (nullcontext, _kept_in_temporary_folder):
             with suppress(Exception), keeping():  # many kinds: no folder can be written, the disk is full, a bad file
