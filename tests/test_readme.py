@@ -25,7 +25,7 @@ ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
 PAGES = "".join(
     (ROOT / "docs" / f"{name}.md").read_text("utf-8")
-    for name in ("environments", "demonstrations", "learners", "rewards")
+    for name in ("environments", "demonstrations", "learners", "rewards", "shifts")
 )
 PYTHON = re.findall(r"```python\n(.*?)```", PAGES, re.DOTALL)
 
