@@ -54,8 +54,8 @@ def make_report(
         raise typer.BadParameter("only the report of a single evaluation has a default folder: give --out.")
     check_extra("reports", "eval")
     wanted = [section for section in sections_of(options) if section.wanted]
-    replays = ", ".join(["--rules", *(f"--{kind.option}" for kind in SECTIONS)])
-    check_fits(context, bool(wanted) or rules is not None, f"with one of {replays}", "jobs")
+    replays = " or ".join([*(f"--{kind.option}" for kind in SECTIONS), "--rules"])
+    check_fits(context, bool(wanted) or rules is not None, f"with {replays}", "jobs")
     screen = console()
     may_name = trusted.split(",")
     with counting(screen, "replaying episodes") as watch:  # raises errors before anything is written

@@ -262,7 +262,7 @@ def test_an_ipv6_address_is_played_at() -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["play"], "TASK"),
+        (["play"], "Missing argument"),
         (["serve", "--tasks", "Tetris"], "Tetris"),
         (["serve", "FindDupe", "--tasks", "MakeLine"], "not among"),
         (["serve", "FindDupe", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
