@@ -96,6 +96,14 @@ def runs(folder: Path) -> list[str]:
     return [*COMMAND, "verify", "x.json.xz", "--jobs", "1"]
 
 
+def diagonal(folder: Path) -> list[str]:
+    """15,000 runs in an evaluation, each with an episode of another scene."""
+    with (folder / "scores.jsonl").open("w") as file:
+        for number in range(15_000):
+            file.write(json.dumps({**EPISODE, "run": number, "seed": number}) + "\n")
+    return [*COMMAND, "report", ".", "--out", "report"]
+
+
 def _episodes(folder: Path, **changes: object) -> list[str]:
     (folder / "scores.jsonl").write_text(json.dumps({**EPISODE, **changes}) + "\n")
     return [*COMMAND, "report", ".", "--rules", "released"]
@@ -190,6 +198,7 @@ ATTACKS: Final = {
         Attack(collisions, "operations"),
         Attack(zeros, "holds no demonstration", megabytes=2500),
         Attack(runs, "length <= 1000"),
+        Attack(diagonal, "scenes"),
         Attack(spaces, "length <= 10000"),
         Attack(digits, "seed"),
         Attack(members, "characters"),

@@ -23,12 +23,16 @@ from magical_mj.evaluation.reports.intervals import Cell, Floats, estimate, mean
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
+from magical_mj.utils.errors import EvaluationError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an interquartile mean."""
+
+MOST_CELLS: Final = 2_000_000
+"""The largest number of pairs of a run and a scene in an environment: few episodes may have as many as its square."""
 
 
 class Summary(NamedTuple):
@@ -60,7 +64,16 @@ def summarise(environments: Sequence[Floats]) -> Summary:
 
 
 def by_run_and_scene(scores: pd.DataFrame) -> Floats:
-    """The scores of an environment, shape (runs, scenes), from a row for each episode. NaN for missing episodes."""
+    """The scores of an environment, shape (runs, scenes), from a row for each episode. NaN for missing episodes.
+
+    Raises an `EvaluationError` if there are more than `MOST_CELLS`.
+    """
+    runs, scenes = scores["run"].nunique(), scores["seed"].nunique()
+    if runs * scenes > MOST_CELLS:
+        raise EvaluationError(
+            f"{runs:,} runs in {scenes:,} scenes of an environment are too many to compare: at most "
+            f"{MOST_CELLS:,} pairs of a run and a scene"
+        )
     return scores.pivot(index="run", columns="seed", values="score").to_numpy(float)
 
 
