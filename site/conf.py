@@ -21,6 +21,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 copybutton_prompt_text = "$ "
 copybutton_exclude = ".linenos, .gp, .go"
 exclude_patterns = ["extra"]
+myst_disable_syntax = ["myst_line_comment"]  # a sentence may have a line that begins with %
 myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]  # the heading levels of README's sections depend on the page that includes them
 autodoc_typehints = "description"
