@@ -150,9 +150,9 @@ class Setup:
             SettingsError: if more than one of seed, scene and state is given.
             StateError: if the state is invalid, or its episode has ended.
         """
-        starts = {"seed": seed, "scene": scene, "state": state}
-        names = [name for name, value in starts.items() if value is not None]
-        if len(names) > 1:
+        if (seed is not None) + (scene is not None) + (state is not None) > 1:
+            starts = {"seed": seed, "scene": scene, "state": state}
+            names = [name for name, value in starts.items() if value is not None]
             raise SettingsError(f"give only one of seed, scene and state, not {' and '.join(names)}")
         if state is not None:
             self.check_state(state)

@@ -118,22 +118,15 @@ class Simulation:
             self._renderers = {}
         elif changed:
             write_numbers(self.model, compiled_model(before))
-        self._write_scene()
-
-    def _write_scene(self) -> None:
-        """Writes the scene into the model and computes the initial state.
-
-        `mj_forward` is called twice. Its solver starts from the previous solution, so the second call changes the
-        state. Protocol 1 includes it.
-        """
         model, data = self.model, self.data
-        self.scene_model.rewrite(model, data, change=self.episode_shifts.model)
+        change = self.episode_shifts.model if self.episode_shifts.changes_model else None
+        self.scene_model.rewrite(model, data, change=change)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # no action has set the controls yet
         try:
             mujoco.mj_forward(model, data)
-            mujoco.mj_forward(model, data)
+            mujoco.mj_forward(model, data)  # starts from the first solution, and changes it: protocol 1 includes that
         finally:
             model.opt.disableflags = enabled
         self.clear_records()

@@ -448,9 +448,9 @@ def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
 
 def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:
     """Checks the options of an environment's `reset`. Unknown ones cause a warning, since libraries pass their own."""
-    names = " and ".join(f'"{name}"' for name in known)
-    if options is None:
+    if not options and (options is None or isinstance(options, Mapping)):
         return {}
+    names = " and ".join(f'"{name}"' for name in known)
     if not isinstance(options, Mapping):
         raise SettingsError(f"options must be a dict with keys among {names}, not {short_repr(options)}")
     if ignored := options.keys() - set(known):

@@ -58,8 +58,8 @@ class Robot:
         if self.body != GRIPPER:
             object.__setattr__(self, "body", check_body_name(self.body))
         fingers = _as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
-        left, right = (_as_number("Robot.fingers", angle) for angle in fingers)
-        object.__setattr__(self, "fingers", (left, right))
+        angles = _as_number("Robot.fingers", fingers[0]), _as_number("Robot.fingers", fingers[1])
+        object.__setattr__(self, "fingers", angles)
 
     @property
     def pose(self) -> Pose:

@@ -16,7 +16,7 @@ from magical_mj.shifts.shift import GROUND_REACH, Factor, Picture, Shift
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
 from magical_mj.variants.placement import along, layout
-from magical_mj.variants.rules import VariationRules, axis_generator, supported_axes
+from magical_mj.variants.rules import VariationRules, axis_generator
 
 TRACK: Final = 2 * c.ROBOT_RADIUS
 """The distance between the robot's wheels in the shift `slip`, in world units."""
@@ -41,7 +41,7 @@ class Pose(Shift):
         spec = task_spec(task)
         if callable(spec.layout) or spec.accepts is not None:
             return "it defines its own rule for layouts"
-        return None if "layout" in supported_axes(spec) else "it has no variant Layout"
+        return None if "layout" in spec.supported_axes else "it has no variant Layout"
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
         """The interpolated scene."""

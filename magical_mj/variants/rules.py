@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
@@ -140,6 +141,23 @@ class VariationRules:
         """All demo scenes. The scene of seed n in the Demo variant is number n modulo their count."""
         return self.demo, *self.further_demos
 
+    @cached_property
+    def supported_axes(self) -> tuple[Axis, ...]:
+        """The axes that the task supports: dynamics always, the others if it declares them."""
+        return tuple(axis for axis in AXES if axis == "dynamics" or getattr(self, axis))
+
+    @cached_property
+    def variants(self) -> Mapping[str, tuple[Axis, ...]]:
+        """The task's variants with the axes that each one varies: All, and those whose axes the task supports.
+
+        All varies the supported axes, without jitter if there is a layout. `OTHER_VARIANTS` are last.
+        """
+        supported = set(self.supported_axes)
+        left_out = "jitter" if "layout" in supported else None
+        everything = tuple(axis for axis in VARIANTS["All"] if axis in supported and axis != left_out)
+        known = {**VARIANTS, "All": everything, **OTHER_VARIANTS}
+        return {name: axes for name, axes in known.items() if supported.issuperset(axes)}
+
     def _require(self, part: str, condition: bool, need: str) -> None:
         """Raise a `TaskError` unless the condition holds. `need` describes valid values."""
         if not condition:
@@ -173,16 +191,9 @@ def _are_sizes(sizes: Any, most: float) -> bool:
     return 0 <= sizes[0] <= sizes[1] <= most
 
 
-def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
-    """The axes that a task supports: dynamics always, the others if it declares them."""
-    return tuple(axis for axis in AXES if axis == "dynamics" or getattr(rules, axis))
-
-
 def variants_of(rules: VariationRules) -> tuple[str, ...]:
     """The variants of a task: All, and those whose axes the task supports. Those of `OTHER_VARIANTS` are last."""
-    supported = set(supported_axes(rules))
-    every = (VARIANTS | OTHER_VARIANTS).items()
-    return tuple(name for name, axes in every if name == "All" or supported.issuperset(axes))
+    return tuple(rules.variants)
 
 
 def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
@@ -191,21 +202,17 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
     Raises:
         UnknownNameError: if the variant is unknown, or this task does not have it.
     """
+    if isinstance(variant, str) and variant in rules.variants:
+        return rules.variants[variant]
     every = VARIANTS | OTHER_VARIANTS
     check_name("variant", variant, every)
-    supported = supported_axes(rules)
-    if variant == "All":
-        left_out = "jitter" if "layout" in supported else None
-        return tuple(axis for axis in VARIANTS["All"] if axis in supported and axis != left_out)
-    missing = [axis for axis in every[variant] if axis not in supported]
+    missing = [axis for axis in every[variant] if axis not in rules.supported_axes]
     if missing == ["diagnose"]:
         raise UnknownNameError(f"{rules.name} has no variant 'Diagnose', which only intents have. See docs/intents.md")
-    if missing:
-        raise UnknownNameError(
-            f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "
-            f"It has: {', '.join(variants_of(rules))}"
-        )
-    return every[variant]
+    raise UnknownNameError(
+        f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "
+        f"It has: {', '.join(variants_of(rules))}"
+    )
 
 
 def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
