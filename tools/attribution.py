@@ -12,12 +12,14 @@ from __future__ import annotations
 import argparse
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS, sample_scene
+from magical_mj.evaluation.reports.intervals import mean_over
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT
 from magical_mj.intents.attribution import Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
@@ -51,6 +53,8 @@ COMPARED: Final = (
     "state-gail",
     "state-relational",
     "state-goals",
+    "replay",
+    "random",
 )
 """The entries that the table of endings compares."""
 
@@ -115,17 +119,36 @@ def chosen(task: str) -> bool:
 
 
 def endings() -> str:
-    """What some policies did, over all environments of the tasks in the file. All wrong blocks are one column."""
+    """Whether some policies chose the right blocks, and solved the task then, in the tasks with a choice.
+
+    The last columns are shares of the unsolved episodes. All wrong blocks are one column.
+    """
     rows = []
-    every = measured()
-    kinds = {"intended": ["intended"], "wrong blocks": [*READINGS, "another block"]}
-    kinds |= {name: [name] for name in ("incompetent", "nothing")}
+    every = [row for row in measured() if row["task"] in CHOICES]
     for name in COMPARED:
         group = [row for row in every if row["entry"] == name]
-        total = sum(int(row["episodes"]) for row in group)
-        parts = [sum(float(row[ending]) for row in group for ending in of_kind) / total for of_kind in kinds.values()]
-        rows.append((read_entry(RESULTS / name).method, str(total), *map(_percent, parts)))
-    return table(("Method", "Episodes", *kinds), rows)
+        tasks = [(int(row["episodes"]), int(float(row["intended"])), int(float(row["incompetent"]))) for row in group]
+        right = mean_over((i, i, _flags(solved + some, total)) for i, (total, solved, some) in enumerate(tasks))
+        solved = sum(solved for _, solved, _ in tasks) / max(sum(solved + some for _, solved, some in tasks), 1)
+        cells = ("{:.2f} [{:.2f}, {:.2f}]".format(*right), f"{solved:.2f}")
+        unsolved = sum(int(row["failed"]) for row in group)
+        parts = (_percent(part) for part in of_unsolved(group)) if unsolved else ("",) * 3
+        rows.append((read_entry(RESULTS / name).method, *cells, str(unsolved), *parts))
+    header = ("Method", "right blocks", "solved given that", "unsolved", "wrong blocks", "incompetent", "nothing")
+    return table(header, rows)
+
+
+def _flags(count: int, total: int) -> NDArray[np.float64]:
+    return np.array([[1.0] * count + [0.0] * (total - count)])
+
+
+def of_unsolved(rows: Iterable[Mapping[str, str]]) -> tuple[float, float, float]:
+    """Which shares of the unsolved episodes in some rows moved only wrong blocks, an intended one, and none."""
+    every = list(rows)
+    total = sum(int(row["failed"]) for row in every)
+    kinds = ([*READINGS, "another block"], ["incompetent"], ["nothing"])
+    wrong, some, none = (sum(float(row[name]) for row in every for name in names) / total for names in kinds)
+    return wrong, some, none
 
 
 def measured() -> list[dict[str, str]]:
