@@ -7,6 +7,7 @@ import unicodedata
 from typing import Final
 
 from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.extras import check_module
 
 _IGNORABLE: Final = re.compile("[\u00ad\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0]")
 """Characters without a shape that Python counts as printable: default ignorables, and the blank of Braille."""
@@ -34,6 +35,7 @@ def _problem(method: str) -> str:
         return "is not in Unicode's composed form (NFC), so that it looks like another name"
     if method.isascii():
         return ""
+    check_module("names in other letters", "confusable_homoglyphs", "eval")
     from confusable_homoglyphs import categories
 
     for word in re.findall(r"[^\W\d_]+", method):
@@ -47,6 +49,7 @@ def appearance(method: str) -> str:
     """A key that is the same for names that readers cannot tell apart, such as in Latin and in Cyrillic letters."""
     if method.isascii():
         return method.casefold()
+    check_module("names in other letters", "confusable_homoglyphs", "eval")
     from confusable_homoglyphs import confusables
 
     method = unicodedata.normalize("NFKC", method)

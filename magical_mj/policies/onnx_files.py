@@ -7,11 +7,11 @@ Runtime read any path.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.utils.errors import MissingExtraError, SettingsError, short_repr
+from magical_mj.utils.errors import SettingsError, short_repr
+from magical_mj.utils.extras import check_module
 
 ENDLESS: Final = ("Loop",)
 """The operations whose number of rounds the file chooses. `Scan` ends with its input."""
@@ -25,8 +25,7 @@ def check_onnx(path: Path, most: int, trust: bool) -> None:
         SettingsError: if it is not an ONNX file, has tensors in files outside of its folder or of more than `most`
             bytes, or has loops without trust.
     """
-    if find_spec("onnx") is None:
-        raise MissingExtraError(f"{path} needs ONNX and ONNX Runtime: pip install onnx onnxruntime")
+    check_module("ONNX files", "onnx", "onnx")
     import onnx
 
     try:

@@ -14,11 +14,11 @@ from magical_mj.utils.errors import MissingExtraError
 
 MODULES: Final = {
     "dask": ("distributed",),
-    "eval": ("matplotlib", "pandas", "scipy"),
+    "eval": ("confusable_homoglyphs", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "tensorboard", "tomli_w", "torch"),
     "minari": ("h5py", "minari"),
-    "onnx": ("onnxruntime", "onnxscript"),
+    "onnx": ("onnx", "onnxruntime", "onnxscript"),
     "robomimic": ("h5py",),
     "video": ("imageio_ffmpeg",),
     "web": ("websockets",),
