@@ -34,8 +34,6 @@ LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
 BELOW: Final = {
     "demonstrations": ("experts",),
     "environments": ("pictures",),
-    "adding-a-task": ("trust",),
-    "integrations": ("moving",),
 }
 """Pages of docs/ that are below another one in the list of pages."""
 MISSING: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>No such page · magical_mj</title>

@@ -17,6 +17,7 @@ from typer.main import get_command
 
 import magical_mj
 from magical_mj.cli.app import app
+from magical_mj.protocol import SEEDS
 from tools import tables
 from tools.pages import filled
 from tools.scores import own_methods
@@ -87,6 +88,14 @@ def test_the_scores_in_the_introduction_are_those_of_the_entry() -> None:
 def test_the_numbers_of_tasks_and_environments_are_those_of_the_registry() -> None:
     said = f": {len(magical_mj.TASKS)} tasks, {len(magical_mj.ENVIRONMENTS)} environments, for "
     assert said in " ".join(TEXT.split())
+
+
+def test_the_length_of_an_evaluation_is_that_of_the_protocol() -> None:
+    episodes = len(magical_mj.ENVIRONMENTS) * SEEDS
+    steps = SEEDS * sum(magical_mj.Engine(*pair).horizon or 0 for pair in magical_mj.ENVIRONMENTS)
+    page = " ".join((ROOT / "docs" / "faq.md").read_text("utf-8").split())
+    assert f"A run has {episodes:,} episodes ({SEEDS} in each of {len(magical_mj.ENVIRONMENTS)} environments)" in page
+    assert f"or {steps:,} steps" in page
 
 
 def test_links_and_make_targets_exist() -> None:
