@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from magical_mj.evaluation.reports.intervals import estimate
 from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
 from tools import learnt_rewards, pretraining
@@ -100,7 +101,7 @@ def test_statements_about_pretraining_agree_with_the_figures() -> None:
     assert f"inverse dynamics recognises {inverse:.0%} of the actions".replace("%", " %") in text
     assert f"predicts {explained:.0%} of the next frame's change".replace("%", " %") in text
     own, *frozen = (
-        pretraining.mean_and_draws(starts, Start("LoRes4E", *row, 1_000), "Demo")[0]
+        estimate(pretraining.cells(starts, Start("LoRes4E", *row, 1_000), "Demo")).value
         for row in (("scratch", 0), ("inverse-random", 6), ("next-random", 6), ("untrained", 6))
     )
     shown = [f"{mean:.2f}" for mean in (*frozen, own)]
