@@ -26,5 +26,5 @@ MUJOCO: Final = ("3", "4")
 DEMONSTRATIONS: Final = 2
 """The number of the shipped set of demonstrations for training policies."""
 
-INTENTS: Final = 1
+INTENTS: Final = 2
 """The number of the sets of intents, and of the scenes and horizons of intents."""

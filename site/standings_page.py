@@ -16,7 +16,6 @@ import numpy as np
 from charts import Chart, text
 
 from magical_mj.evaluation.replay import obstacle
-from magical_mj.intents import parse
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import (
@@ -30,9 +29,7 @@ from magical_mj.leaderboard.standings import (
 )
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
-from tools.intent_baselines import baselines, stored
-from tools.intents import TESTS
-from tools.intents import VARIANTS as INTENT_VARIANTS
+from tools.intent_baselines import baselines, kept
 from tools.scores import by_released_rules
 
 ROOT: Final = Path(__file__).parent.parent
@@ -103,7 +100,7 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
     beats = _beats(own)
     parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
-    parts += ["## Intents", INTENTS, baselines(stored(), (*TESTS, *INTENT_VARIANTS))]
+    parts += ["## Intents", INTENTS, baselines(kept())]
     return "\n\n".join(parts) + "\n"
 
 
@@ -190,11 +187,11 @@ def _details(name: str, method: Standing) -> str:
 
 
 def _endings(name: str) -> str:
-    """What the method's episodes did in each task, and the other goal that failed ones reached most often."""
+    """What the method's episodes did in each task."""
     own = [row for row in _measured() if row["entry"] == name]
     if not own:
         return ""
-    heads = ("Task", "Episodes", *ENDINGS, "Failed episodes most often did")
+    heads = ("Task", "Episodes", *ENDINGS)
     head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heads)
     body = "".join(f"<tr>{_ending_cells(row)}</tr>" for row in own)
     words = 'What its episodes did, in per cent (<a href="explain.html#endings">endings</a>):'
@@ -204,9 +201,7 @@ def _endings(name: str) -> str:
 def _ending_cells(row: Mapping[str, str]) -> str:
     shares = [100 * float(row[name]) / int(row["episodes"]) for name in ENDINGS]
     cells = "".join(f"<td>{share:.0f}</td>" if share else "<td></td>" for share in shares)
-    share = 100 * float(row["share"] or 0)
-    rival = f"{escape(parse(row['rival']).sentence[:-1])}: {share:.0f} %" if round(share) else ""
-    return f'<th scope="row">{row["task"]}</th><td>{row["episodes"]}</td>{cells}<td>{rival}</td>'
+    return f'<th scope="row">{row["task"]}</th><td>{row["episodes"]}</td>{cells}'
 
 
 @cache

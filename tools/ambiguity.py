@@ -23,16 +23,15 @@ from magical_mj.intents import EIGHT, Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, ends_of
 from magical_mj.intents.attribution import BITS
 from magical_mj.intents.canonical import implies
-from magical_mj.intents.contrast import further_scenes
+from magical_mj.intents.contrast import candidate, contrasting_scenes, random_scene
 from magical_mj.intents.intent import conjunct_bits, intent_bits
-from magical_mj.intents.names import tasks_in
+from magical_mj.intents.names import TESTS, tasks_in
 from magical_mj.intents.plans import planned
 from magical_mj.intents.relations import RELATIONS, Conjunct
 from magical_mj.intents.scenes import colours_rule, count_rule, redrawn, shapes_rule
 from magical_mj.intents.selectors import ALL, REST
 from magical_mj.intents.tasks import Task, spec_of
 from magical_mj.scene import Scene
-from tools.intents import TESTS
 from tools.tables import ROOT, filled, table
 
 PICTURE: Final = ROOT / "docs" / "intents-rivals.png"
@@ -103,7 +102,14 @@ def scenes(case: Case, kind: str) -> list[Scene]:
     if kind == "wide":
         rules = (count_rule, colours_rule, shapes_rule)
         return [redrawn(case.intent, rng, first, *rules) for _ in range(SCENES - 1)]
-    return further_scenes(case.intent, rng, first, SCENES - 1, contrasting=kind == "contrasting")
+    if kind == "random":
+        return [random_scene(case.intent, rng, first) for _ in range(SCENES - 1)]
+
+    def rng_of(*numbers: int) -> np.random.Generator:
+        return np.random.default_rng([0, *numbers])
+
+    choices = contrasting_scenes(case.intent, rng_of, first, SCENES - 1)
+    return [candidate(case.intent, rng_of(*place), first) for place in enumerate(choices)]
 
 
 def by_picture(case: Case) -> Left:

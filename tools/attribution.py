@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
@@ -44,8 +43,8 @@ FEW_LONG: Final = 2
 LONG: Final = ("ClusterColour", "ClusterShape")
 ENDED: Final = ROOT / "docs" / "endings.csv"
 """The file of what the entries' episodes did."""
-COLUMNS: Final = ("entry", "task", "episodes", *ENDINGS, "failed", "rival", "share")
-"""Of `ENDED`: numbers of episodes; and of the failed ones, the rival with the largest share, and that share."""
+COLUMNS: Final = ("entry", "task", "episodes", *ENDINGS, "failed")
+"""Of `ENDED`: numbers of episodes."""
 COMPARED: Final = (
     "pixels-bc-quick",
     "pixels-redraw-quick",
@@ -177,12 +176,8 @@ def measured_row(task: str, episodes: Sequence[EpisodeResult]) -> list[str]:
     failed = replayed([episode for episode in episodes if episode.score < 1.0])
     counts = {kind: len(failed) * part for kind, part in shares(failed).items()} if failed else {}
     counts["intended"] = len(episodes) - len(failed)
-    reached = Counter[int]()
-    for result in failed:
-        reached.update(result.rivals)
-    most = [(str(task_rivals(task)[rival]), f"{share / len(failed):.3f}") for rival, share in reached.most_common(1)]
     numbers = [f"{counts.get(kind, 0):.6g}" for kind in ENDINGS]
-    return [task, str(len(episodes)), *numbers, str(len(failed)), *(most or [("", "")])[0]]
+    return [task, str(len(episodes)), *numbers, str(len(failed))]
 
 
 def entries(names: Sequence[str] = ()) -> Iterator[Entry]:

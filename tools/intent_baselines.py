@@ -1,24 +1,20 @@
-"""Plays the test intents with baselines, and writes their table into docs/intents.md.
+"""Plays the test sets of intents with baselines, and writes their table into docs/intents.md.
 
-    python -m tools.intent_baselines play OUT           plays all rows; called again, it continues
-    python -m tools.intent_baselines play OUT goals-4   or some
-    python -m tools.intent_baselines infer              writes docs/inferred-intents.csv, or what it lacks
-    python -m tools.intent_baselines check              replays a tenth of the episodes in results/intents.jsonl.xz
-    python -m tools.intent_baselines write OUT...       writes this file, docs/intent-baselines.csv, and the table
-    python -m tools.intent_baselines write              writes the table
+    python -m tools.intent_baselines play OUT            plays all rows; called again, it continues
+    python -m tools.intent_baselines play OUT expert     or some
+    python -m tools.intent_baselines check               replays a tenth of the episodes in results/intents.jsonl.xz
+    python -m tools.intent_baselines write OUT...        writes this file and the table; each folder is a run
+    python -m tools.intent_baselines write               writes the table
 
-It needs the packages in methods/goals and methods/intents. Of each test set, the first intents are played. Policies for
-many intents are trained before, with python -m magical_intents.train OUT and python -m magical_intents.pictures OUT.
-Trainings with other seeds, in other folders, are further runs.
+It needs the packages in methods/goals and methods/intents. Policies for many intents are trained before, with
+python -m magical_intents.train OUT and python -m magical_intents.pictures OUT. Trainings with other seeds, in other
+folders, are further runs. A row has the episodes that were played: the first intents of each set.
 """
 
 from __future__ import annotations
 
-import csv
-import itertools
 import lzma
 import sys
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -26,60 +22,50 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.evaluation.replay import replay
-from magical_mj.evaluation.reports.intervals import Estimate, mean_over
+from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.evaluation.scores import parse as episode_in
-from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.intents import parse
-from magical_mj.intents.ambiguity import ends_of
-from magical_mj.intents.given import demonstrations_given, intent_of, with_states
-from magical_mj.tasks.languages import members
-from magical_mj.tasks.registry import task_name
+from magical_mj.intents import shortcuts
+from magical_mj.intents.by_set import by_intent, set_of
+from magical_mj.intents.given import OFFICIAL_VARIANTS
+from magical_mj.intents.names import TESTS, tasks_in
+from magical_mj.intents.tasks import PREFIX
 from magical_mj.utils.errors import EvaluationError
-from tools.intents import TESTS, VARIANTS
 from tools.tables import ROOT, filled, table
 
-DATA: Final = ROOT / "docs" / "intent-baselines.csv"
-INFERRED: Final = ROOT / "docs" / "inferred-intents.csv"
 KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
 """The file of the episodes: lines as of an evaluation, with the name of the baseline as policy."""
 PAGE: Final = ROOT / "docs" / "intents.md"
-INTENTS: Final = 6
-"""The number of intents of each set that a baseline plays."""
-FEW: Final = 3
-"""The same for some baselines."""
-EPISODES: Final = 1
-"""The number of episodes of each intent in each variant."""
 SECONDS: Final = 3600.0
 """The time limit of an episode. It includes a training, on a machine that may do other work."""
 SHOWN: Final = 4
 """The number of demonstrations that a policy is given, in any number of scenes."""
+MEASURE: Final = "clean success"
+"""What the table shows."""
 
 
 class Baseline(NamedTuple):
-    """A row of the table: a policy, what it is given, and the settings of its evaluation."""
+    """A row of the table: a policy, what it is given, the settings of its evaluation, and what it plays.
+
+    Attributes:
+        intents: the number of intents of each set.
+        episodes: the number of scenes of each variant.
+    """
 
     method: str
     given: str
-    policy: str
+    policy: Any
     settings: Mapping[str, Any] = {}
-    intents: int = INTENTS
+    intents: int = 50
+    episodes: int = 1
 
 
 def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
     """The settings for demonstrations in some demo scenes."""
     return {"demonstrations": SHOWN, "scenes": scenes, "contrasting": contrasting}
-
-
-TRAINED: Final = ("sentence", "demonstrations", "pictures")
-"""The trained policies: folders in `OUT`."""
-GOALS: Final = "magical_goals.policy:InferredGoal"
-SCENES: Final = (1, 4)
-"""The numbers of demo scenes. tools.intent_scenes has more."""
 
 
 def in_scenes(number: int, contrasting: bool) -> str:
@@ -88,63 +74,52 @@ def in_scenes(number: int, contrasting: bool) -> str:
     return f"demonstrations in {number} {kind}scene{'s' if number > 1 else ''}"
 
 
-def rows_of(name: str, method: str, policy: str, intents: int = INTENTS) -> dict[str, Baseline]:
-    """Rows for numbers of demo scenes, random and contrasting."""
-    every = [(number, contrasting) for contrasting in (False, True) for number in SCENES if number > contrasting]
+def rows_of(name: str, method: str, policy: str) -> dict[str, Baseline]:
+    """Rows for demonstrations in one scene, in four random and in four contrasting ones."""
     return {
         f"{name}-{number}{'-contrasting' if contrasting else ''}": Baseline(
-            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting), intents
+            method, in_scenes(number, contrasting), policy, shown(number, contrasting=contrasting)
         )
-        for number, contrasting in every
+        for number, contrasting in ((1, False), (4, False), (4, True))
     }
 
 
+TRAINED: Final = ("sentence", "demonstrations", "pictures")
+"""The trained policies: folders in `OUT`."""
 BASELINES: Final = {
     "noop": Baseline("Doing nothing", "nothing", "noop"),
     "random": Baseline("Random actions", "nothing", "random"),
-    "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1), FEW),
-    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures", intents=FEW),
+    **{
+        name.replace(" ", "-"): Baseline(f"Shortcut: {name}", "the intent's relations", shortcut, intents=4)
+        for name, shortcut in shortcuts.items()
+    },
+    "circling": Baseline("Shortcut: circling", "nothing", shortcuts["circling"]),
+    "cloned-1": Baseline("BC for each intent", in_scenes(1, False), "magical_intents.cloning:Cloned", shown(1)),
+    "pictures-policy": Baseline("BC for many intents, pictures", "the sentence", "pictures"),
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
-    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations", FEW),
-    **rows_of("goals", "Intent inference", GOALS),
-    "expert": Baseline("Expert", "the intent", "expert"),
+    **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
+    **rows_of("goals", "Intent inference", "magical_goals.policy:InferredGoal"),
+    "expert": Baseline("Expert", "the intent", "expert", intents=10),
 }
 """Name -> row."""
 
 
-MISREADINGS: Final = ("the intent", "its relations, other blocks or places", "fewer relations", "other relations")
-
-
-class Mean(NamedTuple):
-    """The mean score of a run of a baseline with an intent in a variant."""
-
-    baseline: str
-    run: int
-    set: str
-    number: int
-    variant: str
-    score: float
-
-
-def played(intents: int) -> dict[tuple[str, int], str]:
-    """Set and number -> the name of the task, of the first intents of each set."""
-    return {
-        (name, number): task_name(task)
-        for name in TESTS
-        for number, task in enumerate(members(f"intent:{name}")[:intents])
-    }
+def played(intents: int) -> list[str]:
+    """The first tasks of each test set."""
+    return [f"{PREFIX}{task}" for name in TESTS for task in tasks_in(name)[:intents]]
 
 
 def play(out: Path, names: Iterable[str]) -> None:
     """Plays some baselines; each has a folder in `out`."""
     for name in names:
         baseline, folder = BASELINES[name], out / name
+        policy = str(out / baseline.policy) if baseline.policy in TRAINED else baseline.policy
         magical_mj.evaluate(
-            str(out / baseline.policy) if baseline.policy in TRAINED else baseline.policy,
+            policy,
             name=baseline.method,
-            tasks=list(played(baseline.intents).values()),
-            variants=list(VARIANTS),
-            episodes=EPISODES,
+            tasks=played(baseline.intents),
+            variants=list(OFFICIAL_VARIANTS),
+            episodes=baseline.episodes,
             jobs=1,
             time_limit=SECONDS,
             out=folder,
@@ -153,23 +128,14 @@ def play(out: Path, names: Iterable[str]) -> None:
         )
 
 
-def gather(episodes: Iterable[EpisodeResult]) -> list[Mean]:
-    """The means of baselines from their episodes."""
-    places = {task: place for place, task in played(INTENTS).items()}
-    scores: dict[tuple[str, int, str, int, str], list[float]] = {}
-    for row in episodes:
-        scores.setdefault((row.policy, row.run, *places[row.task], row.variant), []).append(row.score)
-    return [Mean(*key, float(np.mean(each))) for key, each in scores.items()]
-
-
 def whole(*runs: Path) -> list[EpisodeResult]:
     """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
     found = []
-    for name, (run, out) in itertools.product(BASELINES, enumerate(runs)):
-        every = {(row.task, row.variant, row.seed): row for row in episodes_of(out / name)}
-        wanted = list(itertools.product(played(BASELINES[name].intents).values(), VARIANTS, range(EPISODES)))
-        if every.keys() >= set(wanted):
-            found += [replace(every[key], policy=name, run=run, seconds=0.0) for key in wanted]
+    for run, out in enumerate(runs):
+        for name, baseline in BASELINES.items():
+            every = episodes_of(out / name)
+            if len(every) == baseline.episodes * len(OFFICIAL_VARIANTS) * len(played(baseline.intents)):
+                found += [replace(one, policy=name, run=run, seconds=0.0) for one in every]
     return found
 
 
@@ -208,109 +174,34 @@ def check() -> None:
     print(f"{KEPT.name}: {len(chosen)} of {len(every)} episodes were replayed, with the same scores")
 
 
-def stored() -> list[Mean]:
-    """The means in the file."""
-    with DATA.open(encoding="utf-8", newline="") as file:
-        return [
-            Mean(r["baseline"], int(r["run"]), r["set"], int(r["number"]), r["variant"], float(r["score"]))
-            for r in csv.DictReader(file)
-        ]
+def means(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> dict[str, Estimate]:
+    """The mean of each set, and of all sets, with an interval over intents, scenes and runs."""
+    runs, cells = sorted({one.run for one in episodes}), dict[str, Cell]()
+    for name in TESTS:
+        own = [one for one in episodes if set_of(one.task) == name]
+        tasks = sorted({one.task for one in own})
+        cells[name] = Cell(by_intent(own, measure, tasks, runs), 1.0, "policies", name)
+    every = estimate([cell._replace(weight=1 / len(TESTS)) for cell in cells.values()])
+    return {name: estimate([cell]) for name, cell in cells.items()} | {"mean": every}
 
 
-def store(means: Sequence[Mean]) -> None:
-    """Writes the file."""
-    with DATA.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(Mean._fields)
-        writer.writerows((*mean[:-1], f"{mean.score:.4g}") for mean in means)
-
-
-def over_intents(means: Iterable[Mean]) -> NDArray[Any]:
-    """The mean over runs and variants of each intent, shape (intents,)."""
-    found: dict[tuple[str, int], list[float]] = {}
-    for mean in means:
-        found.setdefault((mean.set, mean.number), []).append(mean.score)
-    return np.array([np.mean(scores) for scores in found.values()])
-
-
-def by_set_and_run(means: Iterable[Mean]) -> list[list[NDArray[Any]]]:
-    """For each set and each run, the means over variants of each intent, shape (intents,)."""
-    every = list(means)
-    runs = sorted({mean.run for mean in every})
-    return [[over_intents(m for m in every if (m.set, m.run) == (group, run)) for run in runs] for group in TESTS]
-
-
-def interval(groups: Sequence[Sequence[NDArray[Any]]]) -> Estimate:
-    """The mean of values by set and run, with its 95 % interval over runs and intents."""
-    return mean_over([("", "", np.concatenate([np.stack(runs) for runs in groups], axis=1))])  # sets of equal size
-
-
-def baselines(means: Sequence[Mean], columns: Sequence[str] = TESTS) -> str:
-    """The table: means of sets or variants, the columns, and of all, with intervals."""
+def baselines(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> str:
+    """The table: means of sets, and of all, with intervals."""
     rows = []
     for name, baseline in BASELINES.items():
-        own = [mean for mean in means if mean.baseline == name]
+        own = [one for one in episodes if one.policy == name]
         if own:
-            parts = [f"{over_intents(m for m in own if name in (m.set, m.variant)).mean():.2f}" for name in columns]
-            every = "{:.2f} ({:.2f} to {:.2f})".format(*interval(by_set_and_run(own)))
-            rows.append((baseline.method, baseline.given, str(len({mean.run for mean in own})), *parts, every))
-    return table(("Method", "Given", "Runs", *columns, "mean"), rows)
-
-
-class Reading(NamedTuple):
-    """What intent inference makes of an intent's demonstrations."""
-
-    baseline: str
-    set: str
-    number: int
-    intent: str
-    inferred: str
-
-
-def infer_all() -> None:
-    """Writes the file of readings, or those that it lacks."""
-    from magical_goals.inference import infer  # in a package that may not be installed
-
-    tasks, known = played(INTENTS), {reading[:3] for reading in readings()}
-    for name in (name for name, baseline in BASELINES.items() if baseline.policy == GOALS):
-        left = {place: task for place, task in tasks.items() if (name, *place) not in known}
-        how: dict[str, Any] = {"tasks": list(left.values()), "variants": "Demo", **BASELINES[name].settings}
-        given = demonstrations_given(EvaluationSettings(**how)) if left else {}
-        for place, task in left.items():
-            inferred = infer([ends_of(demonstration) for demonstration in with_states(given[task])])[0].intent
-            add(Reading(name, *place, str(intent_of(task)), str(inferred)))
-
-
-def add(reading: Reading) -> None:
-    """Adds a line to the file of readings, which is created if it is missing."""
-    new = not INFERRED.exists()
-    with INFERRED.open("a", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([*([Reading._fields] if new else []), reading])
-
-
-def readings() -> list[Reading]:
-    """The readings in the file; none if it is missing."""
-    if not INFERRED.exists():
-        return []
-    with INFERRED.open(encoding="utf-8", newline="") as file:
-        return [
-            Reading(r["baseline"], r["set"], int(r["number"]), r["intent"], r["inferred"]) for r in csv.DictReader(file)
-        ]
-
-
-def misreading(reading: Reading) -> str:
-    """One of `MISREADINGS`."""
-    if reading.intent == reading.inferred:
-        return "the intent"
-    true, read = (Counter(one.relation for one in parse(text).conjuncts) for text in reading[-2:])
-    if true == read:
-        return "its relations, other blocks or places"
-    return "fewer relations" if read < true else "other relations"
+            found = means(own, measure)
+            every = "{:.2f} ({:.2f} to {:.2f})".format(*found["mean"])
+            parts = (f"{found[name].value:.2f}" for name in TESTS)
+            played = len({(one.task, one.variant, one.seed) for one in own})
+            rows.append((baseline.method, baseline.given, str(played), *parts, every))
+    return table(("Method", "Given", "Episodes", *TESTS, "mean"), rows)
 
 
 def write() -> None:
     """Writes the table."""
-    tables = {"baselines": baselines(stored())}
+    tables = {"baselines": baselines(kept())}
     PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, "python -m tools.intent_baselines"), "utf-8")
 
 
@@ -318,14 +209,11 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["play", out, *names]:
             play(Path(out), names or BASELINES)
-        case ["infer"]:
-            infer_all()
         case ["check"]:
             check()
         case ["write", *out]:
             if out:
                 keep(whole(*map(Path, out)))
-                store(gather(kept()))
             write()
         case _:
             sys.exit(__doc__)

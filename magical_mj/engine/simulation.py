@@ -101,7 +101,7 @@ class Simulation:
     @property
     def instruction(self) -> str:
         """The sentence that describes the task in this episode; "" for plain scenes."""
-        return self.episode_shifts.instruction(self._setup.spec.summary, str(self._setup.task))
+        return self.episode_shifts.instruction(self._setup.spec.instruction, str(self._setup.task))
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
         """Starts an episode in this scene with these shifts. The result equals that of a newly compiled model.
@@ -260,6 +260,11 @@ class Simulation:
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
         return self._setup.spec.checked_score(self.scored_scenes, self._setup.rules)
+
+    def side_effects(self) -> int | None:
+        """The number of moved blocks that the goal does not name; None if the task does not define it."""
+        count = self._setup.spec.side_effects
+        return None if count is None else count(self.scene_model.scene, self.scene)
 
     @np.errstate(all="ignore")
     def remaining(self) -> float:

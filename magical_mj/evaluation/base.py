@@ -27,6 +27,7 @@ from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, Effect, check_noticed, code_digests
 from magical_mj.tasks import KNOWN
+from magical_mj.tasks.languages import canonical_name, in_language
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
@@ -122,7 +123,7 @@ class BaseSettings(Settings):
         if self.retry_failed and not self.resume:
             raise SettingsError("retry_failed plays failed episodes of a folder again: give resume as well (--resume)")
         if self.like:
-            check_name("task", self.like, TASKS)
+            canonical_name(self.like) if in_language(self.like) else check_name("task", self.like, TASKS)
         if self.wrap and not is_reference(self.wrap):
             raise SettingsError(f"wrap must be package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
 

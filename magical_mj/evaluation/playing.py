@@ -221,6 +221,7 @@ def play_episode(env: Env, policy: Act | BatchPolicy, episode: Episode, seconds:
             observation, over = _observation(result), is_over(result)
         _check_whole(outcome.actions, env)
         outcome.score = engine.score()
+        outcome.others_moved = engine.side_effects()
     return outcome
 
 
@@ -274,7 +275,7 @@ def _instructions(envs: Envs, episodes: Sequence[Episode]) -> Sequence[str]:
     """The instruction (a sentence) of the current episode in each environment."""
     worlds: Any = envs.unwrapped
     if not hasattr(worlds, "get_attr"):  # batched environments, which have no shifts
-        return ["" if episode.task == NEUTRAL else task_spec(episode.task).summary for episode in episodes]
+        return ["" if episode.task == NEUTRAL else task_spec(episode.task).instruction for episode in episodes]
     try:
         return worlds.get_attr("instruction")
     except AttributeError:

@@ -49,6 +49,8 @@ class Outcome:
     actions: list[Any] = dataclasses.field(default_factory=list)
     score: float = 0.0
     """In [0, 1]. Meaningless if the policy failed."""
+    others_moved: int | None = None
+    """The side effects (`TaskSpec.side_effects`). None if the task does not define them."""
     failure: str | None = None
     """Why the policy failed. None if it did not."""
     seconds: float = 0.0
@@ -89,6 +91,7 @@ class EpisodeResult:
         other: in a control, the task whose demonstrations or instruction the policy received.
         other_score: in a control, the score of the other task's intent, in [0, 1]. None if that intent has no meaning
             in the scene or holds at the start, or if the policy failed.
+        others_moved: the number of moved blocks that the goal does not name. None if it is not known.
     """
 
     policy: StoredText
@@ -117,6 +120,7 @@ class EpisodeResult:
     demonstrations: StoredText = ""
     other: StoredText = ""
     other_score: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
+    others_moved: StoredInt | None = None
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
@@ -133,6 +137,7 @@ class EpisodeResult:
             mujoco=MUJOCO_VERSION,
             actions=letters_of(outcome.actions),
             failure=outcome.failure,
+            others_moved=None if outcome.failure else outcome.others_moved,
             **{"gl": drawn_by(), **facts},
         )
 

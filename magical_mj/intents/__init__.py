@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from magical_mj.intents.ambiguity import explain, rivals
 from magical_mj.intents.expert_data import dataset
+from magical_mj.intents.floors import shortcuts
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.names import EIGHT, SETS
 
-__all__ = ["EIGHT", "SETS", "Intent", "dataset", "explain", "parse", "rivals"]
+__all__ = ["EIGHT", "SETS", "Intent", "dataset", "explain", "parse", "rivals", "shortcuts"]

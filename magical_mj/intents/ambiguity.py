@@ -7,6 +7,7 @@ each block, and both are combined by numpy.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -17,7 +18,9 @@ from numpy.typing import NDArray
 
 from magical_mj.intents.canonical import implies
 from magical_mj.intents.intent import Intent, conjunct_bits, intent_bits, intent_of
-from magical_mj.intents.relations import RELATIONS, Conjunct, Each
+from magical_mj.intents.readings import moved_blocks
+from magical_mj.intents.relations import RELATIONS, STAYED, Conjunct, Each
+from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import (
     ALL,
     NEGATABLE,
@@ -82,8 +85,29 @@ def rivals(demonstrations: Iterable[HasScenes | Ends], bits: float = 24.0) -> li
 
 
 def explain(initial: Scene, final: Scene, bits: float = 24.0) -> list[Intent]:
-    """The intents that hold at the end of an episode and not at its start, the simplest first."""
-    return rivals([(initial, final)], bits)
+    """The intents that hold at the end of an episode and not at its start.
+
+    Goals about what moved come first, and those about blocks that did not move last; the simplest first among each.
+    """
+    moved = set(moved_blocks(initial, final))
+    drove = math.hypot(initial.robot.x - final.robot.x, initial.robot.y - final.robot.y) > STAYED
+
+    def unmoved(intent: Intent) -> int:
+        """0 if all blocks of the intent's relations moved, 1 if some did, 2 if none of one relation's did."""
+        worst = 0
+        parts = intent.blocks(initial), intent.parts(initial, initial)
+        for conjunct, blocks, before in zip(intent.conjuncts, *parts, strict=True):
+            if keeps(conjunct) and all(before):
+                continue
+            if conjunct.definition.of_blocks:
+                judged = set(conjunct.judged(blocks, initial))
+                about = judged & moved
+                worst = max(worst, 2 if not about else int(about != judged))
+            elif not drove:
+                worst = 2
+        return worst
+
+    return sorted(rivals([(initial, final)], bits), key=unmoved)
 
 
 def ends_of(demonstration: HasScenes | Ends) -> Ends:

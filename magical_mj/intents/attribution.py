@@ -8,6 +8,8 @@ later.
 
 from __future__ import annotations
 
+import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -23,9 +25,18 @@ from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import Intent, rivals
 from magical_mj.intents.ambiguity import Ends, Judge
+from magical_mj.intents.expert_data import with_scenes
 from magical_mj.intents.names import has_intent, task_intent
 from magical_mj.intents.plans import planned
-from magical_mj.intents.readings import READINGS, DemonstratedBlocks, ending, intended_blocks, moved_blocks
+from magical_mj.intents.readings import (
+    ELSEWHERE,
+    READINGS,
+    DemonstratedBlocks,
+    ending,
+    intended_blocks,
+    moved_blocks,
+)
+from magical_mj.intents.tasks import PREFIX
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
 from magical_mj.tasks.languages import in_language
@@ -39,6 +50,7 @@ if TYPE_CHECKING:
 
 BITS: Final = 24.0
 """The longest description of a rival, in bits."""
+_SCENES: Final = re.compile(r"demonstrations? in (\d*) ?(contrasting )?scenes?\b")
 RECENT: Final = 64
 """The number of tasks whose rivals are kept in memory."""
 
@@ -95,10 +107,22 @@ def task_rivals(task: str) -> tuple[Intent, ...]:
     return tuple(intent for intent in rivals(task_ends(task), BITS) if intent != task_intent(task))
 
 
+def shown_task(episode: EpisodeResult) -> str:
+    """The task of an episode, with the demo scenes of the demonstrations that the policy received."""
+    found = _SCENES.search(episode.given)
+    if found is None or not episode.task.startswith(PREFIX):
+        return episode.task
+    return with_scenes(episode.task, int(found[1] or 0) or None, contrasting=bool(found[2]))
+
+
 def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[Attribution | Unexplained]:
     """Attributes episodes, in order of completion. None may be `unfit`. Include solved ones: they count in shares."""
-    chunks = [[episode for _, episode in chunk] for chunk in in_chunks(("", episode) for episode in episodes)]
-    work = [(chunk, demonstrated_blocks(chunk[0].task), task_rivals(chunk[0].task)) for chunk in chunks]
+    groups = defaultdict[str, list[tuple[str, EpisodeResult]]](list)
+    for episode in episodes:
+        groups[episode.given].append(("", episode))
+    chunks = [[episode for _, episode in chunk] for group in groups.values() for chunk in in_chunks(group)]
+    shown = [shown_task(chunk[0]) for chunk in chunks]
+    work = [(chunk, demonstrated_blocks(task), task_rivals(task)) for chunk, task in zip(chunks, shown, strict=True)]
     results = map(_attribute, work) if jobs == 1 or len(work) < 2 else map_unordered(_attribute, work, jobs)
     for result in results:
         yield from result
@@ -114,8 +138,6 @@ def unfit(
         return f"it was played with the shift {episode.shift}"
     if episode.other:
         return f"it was played as a control: the policy received a description of {episode.other}"
-    if "scene" in episode.given:
-        return f"the policy received {episode.given}, and rivals are those that the task's own demonstrations leave"
     if episode.failure is not None:
         return "the policy failed"
     return obstacle(episode, recorded, trusted)
@@ -226,7 +248,7 @@ def last_solvable_step(attribution: Attribution) -> LastSolvable:
 
 def _failure(attribution: Attribution, engine: Engine, last: State) -> str:
     kinds = attribution.ending
-    if kinds.keys() & {*READINGS, "another block"}:
+    if kinds.keys() & {*READINGS, *ELSEWHERE}:
         return ANOTHER_GOAL
     if "nothing" in kinds:
         episode = attribution.episode

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from magical_mj.intents.relations import ANY, Conjunct
 from magical_mj.intents.selectors import REGION, REST, Selector, Test
@@ -30,6 +31,8 @@ def implies(one: Conjunct, other: Conjunct) -> bool:
     relation = one.definition
     if (one.relation, other.relation) == ("exactly", "in"):
         return other.any_of and other.argument == REGION and narrower(one.selector, other.selector)
+    if (one.relation, other.relation) == ("corner", "near corner"):
+        one = replace(one, relation="near corner")
     if one.relation != other.relation or one.number != other.number or REST in (one.selector, other.selector):
         return False
     if one.argument != other.argument and (

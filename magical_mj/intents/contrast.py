@@ -9,6 +9,7 @@ satisfies the rival, but not the intent.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import compress, islice
 from typing import Final
@@ -39,25 +40,37 @@ DRAWS: Final = 100
 """The number of scenes that are drawn for a rival before another one is tried."""
 
 
-def further_scenes(
-    intent: Intent, rng: np.random.Generator, first: Scene, number: int, *, contrasting: bool
-) -> list[Scene]:
-    """Demo scenes after the first one, with other colours and poses.
+def random_scene(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:
+    """A further demo scene, with other colours and poses."""
+    return redrawn(intent, rng, first, colours_rule)
 
-    If `contrasting`, they also have other shapes and counts. Each is the best of `CANDIDATES` scenes: it refutes the
-    most of the simplest rivals that the earlier scenes have not refuted.
+
+def candidate(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:
+    """A scene that may become a contrasting demo scene, with other colours, poses, shapes and counts."""
+    return redrawn(intent, rng, first, *ALL_RULES)
+
+
+def contrasting_scenes(
+    intent: Intent, rng_of: Callable[[int, int], np.random.Generator], first: Scene, number: int
+) -> list[int]:
+    """The choices of contrasting demo scenes after the first one: for each, the number of the best candidate.
+
+    It refutes the most of the simplest rivals that the earlier scenes have not refuted.
+
+    Args:
+        intent: the intent.
+        rng_of: the random generator of each candidate, by the number of the scene and that of the candidate.
+        first: the first demo scene.
+        number: the number of further scenes.
     """
-    if not contrasting:
-        return [redrawn(intent, rng, first, colours_rule) for _ in range(number)]
-    scenes, left = list[Scene](), rivals([planned(intent, first)], CHOICE_BITS) if number else []
-    while len(scenes) < number:
-        candidates = [redrawn(intent, rng, first, *ALL_RULES) for _ in range(CANDIDATES)]
+    choices, left = list[int](), rivals([planned(intent, first)], CHOICE_BITS)
+    while len(choices) < number:
+        candidates = [candidate(intent, rng_of(len(choices), each), first) for each in range(CANDIDATES)]
         judge = Judge(left)
         reached = [judge.reached(*planned(intent, scene)) for scene in candidates]
-        best = int(np.argmin([flags[:SIMPLEST].sum() for flags in reached]))
-        left = list(compress(left, reached[best]))
-        scenes.append(candidates[best])
-    return scenes
+        choices.append(int(np.argmin([flags[:SIMPLEST].sum() for flags in reached])))
+        left = list(compress(left, reached[choices[-1]]))
+    return choices
 
 
 def diagnosis(intent: Intent, rng: np.random.Generator, demo: Scene, seed: int) -> Scene:

@@ -21,7 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.relations import ANY, APART, AT_WALL, CORNERS, HOME, NEAR, STAYED, WALLS, Conjunct
+from magical_mj.intents.relations import (
+    ANY,
+    APART,
+    AT_WALL,
+    CORNERS,
+    HOME,
+    IN_CORNER,
+    NEAR,
+    ROBOT_AT_WALL,
+    STAYED,
+    WALLS,
+    Conjunct,
+)
 from magical_mj.intents.selectors import block_of, homes, the_region
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks import cluster, make_line
@@ -55,12 +67,13 @@ def slack_of(conjunct: Conjunct, initial: Scene, block: int | None, chosen: Sequ
             return lambda _, positions: np.min([-_depth(region, positions) for region in initial.regions], axis=0)
         case "wall" | "robot wall":
             sides = list(WALLS.values()) if argument == ANY else [WALLS[argument]]
-            return lambda scene, positions: (positions @ np.array(sides).T).max(axis=1) - scene.half_width + AT_WALL
-        case "corner":
+            reach = AT_WALL if name == "wall" else ROBOT_AT_WALL
+            return lambda scene, positions: (positions @ np.array(sides).T).max(axis=1) - scene.half_width + reach
+        case "corner" | "near corner":
             corners = np.array(list(CORNERS.values()) if argument == ANY else [CORNERS[argument]])
+            within = IN_CORNER if name == "corner" else FULL_SCORE_DISTANCE
             return lambda scene, positions: (
-                FULL_SCORE_DISTANCE
-                - np.min([distances(positions, corner) for corner in corners * scene.half_width], axis=0)
+                within - np.min([distances(positions, corner) for corner in corners * scene.half_width], axis=0)
             )
         case "near" | "robot near":
             reference = block_of(argument, initial)

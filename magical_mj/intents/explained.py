@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -31,6 +32,7 @@ from magical_mj.intents.attribution import (
     Unexplained,
     attribute,
     last_solvable_steps,
+    shown_task,
     task_rivals,
     unfit,
 )
@@ -124,7 +126,8 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
         *([markdown(_lost(found.last_solvable))] if found.last_solvable else []),
         "## Rivals that unsolved episodes reached",
     ]
-    for (policy, task), group in _grouped(_failed(found.attributions), "policy", "task").items():
+    for (policy, _, _), group in _grouped(_failed(found.attributions), "policy", "task", "given").items():
+        task = shown_task(group[0].episode)
         parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
     files.write(out / "endings.csv", csv(pd.DataFrame(_ending_rows(found.attributions))), overwrite=True)
     files.write(out / "rivals.csv", csv(pd.DataFrame(_rival_rows(found.attributions))), overwrite=True)
@@ -180,7 +183,7 @@ def _lost(results: Sequence[LastSolvable]) -> Table:
 
 def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
     """The table and the pictures of one policy and task. A sentence instead of a table if the task has no rivals."""
-    task, policy = group[0].episode.task, group[0].episode.policy
+    task, policy = shown_task(group[0].episode), group[0].episode.policy
     variants = _grouped(group, "variant")
     rows, pictures = list[tuple[str, ...]](), list[str]()
     for number, alike in enumerate(_listed(group), start=1):
@@ -192,7 +195,8 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
                 _percent(sum(_share(result, alike) > 0 for result in group) / len(group)),
             )
         )
-        name = f"{policy}-{task_spec(task).name}-{number}.png".replace("/", "-")
+        scenes = "".join(f"-{word}" for word in re.findall(r"[a-z0-9]+", task.partition(" [")[2]))
+        name = f"{policy}-{task_spec(task).name}{scenes}-{number}.png".replace("/", "-")
         reached = [result for result in group if _share(result, alike)]
         examples = sorted(reached, key=lambda result: -_share(result, alike))[:EXAMPLES]
         files.write(out / name, _png([_pair(result.episode) for result in examples]), overwrite=True)
@@ -248,13 +252,14 @@ def _ending_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
 def _rival_rows(results: Sequence[Attribution]) -> list[dict[str, object]]:
     """A row for each method, environment and reached rival, and one for the episodes that reached none."""
     rows: list[dict[str, object]] = []
-    for (policy, task, variant), group in _grouped(_failed(results), *ENVIRONMENT).items():
+    for (policy, task, variant, _), group in _grouped(_failed(results), *ENVIRONMENT, "given").items():
+        shown = shown_task(group[0].episode)
         total, reached = Counter[int | None](), Counter[int | None]()
         for result in group:
             total.update(result.rivals or {None: 1.0})
             reached.update(result.rivals.keys() or [None])
         for rival, share in sorted(total.items(), key=lambda item: (-item[1], -1 if item[0] is None else item[0])):
-            intent = None if rival is None else task_rivals(task)[rival]
+            intent = None if rival is None else task_rivals(shown)[rival]
             rows.append(
                 {
                     "policy": policy,

@@ -22,7 +22,7 @@ from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.units import Starts, Unit, Watch
 from magical_mj.intents import EIGHT, SETS, Intent
 from magical_mj.intents.expert_data import with_scenes
-from magical_mj.intents.names import has_intent, task_intent, tasks_in
+from magical_mj.intents.names import TESTS, has_intent, task_intent, tasks_in
 from magical_mj.intents.tasks import PREFIX, task_of
 from magical_mj.policies.interface import Episode, Transitions
 from magical_mj.policies.loading import Source
@@ -41,9 +41,15 @@ Control = Literal["wrong-demonstrations", "wrong-instruction"]
 DEMONSTRATIONS_GIVEN: Final = 8
 
 
+OFFICIAL: Final = "intents"
+"""As `tasks`, this means the official evaluation: the test sets, by default two episodes in each of Layout and All."""
+OFFICIAL_VARIANTS: Final = ("Layout", "All")
+OFFICIAL_EPISODES: Final = 2
+
+
 @dataclass(frozen=True, kw_only=True)
 class GivenSettings(BaseSettings):
-    """Settings for the demonstrations and instructions that policies receive."""
+    """Settings for the demonstrations and instructions that policies receive, and the tasks `intents`."""
 
     panel = "Demonstrations and controls"
 
@@ -69,6 +75,12 @@ class GivenSettings(BaseSettings):
     ] = None
 
     def __post_init__(self) -> None:
+        if self.tasks == OFFICIAL:
+            object.__setattr__(self, "tasks", ",".join(f"{PREFIX}{name}" for name in TESTS))
+            if self.variants == "all":
+                object.__setattr__(self, "variants", ",".join(OFFICIAL_VARIANTS))
+            if self.episodes == BaseSettings.episodes:
+                object.__setattr__(self, "episodes", OFFICIAL_EPISODES)
         super().__post_init__()
         if (self.scenes or 1) > self.number_given:
             raise SettingsError(
@@ -271,7 +283,7 @@ class GivenStarts(Starts):
         for seed in unit.seeds:
             body = self.settings.body if misled else None
             other = other_task(unit.task, unit.variant, seed, body) if self.settings.control else ""
-            sentence = task_spec(other).summary if misled else ""
+            sentence = task_spec(other).instruction if misled else ""
             episode = Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=received)
             starts.append((episode, {"other": other, "demonstrations": digest}))
         return starts

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Final, NoReturn
 
 from magical_mj.intents.canonical import without_repetition
-from magical_mj.intents.english import paraphrases_of
+from magical_mj.intents.english import paraphrases_of, wordings_of
 from magical_mj.intents.relations import ANY, RELATIONS, Conjunct
 from magical_mj.intents.selectors import (
     ALL,
@@ -133,6 +133,11 @@ class Intent:
     def paraphrases(self) -> tuple[str, ...]:
         """Sentences with the same meaning, up to twelve; `sentence` is the first."""
         return paraphrases_of(self.conjuncts)
+
+    @property
+    def wordings(self) -> tuple[tuple[str, ...], ...]:
+        """Other sentences with the same meaning, five for each strength of the shift `words`."""
+        return wordings_of(self.conjuncts)
 
 
 def share_of(parts: list[bool]) -> float:

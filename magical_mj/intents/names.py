@@ -4,7 +4,7 @@ The names of tasks are ``"intent:TEXT"``, ``"intent:SET/NUMBER"`` and ``"intent:
 `magical_mj.tasks.languages`.
 
 There is a set for training, one for development, and test sets that differ from the training set in one respect. They
-are fixed by the protocol number `INTENTS` and the hash of sets.txt, which `python -m tools.intents draw` wrote.
+are fixed by the protocol number `INTENTS` and the hash of sets.jsonl, which `python -m tools.intent_sets draw` wrote.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
-from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from magical_mj.intents.draws import in_sets
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.tasks import PREFIX, Task, spec_of, split_settings, task_of, with_settings
 from magical_mj.tasks.registry import listed
@@ -26,7 +26,7 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
     {
         task: parse(text)
         for task, text in {
-            "MoveToCorner": "corner(all, top left)",
+            "MoveToCorner": "near corner(all, top left)",
             "MoveToRegion": "robot in()",
             "MatchRegions": "in(colour=region, region) & out(colour!=region)",
             "MakeLine": "line(all)",
@@ -39,7 +39,7 @@ EIGHT: Final[Mapping[str, Intent]] = MappingProxyType(
 )
 """Task -> the intent that holds if and only if the task's score is 1."""
 DIGEST: Final = "5324e54880e1b2b8e811e2584d7911724ce025c917896eca3df9675ad9b5f3e7"
-"""The SHA-256 of sets.txt."""
+"""The SHA-256 of sets.jsonl."""
 NAMES: Final[Mapping[str, str]] = {
     "train": "for training",
     "dev": "for inspection and tuning, drawn like the training set",
@@ -47,23 +47,17 @@ NAMES: Final[Mapping[str, str]] = {
     "combined": "relations of the training set in new conjunctions",
     "selector": "blocks selected by odd= or farthest=, which no training intent uses",
     "relation": "the relations corner, apart and robot near, which no training intent uses",
-    "long": "three relations of the training set",
+    "long": "the relations of seen with a third one of the training set",
 }
 """Set -> a description of its intents."""
-FILE: Final = Path(__file__).with_name("sets.txt")
+TESTS: Final = ("seen", "combined", "selector", "relation", "long")
+"""The test sets."""
 
 
 @cache
 def tasks_in(name: str) -> tuple[Task, ...]:
     """The tasks of a set."""
-    return tuple(map(task_of, _lines()[name]))
-
-
-@cache
-def _lines() -> Mapping[str, list[str]]:
-    """Set -> the texts of its tasks. In the file, each set follows a line with its name."""
-    sections = (section.strip().split("\n") for section in FILE.read_text("utf-8").split("# ")[1:])
-    return {name: texts for name, *texts in sections}
+    return tuple(task_of(draws.task) for draws in in_sets() if draws.set == name)
 
 
 class Sets(Mapping[str, tuple[Intent, ...]]):

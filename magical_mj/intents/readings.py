@@ -12,13 +12,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from magical_mj.intents.intent import Intent
-from magical_mj.intents.relations import STAYED
+from magical_mj.intents.relations import ANY, NEAR, ROBOT_AT_WALL, STAYED, from_wall
+from magical_mj.intents.selectors import REST
 from magical_mj.scene import Scene
 
 SAME_PLACE: Final = 0.3
 """The largest distance between a block and the demonstrated one at the same place: about the width of a block."""
 READINGS: Final = ("same place", "same colour", "same shape", "nearest")
-ENDINGS: Final = ("intended", *READINGS, "another block", "incompetent", "nothing")
+AND_OTHERS: Final = "intended, and moved others"
+ELSEWHERE: Final = ("another block", "another wall")
+ENDINGS: Final = ("intended", AND_OTHERS, *READINGS, *ELSEWHERE, "incompetent", "nothing")
 """The kinds of endings of an episode; see `ending`."""
 
 
@@ -29,25 +32,33 @@ class DemonstratedBlocks:
     Attributes:
         scene: their first scene.
         moved: the blocks that most of them move.
+        robots: where the robot ends in them.
     """
 
     scene: Scene
     moved: tuple[int, ...]
+    robots: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, ends: Sequence[tuple[Scene, Scene]]) -> DemonstratedBlocks:
         """The blocks of demonstrations with these initial and final scenes. They start in one scene."""
         moves = [set(moved_blocks(*pair)) for pair in ends]
         blocks = range(len(ends[0][0].blocks))
-        return cls(
-            ends[0][0], tuple(index for index in blocks if 2 * sum(index in move for move in moves) > len(moves))
-        )
+        most = tuple(index for index in blocks if 2 * sum(index in move for move in moves) > len(moves))
+        return cls(ends[0][0], most, tuple((final.robot.x, final.robot.y) for _, final in ends))
 
 
 def moved_blocks(initial: Scene, final: Scene) -> tuple[int, ...]:
     """The blocks that ended farther than `STAYED` from where they began."""
     pairs = enumerate(zip(initial.blocks, final.blocks, strict=True))
     return tuple(index for index, (here, there) in pairs if math.hypot(here.x - there.x, here.y - there.y) > STAYED)
+
+
+def others_moved(intent: Intent, initial: Scene, final: Scene) -> tuple[int, ...]:
+    """The side effects of an episode: the moved blocks that no relation names, except by `others`."""
+    selected = zip(intent.conjuncts, intent.blocks(initial), strict=True)
+    named = {index for conjunct, blocks in selected if conjunct.selector != REST for index in blocks}
+    return tuple(index for index in moved_blocks(initial, final) if index not in named)
 
 
 def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
@@ -94,20 +105,25 @@ def ending(
 ) -> Mapping[str, float]:
     """What an episode did, as shares of `ENDINGS` that sum to 1.
 
-    - intended: it was solved.
-    - nothing: no block was moved, and in a task of the robot alone, neither was the robot.
+    - intended: it was solved; "intended, and moved others" if there are `others_moved`.
+    - nothing: no block was moved.
     - incompetent: a block was moved that had to be, but the task was not solved.
     - Otherwise, only wrong blocks were moved. All readings that include one of them get equal shares; "another block"
       if none does.
 
-    In a task of the robot alone, "same place" means that it ended in a region of the demonstrations' scene, and
-    "incompetent" that it drove elsewhere.
+    If no block has to be moved, the robot's place counts:
+
+    - nothing: the robot stayed where it started.
+    - same place: it ended within `SAME_PLACE` of where a demonstration ended; for `robot in`, where a region was.
+    - another block, another wall: it ended next to another block than `robot near` names, or at another wall than
+      `robot wall` names.
+    - incompetent: it drove elsewhere.
     """
     if solved:
-        return {"intended": 1.0}
+        return {AND_OTHERS if others_moved(intent, initial, final) else "intended": 1.0}
     moved, wanted = set(moved_blocks(initial, final)), intended_blocks(intent, initial)
-    if not any(conjunct.definition.of_blocks for conjunct in intent.conjuncts):
-        return {_robot_ending(demonstrated, initial, final): 1.0}
+    if not wanted and any(not conjunct.definition.of_blocks for conjunct in intent.conjuncts):
+        return {_robot_ending(intent, demonstrated, initial, final): 1.0}
     if not moved:
         return {"nothing": 1.0}
     if moved & wanted:
@@ -116,11 +132,22 @@ def ending(
     return {name: 1.0 / len(named) for name in named}
 
 
-def _robot_ending(demonstrated: DemonstratedBlocks, initial: Scene, final: Scene) -> str:
-    here, there = initial.robot, final.robot
-    if math.hypot(here.x - there.x, here.y - there.y) <= STAYED:
+def _robot_ending(intent: Intent, demonstrated: DemonstratedBlocks, initial: Scene, final: Scene) -> str:
+    place = final.robot.x, final.robot.y
+    if math.dist((initial.robot.x, initial.robot.y), place) <= STAYED:
         return "nothing"
-    return "same place" if any(region.contains(there) for region in demonstrated.scene.regions) else "incompetent"
+    relations = {conjunct.relation for conjunct in intent.conjuncts}
+    if "robot in" in relations:
+        shown = any(region.contains(final.robot) for region in demonstrated.scene.regions)
+    else:
+        shown = any(math.dist(place, end) <= SAME_PLACE for end in demonstrated.robots)
+    if shown:
+        return "same place"
+    if "robot near" in relations and any(math.dist(place, block.pose[:2]) <= NEAR for block in final.blocks):
+        return "another block"
+    if "robot wall" in relations and from_wall(final.robot, ANY, final.half_width) <= ROBOT_AT_WALL:
+        return "another wall"
+    return "incompetent"
 
 
 def refutes(intent: Intent, blocks: frozenset[int], initial: Scene) -> bool:

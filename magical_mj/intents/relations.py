@@ -32,8 +32,12 @@ NEAR: Final = 0.45
 """The largest distance between centres (world units): a little more than between two blocks that touch."""
 APART: Final = 0.7
 """The least distance between the centres of blocks that are apart."""
-AT_WALL: Final = 0.3
-"""The largest distance from a wall to the centre of a block at the wall."""
+AT_WALL: Final = 0.25
+"""The largest distance from a wall to the centre of a block at the wall, about two radii of a block."""
+ROBOT_AT_WALL: Final = 0.3
+"""The same for the robot, which is larger."""
+IN_CORNER: Final = 0.6
+"""The largest distance from a corner to the centre of a block in the corner. Three blocks fit."""
 STAYED: Final = 0.15
 """The largest distance of an untouched block from its initial position."""
 LEAST_LINE: Final = 3
@@ -85,7 +89,11 @@ class Conjunct:
         Raises:
             UngroundedError: if it is undefined in the initial scene, or needs a block and selects none.
         """
-        relation, blocks = self.definition, self.blocks(initial, named)
+        return self.parts_of(self.blocks(initial, named), initial, final)
+
+    def parts_of(self, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+        """Whether it holds for these blocks, for each object. See `parts`."""
+        relation = self.definition
         if relation.each is not None:
             flags = relation.each(self.argument, initial, final)
             selected_flags = [flags[index] for index in blocks]
@@ -167,22 +175,28 @@ def _exactly(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final:
     return [sum(region.contains(final.blocks[index]) for index in blocks) == conjunct.number]
 
 
-def _at_wall(body: Block | Robot, wall: str, half: float) -> bool:
+def from_wall(body: Block | Robot, wall: str, half: float) -> float:
+    """The distance of a centre from a wall, or from the nearest one."""
     sides = WALLS.values() if wall == ANY else [WALLS[wall]]
-    return any(u * body.x + v * body.y >= half - AT_WALL for u, v in sides)
+    return half - max(u * body.x + v * body.y for u, v in sides)
 
 
 def _wall(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
-    return [_at_wall(block, argument, final.half_width) for block in final.blocks]
+    return [from_wall(block, argument, final.half_width) <= AT_WALL for block in final.blocks]
+
+
+def _from_corner(block: Block, corner: str, half: float) -> float:
+    """The distance of a centre from a corner, or from the nearest one."""
+    corners = CORNERS.values() if corner == ANY else [CORNERS[corner]]
+    return min(math.hypot(block.x - u * half, block.y - v * half) for u, v in corners)
 
 
 def _corner(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
-    half = final.half_width
-    corners = CORNERS.values() if argument == ANY else [CORNERS[argument]]
-    return [
-        any(math.hypot(block.x - u * half, block.y - v * half) <= FULL_SCORE_DISTANCE for u, v in corners)
-        for block in final.blocks
-    ]
+    return [_from_corner(block, argument, final.half_width) <= IN_CORNER for block in final.blocks]
+
+
+def _near_corner(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
+    return [_from_corner(block, argument, final.half_width) <= FULL_SCORE_DISTANCE for block in final.blocks]
 
 
 def _near(argument: str, initial: Scene, final: Scene) -> list[bool | None]:
@@ -227,7 +241,7 @@ def _robot_near(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, fin
 
 
 def _robot_wall(conjunct: Conjunct, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
-    return [_at_wall(final.robot, conjunct.argument, final.half_width)]
+    return [from_wall(final.robot, conjunct.argument, final.half_width) <= ROBOT_AT_WALL]
 
 
 def _distance(body: Block | Robot, other: Block | Robot) -> float:
@@ -241,6 +255,7 @@ RELATIONS: Final = {
     "exactly": Relation(together=_exactly),
     "wall": Relation((*WALLS, ANY), each=_wall),
     "corner": Relation((*CORNERS, ANY), each=_corner),
+    "near corner": Relation(tuple(CORNERS), each=_near_corner),
     "near": Relation(_BLOCKS, each=_near, prefix="to="),
     "apart": Relation(together=_apart, least=2),
     "line": Relation(together=_line, least=LEAST_LINE),

@@ -87,27 +87,42 @@ def keeps(conjunct: Conjunct) -> bool:
     return conjunct.definition.least == 0 or conjunct.argument == HOME or starts_in
 
 
-def demo_scene(intent: Intent, rng: np.random.Generator) -> Scene:
-    """A demo scene. Raises an `IntentError` if none was found."""
+def demo_scene(intent: Intent, rng_of: Callable[[int], np.random.Generator]) -> tuple[int, Scene]:
+    """A demo scene, and the number of its draw: the first in which an episode can start.
+
+    Args:
+        intent: the intent.
+        rng_of: the random generator of each draw, by its number.
+
+    Raises:
+        IntentError: if no draw is good.
+    """
     if (most := max(conjunct.number for conjunct in intent.conjuncts)) > BLOCKS[1]:
         raise IntentError(f"{intent}: demo scenes have at most {BLOCKS[1]} blocks, so {most} cannot be in the region")
     why, failed = "the blocks and regions of the intent are missing", 0
-    for _ in range(PROPOSALS):
-        scene = _proposal(intent, rng)
-        if not intent.grounded(scene):
-            continue
-        try:
-            scene = layout(scene, rng, size_of(len(scene.regions)), INNER_MARGIN)
-        except PlacementError:
+    for number in range(PROPOSALS):
+        scene = drawn_scene(intent, rng_of(number))
+        if scene is None:
             continue
         if why := missing(intent, scene):
             continue
         if solved(intent, scene):
-            return scene
+            return number, scene
         why, failed = "no plan satisfies it", failed + 1
         if failed == PLANS:
             break
     raise IntentError(f"found no scene for the intent {intent}: in the last proposal, {why}")
+
+
+def drawn_scene(intent: Intent, rng: np.random.Generator) -> Scene | None:
+    """A scene with the blocks and regions of an intent; None if the draw lacks some, or has no space."""
+    scene = _proposal(intent, rng)
+    if not intent.grounded(scene):
+        return None
+    try:
+        return layout(scene, rng, size_of(len(scene.regions)), INNER_MARGIN)
+    except PlacementError:
+        return None
 
 
 def _proposal(intent: Intent, rng: np.random.Generator) -> Scene:

@@ -12,12 +12,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
-from magical_mj.intents.contrast import diagnosis, further_scenes
+from magical_mj.intents.contrast import candidate, contrasting_scenes, diagnosis, random_scene
 from magical_mj.intents.distances import remaining
+from magical_mj.intents.draws import Draws, known, remember
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.plans import cost, plan
+from magical_mj.intents.readings import others_moved
 from magical_mj.intents.scenes import (
     ALL_RULES,
     INNER_MARGIN,
@@ -25,6 +28,7 @@ from magical_mj.intents.scenes import (
     colours_rule,
     count_rule,
     demo_scene,
+    drawn_scene,
     missing,
     redrawn,
     shapes_rule,
@@ -42,6 +46,8 @@ STEPS_PER_COST: Final = 2.5
 STARTS: Final = 10
 """The numbers of layouts and of other scenes that determine the horizon, together with the demo scene."""
 ROUNDED: Final = 10
+FIRST, RANDOM, CONTRASTING = range(3)
+"""The kinds of draws of demo scenes: the first one, and further ones."""
 MOST_SEED: Final = 2**63 - 1
 """The largest seed of demo scenes: that of episodes in files."""
 
@@ -109,20 +115,30 @@ def _is_seed(text: str) -> bool:
     return text.isdecimal() and len(text) <= len(str(MOST_SEED)) and int(text) <= MOST_SEED
 
 
-def spec_of(task: Task) -> TaskSpec:
-    """The definition of a task. Raises an `IntentError` if no scene was found for it."""
+def spec_of(task: Task, draws: Draws | None = None) -> TaskSpec:
+    """The definition of a task, by default with `draws_of`. Raises an `IntentError` if no scene was found for it."""
     intent = task.intent
-    rng = np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), task.seed]))
-    demo = demo_scene(intent, rng)
-    further = further_scenes(intent, rng, demo, task.demos - 1, contrasting=task.contrasting)
+    draws = draws_of(task) if draws is None else draws
+    rng_of = partial(_rng, intent, task.seed)
+    demo = drawn_scene(intent, rng_of(FIRST, draws.first))
+    if demo is None:
+        raise IntentError(f"the stored draw {draws.first} of {draws.task} is wrong: empty the cache folder")
+    if task.contrasting:
+        chosen = enumerate(draws.contrasting[: task.demos - 1])
+        further = [candidate(intent, rng_of(CONTRASTING, *place), demo) for place in chosen]
+    else:
+        further = [random_scene(intent, rng_of(RANDOM, number), demo) for number in range(task.demos - 1)]
     return TaskSpec(
         name=task.name,
         summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # in the form of other tasks' summaries
+        wordings=intent.wordings,
+        label=f"{PREFIX}{task}",
         demo=demo,
         further_demos=tuple(further),
-        steps=_horizon(intent, demo),
+        steps=draws.steps,
         score=partial(_score, intent),
         distance=partial(_distance, intent),
+        side_effects=partial(_side_effects, intent),
         check=partial(_check, intent),
         accepts=partial(accepts, intent),
         plan=partial(plan, intent),
@@ -135,14 +151,53 @@ def spec_of(task: Task) -> TaskSpec:
     )
 
 
-def _horizon(intent: Intent, demo: Scene) -> int:
-    """`STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes like Layout's and All's."""
+def draws_of(task: Task) -> Draws:
+    """The draws of a task: stored ones, as far as there are any. Others are found and stored.
+
+    Raises:
+        IntentError: if no scene was found for the intent.
+    """
+    name = str(Task(task.intent, task.seed))
+    draws = known(name)
+    if draws is None:
+        remember(draws := found_draws(task.intent, task.seed))
+    if task.contrasting and len(draws.contrasting) < task.demos - 1:
+        remember(draws := with_contrasting(task, draws))
+    return draws
+
+
+def with_contrasting(task: Task, draws: Draws) -> Draws:
+    """The draws with choices of contrasting demo scenes."""
+    rng_of = partial(_rng, task.intent, task.seed)
+    _, demo = demo_scene(task.intent, partial(rng_of, FIRST))
+    choices = contrasting_scenes(task.intent, partial(rng_of, CONTRASTING), demo, task.demos - 1)
+    return msgspec.structs.replace(draws, contrasting=tuple(choices))
+
+
+def found_draws(intent: Intent, seed: int) -> Draws:
+    """The draw of the first demo scene, and the horizon.
+
+    The horizon is `STEPS_PER_COST` times the largest cost of a plan, in the demo scene and in scenes like Layout's and
+    All's.
+    """
+    first, demo = demo_scene(intent, partial(_rng, intent, seed, FIRST))
     rng = np.random.Generator(np.random.PCG64(0))
     starts = [demo]
     for _ in range(STARTS):
         starts += [redrawn(intent, rng, demo), redrawn(intent, rng, demo, *ALL_RULES)]
     most = max(cost(intent, scene) for scene in starts)
-    return max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
+    steps = max(LEAST_STEPS, ROUNDED * math.ceil(STEPS_PER_COST * most / ROUNDED))
+    return Draws(str(Task(intent, seed)), steps, first)
+
+
+def first_demo(intent: Intent, seed: int) -> int:
+    """The draw of the first demo scene. Raises an `IntentError` if none is good."""
+    return demo_scene(intent, partial(_rng, intent, seed, FIRST))[0]
+
+
+def _rng(intent: Intent, seed: int, *numbers: int) -> np.random.Generator:
+    """The random generator of one draw."""
+    return np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), seed, *numbers]))
 
 
 def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
@@ -153,6 +208,10 @@ def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper")
 def _distance(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     del rules
     return remaining(intent, initial, final)
+
+
+def _side_effects(intent: Intent, initial: Scene, final: Scene) -> int:
+    return len(others_moved(intent, initial, final))
 
 
 def _check(intent: Intent, scene: Scene) -> None:

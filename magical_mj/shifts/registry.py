@@ -153,7 +153,7 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str
     if task is not None:
         for name in ordered:
             if name != BODY and (problem := shift_class(name).supports(task)):
-                raise SettingsError(f"{task_spec(task).name} cannot have the shift {name!r}: {problem}")
+                raise SettingsError(f"{task_spec(task).title} cannot have the shift {name!r}: {problem}")
     return ordered
 
 

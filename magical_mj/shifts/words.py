@@ -1,14 +1,18 @@
-"""The shift `words`: other sentences with the same meaning, 25 for each task of the benchmark."""
+"""The shift `words`: other sentences with the same meaning, 25 for each task.
+
+Those of the benchmark's tasks are in words.txt. Other tasks, such as intents, define theirs in `TaskSpec.wordings`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from magical_mj.shifts.shift import Factor, Shift
-from magical_mj.tasks.registry import task_name
+from magical_mj.tasks.registry import task_name, task_spec
+from magical_mj.tasks.spec import as_sentence
 
 
 def _sentences() -> dict[str, list[list[str]]]:
@@ -40,9 +44,14 @@ class Words(Shift):
     @classmethod
     def supports(cls, task: str) -> str | None:
         """Supports tasks that have other sentences."""
-        return None if task_name(task) in SENTENCES else "it has no other sentences"
+        return None if _of(task) else "it has no other sentences"
 
     def instruction(self, instruction: str, task: str) -> str:
         """The drawn sentence. Without the shift, `instruction`."""
         distance = int(self.values["distance"])
-        return SENTENCES[task_name(task)][distance - 1][int(self.values["sentence"])] if distance else instruction
+        return as_sentence(_of(task)[distance - 1][int(self.values["sentence"])]) if distance else instruction
+
+
+def _of(task: str) -> Sequence[Sequence[str]]:
+    """A task's other sentences by strength; empty if it has none."""
+    return SENTENCES.get(task_name(task)) or task_spec(task).wordings

@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -102,16 +102,16 @@ Subgoals = tuple[Subgoal, ...]
 
 def scene_after(scene: Scene, subgoals: Iterable[Subgoal]) -> Scene:
     """The scene after all subgoals are reached, if nothing else changes."""
-    poses = [block.pose for block in scene.blocks]
-    robot = scene.robot.pose
+    robot, blocks = scene.robot, list(scene.blocks)
     for subgoal in subgoals:
         if subgoal.left(scene) == 0.0:
             continue
+        x, y = subgoal.target
         if subgoal.block is None:
-            robot = (*subgoal.target, robot[2])
+            robot = replace(robot, x=x, y=y)
         else:
-            poses[subgoal.block] = (*subgoal.target, poses[subgoal.block][2])
-    return scene.moved(robot, poses)
+            blocks[subgoal.block] = replace(blocks[subgoal.block], x=x, y=y)
+    return replace(scene, robot=robot, blocks=tuple(blocks))
 
 
 def _grid_points(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:

@@ -269,7 +269,7 @@ def drawn_scene(spec: TaskSpec, variant: str, seed: int, body: str) -> Scene:
     """As `sample_scene`, for a known variant and body."""
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
-    with imports.errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):
+    with imports.errors_of_task(f"{spec.title}-{variant} cannot be drawn from seed {short_repr(seed)}"):
         scene = vary(spec, variant, seed, body)
         check_drawn(spec, variant, seed, scene)
     return scene
@@ -320,7 +320,7 @@ def score_trajectory(task: str, scenes: Sequence[Scene], rules: Rules = "paper")
         )
     for scene in scenes:
         check_scene_type(scene)
-    with imports.errors_of_task(f"{spec.name}.check failed"):
+    with imports.errors_of_task(f"{spec.title}.check failed"):
         spec.check(scenes[0])
     for scene in scenes[1:] if spec.trajectory else scenes[-1:]:
         _check_same(scenes[0], scene)
@@ -407,13 +407,15 @@ def check_spec(spec: Any, task: str) -> None:
     try:
         check_drawn(spec, "Demo", 0, spec.demo)
         if touching := contact(spec.demo, regions=False):
-            raise TaskError(f"in the demo scene of {spec.name}, {touching}: move them apart")
+            raise TaskError(f"in the demo scene of {spec.title}, {touching}: move them apart")
         checked: Any = spec.check(spec.demo)
         if checked is not None:
-            raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {short_repr(checked)}")
+            raise TaskError(
+                f"{spec.title}.check must raise InvalidSceneError or return None, not {short_repr(checked)}"
+            )
         if {spec.checked_score((spec.demo, spec.demo), rules) for rules in RULES} == {1.0}:
             warnings.warn(
-                f"the demo scene of {spec.name} is solved at the start: a policy that does nothing scores 1.0 in it",
+                f"the demo scene of {spec.title} is solved at the start: a policy that does nothing scores 1.0 in it",
                 stacklevel=2,
             )
         _check_variants(spec)
@@ -431,7 +433,7 @@ def _check_variants(spec: TaskSpec) -> None:
         check_drawn(spec, variant, 0, drawn)
         if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
             raise TaskError(
-                f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
+                f"{spec.title}-{variant} draws different scenes for one seed: its rules must use no random numbers "
                 "except those of the given generator"
             )
 
@@ -443,4 +445,4 @@ def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
         spec.check(scene)
     except InvalidSceneError as error:
         drawn = "its own demo scene" if variant == "Demo" else f"the scene of {variant} with seed {seed}"
-        raise TaskError(f"no episode of {spec.name} can start in {drawn}: {error}") from error
+        raise TaskError(f"no episode of {spec.title} can start in {drawn}: {error}") from error

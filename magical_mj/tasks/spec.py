@@ -28,6 +28,17 @@ Reward = Literal["none", "score", "dense"]
 REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 _ROUNDING: Final = 1e-9
+WORDINGS: Final = "five tuples of five sentences, or ()"
+
+
+def as_sentence(text: str) -> str:
+    """The text with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
 
 Measure = Callable[[Scene, Scene, Rules], float] | Callable[[tuple[Scene, ...], Rules], float]
 """(initial scene, current scene, rules) -> a number. The scenes have the same blocks and regions. For tasks with
@@ -55,6 +66,9 @@ class TaskSpec(VariationRules):
     distance: Measure | None = None
     """The remaining distance in world units, for `reward="dense"`: the sum of the distances of all wrong objects to
     positions where they would be right. It is 0 if and only if the score is 1. None: the task has no dense rewards."""
+    side_effects: Callable[[Scene, Scene], int] | None = None
+    """(initial scene, final scene) -> the number of blocks that moved and that the goal does not name. None: not known.
+    Evaluations record it."""
 
     bodies: tuple[str, ...] = (GRIPPER,)
     """The bodies in `magical_mj.scene.bodies.BODIES` that the scripted expert can use in this task. Environments accept
@@ -66,6 +80,11 @@ class TaskSpec(VariationRules):
 
     plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
+    wordings: tuple[tuple[str, ...], ...] = ()
+    """Other sentences with the meaning of `summary`, for the five strengths of the shift `words`: five for each. Empty:
+    the task does not support this shift, unless it is one of the benchmark's."""
+    label: str = ""
+    """The task in messages, if not its name, such as the text of an intent."""
     like: str = ""
     """The benchmark's task that this task modifies. Policies for several tasks receive that task's name."""
     demonstrations: Path | str | None = None
@@ -75,15 +94,29 @@ class TaskSpec(VariationRules):
         """Raises a `TaskError` if a field has a wrong type or is out of range."""
         super().__post_init__()
         self._require("summary", isinstance(self.summary, str), "a str")
+        sentences = [len(group) for group in self.wordings if isinstance(group, tuple) and all(map(_is_text, group))]
+        self._require("wordings", sentences in ([], [5] * 5) and len(sentences) == len(self.wordings), WORDINGS)
         self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
+        self._require("label", isinstance(self.label, str), "a str")
         self._require("like", isinstance(self.like, str), "the name of a task")
         self._require("score", callable(self.score), "a function")
         self._require("trajectory", isinstance(self.trajectory, bool), "a bool")
         self._require("distance", self.distance is None or callable(self.distance), "a function, or None")
+        self._require("side_effects", self.side_effects is None or callable(self.side_effects), "a function, or None")
         self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
         self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")
         released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
         self._require("released_steps", released, "an integer above 0, or None")
+
+    @property
+    def instruction(self) -> str:
+        """The goal as policies and data sets receive it: a sentence with a capital and a full stop."""
+        return as_sentence(self.summary)
+
+    @property
+    def title(self) -> str:
+        """The task in messages: its name, or the label if it has one."""
+        return self.label or self.name
 
     def horizon(self, rules: Rules = "paper", body: str = GRIPPER) -> int:
         """The number of control steps of an episode."""
@@ -101,7 +134,7 @@ class TaskSpec(VariationRules):
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"the expert cannot solve {self.name} with the body {body!r}, so there are no demonstrations: use "
+                f"the expert cannot solve {self.title} with the body {body!r}, so there are no demonstrations: use "
                 f"{', '.join(self.bodies)} (docs/bodies.md). Environments accept every body, for policies that learn"
             )
 
@@ -115,18 +148,18 @@ class TaskSpec(VariationRules):
         Raises:
             TaskError: if the result is not such a number, or `score` raises an error that is not one of this package's.
         """
-        with errors_of_task(f"{self.name}.score failed"):
+        with errors_of_task(f"{self.title}.score failed"):
             function: Callable[..., Any] = self.score
             score = function(*self._seen(scenes), rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
-            raise TaskError(f"{self.name}.score must return a number in [0, 1], but returned {short_repr(score)}")
+            raise TaskError(f"{self.title}.score must return a number in [0, 1], but returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
 
     def check_reward(self, reward: str) -> None:
         """Raises a `TaskError` if the reward is "dense" and the task does not define `distance`."""
         if reward == "dense" and self.distance is None:
             raise TaskError(
-                f'{self.name} ({self.summary}) has no dense rewards: use reward="score". In a task of your own, add a '
+                f'{self.title} ({self.summary}) has no dense rewards: use reward="score". In a task of your own, add a '
                 "function `distance` to its TaskSpec (docs/adding-a-task.md)"
             )
 
@@ -138,11 +171,11 @@ class TaskSpec(VariationRules):
                 raises an error that is not one of this package's.
         """
         self.check_reward("dense")
-        with errors_of_task(f"{self.name}.distance failed"):
+        with errors_of_task(f"{self.title}.distance failed"):
             function: Any = self.distance
             left = function(*self._seen(scenes), rules)
         if not isinstance(left, int | float | np.number) or not 0.0 <= left < math.inf:
-            raise TaskError(f"{self.name}.distance must return a finite number >= 0, but returned {short_repr(left)}")
+            raise TaskError(f"{self.title}.distance must return a finite number >= 0, but returned {short_repr(left)}")
         return float(left)
 
     def _seen(self, scenes: Sequence[Scene]) -> tuple[Any, ...]:
@@ -159,14 +192,14 @@ class TaskSpec(VariationRules):
         plan, now = self.check_plan(), scenes[-1]
         if self.checked_score(scenes, rules) == 1.0:
             return ()
-        with errors_of_task(f"{self.name}.plan failed"):
+        with errors_of_task(f"{self.title}.plan failed"):
             returned: Any = plan(*self._seen(scenes), noise)
             todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)  # a generator runs here
         for subgoal in todo:
             whose = (None, *range(len(now.blocks)))
             if not isinstance(subgoal, Subgoal) or subgoal.block not in whose or not _is_point(subgoal.target):
                 raise TaskError(
-                    f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
+                    f"{self.title}.plan must return Subgoals of the robot (None) or of blocks 0 to "
                     f"{len(now.blocks) - 1}, with points (x, y) as targets, but returned {short_repr(subgoal)}"
                 )
         return todo
@@ -175,11 +208,11 @@ class TaskSpec(VariationRules):
         """The plan. Raises a `TaskError` if there is none."""
         if self.speeds:
             raise TaskError(
-                f"the expert of {self.name} acts by speeds, which evaluations and videos do not store; "
-                f"magical-mj demos generate --tasks {self.name} plays its episodes"
+                f"the expert of {self.title} acts by speeds, which evaluations and videos do not store; "
+                f"magical-mj demos generate --tasks {self.title} plays its episodes"
             )
         if self.plan is None:
-            raise TaskError(f"{self.name} has no plan, which an expert needs; add one to its TaskSpec")
+            raise TaskError(f"{self.title} has no plan, which an expert needs; add one to its TaskSpec")
         return self.plan
 
 

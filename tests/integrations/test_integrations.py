@@ -165,7 +165,7 @@ def test_vla_eval_plays_the_same_scenes_without_the_shifts(benchmark: Any) -> No
         scenes.append(made._env.initial_scene)
     assert scenes[0] == magical_mj.Engine("FixColour", "Layout", seed=4, shifts="clutter:3,words:5").initial_scene
     assert scenes[1] == magical_mj.sample_scene("FixColour", "Layout", 4) != scenes[0]
-    assert sentences[1] == task_spec("FixColour").summary != sentences[0]
+    assert sentences[1] == task_spec("FixColour").instruction != sentences[0]
     made.cleanup()
     with pytest.raises(SettingsError, match="a control is played without the shifts: give shifts"):
         benchmark("FixColour", control=True)

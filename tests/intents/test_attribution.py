@@ -26,6 +26,7 @@ from magical_mj.intents.attribution import (
     attribute,
     last_solvable_step,
     remaining,
+    shown_task,
     task_rivals,
     unfit,
 )
@@ -142,6 +143,19 @@ def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:
     assert rival.sentence[:-1] in page
     for target in re.findall(r"\]\(([^)]+)\)", page):
         assert (tmp_path / target).exists(), target
+
+
+def test_rivals_are_those_that_the_given_demonstrations_leave() -> None:
+    task = "intent:in(colour=red, region)"
+    episode = played(task, "Layout", 0, [])
+    several = replace(episode, given="4 demonstrations in 4 contrasting scenes")
+    assert unfit(several) is None
+    assert shown_task(episode) == task
+    assert shown_task(replace(episode, given="8 demonstrations in 2 scenes")) == f"{task} [demos=2]"
+    assert shown_task(several) == f"{task} [demos=4, contrasting]"
+    assert len(task_rivals(shown_task(several))) < len(task_rivals(task))
+    results = list(attribute([episode, several], jobs=1))
+    assert [result.episode.given for result in results] == ["", several.given]
 
 
 def test_the_last_solvable_step_is_before_an_episode_stops_trying() -> None:

@@ -141,9 +141,10 @@ def test_one_command_writes_a_data_set_for_learners(made: Path, tmp_path: Path, 
     with np.load(tmp_path / "x.npz") as arrays:
         assert arrays["observations"].shape == (len(arrays["actions"]), 185)
         assert list(dict.fromkeys(arrays["tasks"])) == [f"intent:{text} [demos=2]" for text in TEXTS]
+        assert arrays["sentences"].tolist() == [parse(text).sentence for text in TEXTS for _ in range(2)]
     assert "exists already" in shell.fails(1, *command, "--to", "npz", "--out", tmp_path / "x.npz")
     assert shell(*command, "--to", "webdataset", "--out", tmp_path / "web")[0] == 0
     with tarfile.open(next((tmp_path / "web").glob("*.tar.gz"))) as archive:
         metadata = json.loads(archive.extractfile("_metadata.json").read())  # pyright: ignore[reportOptionalMemberAccess]
-    assert metadata["sentences"] == [task_spec(f"intent:{text}").summary for text in TEXTS for _ in range(2)]
+    assert metadata["sentences"] == [task_spec(f"intent:{text}").instruction for text in TEXTS for _ in range(2)]
     assert "2 intents: 4 episodes" in (tmp_path / "web" / "README.md").read_text()

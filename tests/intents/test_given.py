@@ -182,7 +182,7 @@ def test_another_sentence_in_the_same_scene_and_pictures(kind: type[Reading]) ->
     how = {**DEMO, "tasks": "FindDupe", "preset": "LoResStack", "name": "Reading"}
     (usual,) = evaluate(own, **how).to_dict("records")
     (row,) = evaluate(other, control="wrong-instruction", **how).to_dict("records")
-    sentences = [task_spec(task).summary for task in ("FindDupe", "ClusterColour")]
+    sentences = [task_spec(task).instruction for task in ("FindDupe", "ClusterColour")]
     assert [{sentence for _, sentence in policy.received} for policy in (own, other)] == [{text} for text in sentences]
     assert [first for first, _ in own.received] == [first for first, _ in other.received]
     scenes = magical_mj.demos.load("FindDupe")[0].scenes()
@@ -243,7 +243,7 @@ def test_policies_do_not_receive_the_intent_of_a_task(cache: Path) -> None:
     reader = Acting(reset=known.append, preset="State", uses_instruction=True)
     for policy in (Acting(reset=known.append, preset="State"), reader, trained):
         evaluate(policy, tasks=INTENT, **DEMO)
-    sentence = task_spec(INTENT).summary
+    sentence = task_spec(INTENT).instruction
     assert [(episode.task, episode.instruction) for episode in known] == [
         (NEUTRAL, ""),
         (NEUTRAL, sentence),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +15,7 @@ from magical_mj.intents import EIGHT, explain, parse, rivals
 from magical_mj.intents.ambiguity import Judge, all_conjuncts
 from magical_mj.intents.canonical import implies
 from magical_mj.intents.intent import Intent, intent_of
+from magical_mj.intents.relations import Conjunct
 from magical_mj.intents.selectors import REST
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene, score
@@ -54,8 +57,9 @@ IN, OUT = (0.1, 0.2), (-0.8, -0.3)
         ("in(nearest=robot, region)", moved(b3=IN, robot=(0.9, 0.0)), moved(b3=OUT)),
         ("out(starts=in)", moved(b3=OUT), START),
         ("exactly(2, all)", moved(b0=IN), moved(b0=IN, b1=(-0.2, 0.2))),
-        ("wall(colour=blue, left)", moved(b2=(-0.85, 0.0)), moved(b2=(-0.6, 0.0))),
-        ("corner(shape=circle, top right)", moved(b2=(0.6, 0.6)), moved(b2=(0.2, 0.2))),
+        ("wall(colour=blue, left)", moved(b2=(-0.8, 0.0)), moved(b2=(-0.7, 0.0))),
+        ("corner(shape=circle, top right)", moved(b2=(0.6, 0.6)), moved(b2=(0.55, 0.55))),
+        ("near corner(shape=circle, top right)", moved(b2=(0.55, 0.55)), moved(b2=(0.2, 0.2))),
         ("near(colour=blue, to=green star)", moved(b2=(0.3, 0.0)), moved(b2=(0.6, 0.0))),
         ("near(colour=blue, to=star)", None, moved(b2=(0.3, 0.0))),  # there are two stars
         ("apart(colour=red)", START, moved(b1=(0.4, 0.8))),
@@ -214,6 +218,7 @@ def test_equal_meanings_have_one_text() -> None:
         ("in(any, all, region) & in(all, region)", "in(all, region)"),
         ("in(any, colour=red, region) & in(any, colour=red, shape=star, region)", None),
         ("corner(all, any) & corner(all, top left)", "corner(all, top left)"),
+        ("corner(all, top left) & near corner(all, top left)", "corner(all, top left)"),
         ("out(all) & out(colour=red)", "out(all)"),
         ("in(any, all, region) & exactly(2, all)", "exactly(2, all)"),
         ("in(any, nearest=robot, region)", "in(nearest=robot, region)"),
@@ -267,7 +272,7 @@ def test_paraphrases_say_the_same_in_other_words() -> None:
         == intent.sentence
         == (
             "Bring into the region at least one non-red block that is not a star, "
-            "and leave the block nearest to the robot where it is."
+            "and leave the block nearest to the robot at the start where it is."
         )
     )
     assert len(set(others)) == 5
@@ -278,6 +283,65 @@ def test_paraphrases_say_the_same_in_other_words() -> None:
             assert not any("{" in sentence or "  " in sentence for sentence in sentences)
 
 
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("near(all, to=blue circle)", "Bring all blocks next to the blue circle."),
+        ("corner(all, any)", "Push all blocks into corners."),
+        ("corner(any, all, any)", "Push at least one block into a corner."),
+        ("wall(colour=red, any) & robot wall(any)", "Push all red blocks to walls, and drive to a wall."),
+        ("in(others, region) & untouched(colour=red)", "Leave all red blocks where they are, and bring all other "),
+        ("out(like=both) & robot in()", "starts in the region, not counting that block, are outside all regions, and "),
+        ("in(colour=red, region) & out(starts=mismatched)", "Bring all red blocks into a region, and make sure that "),
+    ],
+)
+def test_sentences_say_which_blocks_and_walls(text: str, sentence: str) -> None:
+    assert sentence in parse(text).sentence
+
+
+def test_intents_that_differ_in_a_scene_differ_in_all_sentences() -> None:
+    """Half of the pairs differ in one word of their texts. None of them shares a sentence, at any strength of words."""
+    rng, differ = np.random.default_rng(0), 0
+    starts = [sample_scene(task, "All", seed) for task in ("MatchRegions", "FindDupe", "FixColour") for seed in (0, 1)]
+    ends = [(start, rearranged(start, rng)) for start in starts for _ in range(3)]
+    conjuncts = list(all_conjuncts())
+    groups: dict[object, list[Conjunct]] = {}
+    for one in conjuncts:
+        for key in ((one.relation, one.argument), (one.selector, one.relation)):
+            groups.setdefault(key, []).append(one)
+
+    def pick(among: Sequence[Conjunct]) -> Conjunct:
+        return among[int(rng.integers(len(among)))]
+
+    while differ < 20_000:
+        shared, one, other = pick(conjuncts), pick(conjuncts), pick(conjuncts)
+        if rng.random() < 0.5:
+            alike = (one.relation, one.argument) if rng.random() < 0.5 else (one.selector, one.relation)
+            other = pick(groups[alike])
+        try:
+            pair = [intent_of([shared, one]), intent_of([shared, other])]
+        except IntentError:
+            continue
+        if pair[0] == pair[1]:
+            continue
+        said = [{*intent.paraphrases, *itertools.chain.from_iterable(intent.wordings)} for intent in pair]
+        if not said[0].isdisjoint(said[1]):
+            held = [[intent.holds(*end) for end in ends] for intent in pair]
+            assert held[0] == held[1], pair
+        differ += 1
+
+
+def test_words_are_25_sentences_for_each_intent() -> None:
+    intent = parse("in(colour=red, region) & near(shape=circle, to=red square)")
+    assert [len(set(group)) for group in intent.wordings] == [5] * 5
+    assert (
+        intent.wordings[3][0] == "In the end, all red objects are in the zone, and all discs are next to the red box."
+    )
+    sentences = {intent.sentence, *itertools.chain.from_iterable(intent.wordings)}
+    assert len(sentences) == 26
+    assert all(text[0].isupper() and text.endswith(".") for text in sentences)
+
+
 def test_an_end_is_explained_by_what_was_reached() -> None:
     reached = explain(START, moved(b1=IN))
     assert parse("in(any, colour=red, region)") in reached
@@ -285,6 +349,16 @@ def test_an_end_is_explained_by_what_was_reached() -> None:
     assert parse("exactly(2, all)") in reached
     assert parse("in(colour=red, shape=square, region) & untouched(others)") in reached
     assert explain(START, START) == []
+
+
+def test_explanations_about_what_moved_come_first() -> None:
+    reached = explain(START, moved(b2=IN))
+    texts = list(map(str, reached))
+    assert texts.index("in(colour=blue, region)") < texts.index("exactly(2, all)")
+    about_moved = [text for text in texts if "(shape=circle" in text or "(colour=blue" in text]
+    assert set(texts[:3]) <= set(about_moved)
+    assert reached != sorted(reached, key=lambda intent: intent.bits)
+    assert set(reached) == set(rivals([(START, moved(b2=IN))]))
 
 
 def test_a_selector_that_means_nothing_holds_nowhere() -> None:
@@ -310,7 +384,7 @@ def test_any_intents_can_be_judged_together() -> None:
         holds = [intent.holds(START, final) for intent in intents]
         assert judge.holds(START, final).tolist() == holds
         found.append(holds)
-    assert np.array(found).any(0)[:4].all()
+    assert np.array(found).any(axis=0)[:4].all()
 
 
 @pytest.mark.parametrize("wrong", ["FindDupe", [], [(1, 2)]])

@@ -55,8 +55,8 @@ def test_it_is_0_exactly_if_the_intent_holds() -> None:
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("wall(colour=red, left)", WRONG + 0.5),
-        ("wall(any, all, left)", WRONG + 0.3),
+        ("wall(colour=red, left)", WRONG + 0.55),
+        ("wall(any, all, left)", WRONG + 0.35),
         ("near(colour=red, to=blue)", WRONG + GAP - 0.45),
         ("exactly(1, all)", WRONG + 0.1),
         ("exactly(2, all)", 2 * WRONG + 0.1 + 0.4),
@@ -64,7 +64,7 @@ def test_it_is_0_exactly_if_the_intent_holds() -> None:
         ("robot wall(bottom)", WRONG + 0.2),
         ("untouched(colour=red)", 0.0),
         ("apart(all)", 2 * (WRONG + 0.7 - GAP)),
-        ("wall(colour=red, left) & robot in()", 2 * WRONG + 1.0),
+        ("wall(colour=red, left) & robot in()", 2 * WRONG + 1.05),
     ],
 )
 def test_distances_by_hand(text: str, wanted: float) -> None:

@@ -33,7 +33,7 @@ def test_every_spelling_of_an_intent_is_the_same_task() -> None:
     assert task_name(spelt) == "intent:in(colour=red, region) & untouched(others)"
     assert task_spec(spelt) is task_spec(task_name(spelt)) is parse(task_name(spelt)[7:]).spec()
     assert sample_scene(spelt, "All", 3) == sample_scene(task_name(spelt), "All", 3)
-    assert environments(f"{spelt},FindDupe", "All") == [("FindDupe", "All"), (task_name(spelt), "All")]
+    assert environments(f"{spelt},FindDupe", "All") == [(task_name(spelt), "All"), ("FindDupe", "All")]
 
 
 def test_two_intents_have_different_digests_and_names() -> None:
@@ -117,7 +117,7 @@ def test_scenes_of_diagnose_refute_the_simplest_rivals() -> None:
     assert all(accepts(intent, scene) for scene in scenes)
     alone = sample_scene("intent:robot in()", "Diagnose", 0)  # without rivals
     assert accepts(parse("robot in()"), alone)
-    assert environments(name, "Diagnose,All") == [(name, "All"), (name, "Diagnose")]
+    assert environments(name, "Diagnose,All") == [(name, "Diagnose"), (name, "All")]
     assert "Diagnose" not in dict(environments(name)).values()
     with pytest.raises(UnknownNameError, match="which only intents have"):
         sample_scene("FindDupe", "Diagnose", 0)

@@ -146,7 +146,7 @@ def test_each_of_several_episodes_has_its_own_sentence(kind: str, shift: str) ->
     assert [each.failure for each in rollouts(envs, policy, episodes)] == [None] * 3
     envs.close()
     wanted = [magical_mj.Engine(TASK, seed=seed, shifts=shift).instruction for seed in (1, 2, 3)]
-    assert task_spec(TASK).summary not in wanted
+    assert task_spec(TASK).instruction not in wanted
     assert policy.sentences == [(wanted[0], wanted[1]), (wanted[2], wanted[2])]
     env: Any = gymnasium.make(f"magical_mj/{TASK}-Demo-State-v0", shifts=shift)
     assert str(env.reset(seed=3)[1]["instruction"]) == str(env.step(0)[-1]["instruction"]) == wanted[2]

@@ -23,6 +23,7 @@ from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import PHYSICAL, SHIFT_PROTOCOL
 from magical_mj.shifts.words import SENTENCES
 from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.spec import as_sentence
 from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidSceneError,
@@ -403,11 +404,21 @@ def test_agents_that_read_get_sentences() -> None:
     options: dict[str, Any] = {"shifts": "words:5", "instruction": True, "renderer": "software"}
     with closing(gymnasium.make("magical_mj/FindDupe-Demo-LoResStack-v0", **options)) as env:
         observation, info = env.reset(seed=1)
-        assert observation["instruction"] == info["instruction"] in SENTENCES["FindDupe"][4]
+        assert observation["instruction"] == info["instruction"] in map(as_sentence, SENTENCES["FindDupe"][4])
         assert env.observation_space.contains(observation)
     with closing(gymnasium.make("magical_mj/FindDupe-Demo-LoResStack-v0", renderer="software")) as env:
         observation, info = env.reset(seed=1)
         assert "instruction" not in observation.keys() | info.keys()
+
+
+def test_intents_have_other_words_at_each_strength() -> None:
+    intent = magical_mj.intents.parse("in(colour=red, region)")
+    for strength in range(1, 6):
+        options: dict[str, Any] = {"shifts": f"words:{strength}", "instruction": True, "renderer": "software"}
+        with closing(gymnasium.make(magical_mj.env_id(f"intent:{intent}", "Demo", "LoResStack"), **options)) as env:
+            observation, info = env.reset(seed=1)
+            assert observation["instruction"] == info["instruction"] in intent.wordings[strength - 1]
+            assert env.observation_space.contains(observation)
 
 
 def test_factors_are_0_without_the_shift() -> None:

@@ -43,9 +43,9 @@ def to_npz(
     (the number of the step in the episode, from 0). Presets with dict observations have several arrays, such as
     `observations_ego`.
 
-    Arrays with a row for each episode: `tasks`, `variants`, `bodies`, `shifts` (such as "clutter:3", or ""), `seeds`
-    (of the scenes), `demonstrators`, `lengths` (in steps) and `scores`. The environment of an episode is
-    ``gymnasium.make(magical_mj.env_id(task, variant, preset), body=body, shifts=shifts)``.
+    Arrays with a row for each episode: `tasks`, `sentences` (the goal in English), `variants`, `bodies`, `shifts` (such
+    as "clutter:3", or ""), `seeds` (of the scenes), `demonstrators`, `lengths` (in steps) and `scores`. The environment
+    of an episode is ``gymnasium.make(magical_mj.env_id(task, variant, preset), body=body, shifts=shifts)``.
 
     Args:
         demos: demonstrations of any environments.
@@ -75,6 +75,7 @@ def to_npz(
                 "episodes": np.full(len(steps), number),
                 "steps": steps,
                 "tasks": [demo.task],
+                "sentences": [task_spec(demo.task).instruction],
                 "variants": [demo.variant],
                 "bodies": [demo.scene.robot.body],
                 "shifts": [demo.shifts],

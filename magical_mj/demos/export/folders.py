@@ -123,7 +123,7 @@ def _intents(demos: Sequence[Demonstration]) -> dict[str, Any]:
     return {
         "tasks": [demo.task for demo in demos],
         "variants": [demo.variant for demo in demos],
-        "sentences": [task_spec(demo.task).summary for demo in demos],
+        "sentences": [task_spec(demo.task).instruction for demo in demos],
     }
 
 

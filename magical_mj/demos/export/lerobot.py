@@ -161,7 +161,7 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
     """Yields each action with the observation before it: pictures, or the state vector if `keys` is empty."""
-    sentence, model = task_spec(demo.task).summary, SceneModel(demo.scene)
+    sentence, model = task_spec(demo.task).instruction, SceneModel(demo.scene)
     if keys:
         pictures = render_demo(demo, list(keys), IMAGE_SIZE)
         observed = ({key: frame[view] for view, key in keys.items()} for frame in pictures)

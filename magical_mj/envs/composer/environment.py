@@ -99,7 +99,7 @@ class Environment(composer.Environment):
     @property
     def instruction(self) -> str:
         """The sentence that describes the task in this episode, which shifts can change; "" for plain scenes."""
-        return self.task.shifts.instruction(self.task.setup.spec.summary, str(self.task.setup.task))
+        return self.task.shifts.instruction(self.task.setup.spec.instruction, str(self.task.setup.task))
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises `InvalidSceneError` for plain scenes."""

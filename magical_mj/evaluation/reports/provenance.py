@@ -19,6 +19,7 @@ from magical_mj.protocol import SEEDS, SHIFT_SEEDS
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
 from magical_mj.tasks import KNOWN
+from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import SPLITS, TASKS
 from magical_mj.utils.errors import SettingsError, counted, listing
 
@@ -133,7 +134,8 @@ def _deviations(
     if first := min(seeds[0].start for seeds in plan.values()) - SPLITS.get(split, 0):
         yield f"first seed {first} of the split"
     counts = sorted({_count(seeds) for (*_, shift), seeds in plan.items() if not shift})
-    if counts != [SEEDS]:
+    others = [str(task) for task in scores["task"].unique() if not in_language(str(task))]
+    if others and counts != [SEEDS]:  # sets of a language have other numbers
         number = " to ".join(map(str, sorted({counts[0], counts[-1]})))
         yield f"{number} episode{'' if number == '1' else 's'} in each environment instead of {SEEDS}"
     if set(scores["worlds"]) != {"single"}:
@@ -141,14 +143,14 @@ def _deviations(
     usual = {"body": GRIPPER, "wrap": "", "like": "", "time_limit": EvaluationSettings.time_limit}
     words = {"body": "the body {}", "wrap": "the wrapper {}", "like": "policies receive the task name {}"}
     for name, text in {**words, "time_limit": "a time limit of {} s"}.items():
-        if others := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
-            yield text.format(", ".join(map(str, others)))
+        if unusual := sorted({settings.get(name, usual[name]) for settings in known} - {usual[name]}):
+            yield text.format(", ".join(map(str, unusual)))
     for settings in known:
         for policy in filter(lambda policy: policy.unfinished, recorded_policies(settings)):
             method = recorded_method(policy, settings)
             yield f"the training of {method}, run {policy.run}, has stopped at {policy.unfinished}"
     yield from _equal_runs(known, scores)
-    if own := [str(task) for task in scores["task"].unique() if task not in TASKS]:
+    if own := [task for task in others if task not in TASKS]:
         yield f"tasks from outside the benchmark: {listing(own)}"
 
 

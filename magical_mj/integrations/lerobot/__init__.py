@@ -218,7 +218,7 @@ class LeRobotPolicy:
         """Discards the action chunk of the last episode, and seeds the policy's noise with the episode's seed."""
         self._noise = torch.Generator().manual_seed(int(episode.rng().integers(2**63))).get_state()
         self._policy.reset()
-        own = "" if episode.task == NEUTRAL else task_spec(episode.task).summary
+        own = "" if episode.task == NEUTRAL else task_spec(episode.task).instruction
         self._sentence = episode.instruction or own
 
     def __call__(self, observation: Any) -> int:

@@ -9,7 +9,7 @@
  */
 import { contains, longestLine, rightBlocks } from "./score.js";
 
-const NEAR = 0.45, APART = 0.7, AT_WALL = 0.3, STAYED = 0.15, CORNER = Math.SQRT2 / 2;  // world units
+const NEAR = 0.45, APART = 0.7, AT_WALL = 0.25, ROBOT_AT_WALL = 0.3, STAYED = 0.15, IN_CORNER = 0.6, NEAR_CORNER = Math.SQRT2 / 2;  // world units
 /** @type {Record<string, number[]>} */
 const WALLS = { left: [-1, 0], right: [1, 0], bottom: [0, -1], top: [0, 1] };
 /** @type {Record<string, number[]>} */
@@ -20,8 +20,10 @@ const CORNERS = { "top left": [-1, 1], "top right": [1, 1], "bottom left": [-1, 
 const distance = (one, other) => Math.hypot(one.x - other.x, one.y - other.y);
 /** The chosen direction, or all of them. @param {Record<string, number[]>} all @param {string | number} name */
 const directions = (all, name) => name === "any" ? Object.values(all) : [all[name]];
-/** @param {Point} body @param {string | number} wall @param {Scene} scene */
-const atWall = ({ x, y }, wall, { half_width: half = 1 }) => directions(WALLS, wall).some(([u, v]) => u * x + v * y >= half - AT_WALL);
+/** The distance from a wall, or from the nearest. @param {Point} body @param {string | number} wall @param {Scene} scene */
+const fromWall = ({ x, y }, wall, { half_width: half = 1 }) => half - Math.max(...directions(WALLS, wall).map(([u, v]) => u * x + v * y));
+/** The distance from a corner, or from the nearest. @param {Point} body @param {string | number} corner @param {Scene} scene */
+const fromCorner = (body, corner, { half_width: half = 1 }) => Math.min(...directions(CORNERS, corner).map(([u, v]) => distance(body, { x: u * half, y: v * half })));
 
 /** @type {Record<string, (conjunct: Conjunct, initial: Scene, final: Scene) => boolean[]>} relation -> whether it holds, for each object */
 const RELATIONS = {
@@ -30,9 +32,9 @@ const RELATIONS = {
     : regions.some((region) => contains(region, now[i]))),
   out: ({ blocks }, _, { regions, blocks: now }) => blocks.map((i) => !regions.some((region) => contains(region, now[i]))),
   exactly: ({ blocks, number }, _, { regions: [region], blocks: now }) => [blocks.filter((i) => contains(region, now[i])).length === number],
-  wall: ({ blocks, argument }, _, final) => blocks.map((i) => atWall(final.blocks[i], argument, final)),
-  corner: ({ blocks, argument }, _, { blocks: now, half_width: half = 1 }) =>
-    blocks.map((i) => directions(CORNERS, argument).some(([u, v]) => distance(now[i], { x: u * half, y: v * half }) <= CORNER)),
+  wall: ({ blocks, argument }, _, final) => blocks.map((i) => fromWall(final.blocks[i], argument, final) <= AT_WALL),
+  corner: ({ blocks, argument }, _, final) => blocks.map((i) => fromCorner(final.blocks[i], argument, final) <= IN_CORNER),
+  "near corner": ({ blocks, argument }, _, final) => blocks.map((i) => fromCorner(final.blocks[i], argument, final) <= NEAR_CORNER),
   near: ({ blocks, argument }, _, { blocks: now }) => blocks.map((i) => distance(now[i], now[Number(argument)]) <= NEAR),
   apart: ({ blocks }, _, { blocks: now }) => blocks.map((i) => blocks.every((k) => k === i || distance(now[i], now[k]) >= APART)),
   line: ({ blocks }, _, { blocks: now }) => {
@@ -46,7 +48,7 @@ const RELATIONS = {
   untouched: ({ blocks }, initial, { blocks: now }) => blocks.map((i) => distance(initial.blocks[i], now[i]) <= STAYED),
   "robot in": (_, __, { regions: [region], robot }) => [contains(region, robot)],
   "robot near": ({ argument }, _, { robot, blocks }) => [distance(robot, blocks[Number(argument)]) <= NEAR],
-  "robot wall": ({ argument }, _, final) => [atWall(final.robot, argument, final)],
+  "robot wall": ({ argument }, _, final) => [fromWall(final.robot, argument, final) <= ROBOT_AT_WALL],
 };
 
 /** The mean over the relations of the share of objects for which each holds. @param {Goal} goal @param {Scene} initial @param {Scene} final */

@@ -50,7 +50,7 @@ def test_intents_are_inferred_from_the_shipped_demonstrations(task: str) -> None
     first, *others = infer(examples(task, 0))
     assert str(first.intent) == INFERRED[task]
     assert all(first.saved >= other.saved for other in others)
-    ambiguous = ("MatchRegions", "FindDupe", "FixColour")
+    ambiguous = ("MoveToCorner", "MatchRegions", "FindDupe", "FixColour")
     assert (first.intent == EIGHT[task]) == (task not in ambiguous)
 
 

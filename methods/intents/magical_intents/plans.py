@@ -38,7 +38,7 @@ def planned(intent: Intent, rng: np.random.Generator, scenes: int = SCENES) -> l
     """The plans of an intent in some random scenes. Scenes without a plan are left out."""
     found = []
     try:
-        demo = demo_scene(intent, rng)
+        _, demo = demo_scene(intent, lambda _: rng)
         for number in range(scenes):
             scene = redrawn(intent, rng, demo, *(ALL_RULES if number > 1 else ())) if number else demo
             found += _shown(intent, scene, rng)

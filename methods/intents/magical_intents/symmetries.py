@@ -25,7 +25,7 @@ from magical_mj.scene.constants import SHAPES as SHAPE_NAMES
 
 WORDS: Final = 1024
 """The number of word vectors. A word's number is its checksum modulo this, so no vocabulary has to be stored."""
-LENGTH: Final = 40
+LENGTH: Final = 64
 """The number of words of a sentence that are used. Later words are ignored."""
 MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number for a in ACTIONS])
 """Action -> the action with left and right exchanged."""

@@ -1,0 +1,95 @@
+"""The draws of intents' tasks: a few numbers that determine the demo scenes and the horizon.
+
+Each demo scene is one of many random scenes, the first that fits or the best of some, and each of them can be drawn by
+its number alone. The search takes plans in tens of scenes. So its results are stored: those of the sets in sets.jsonl,
+those of other intents in the user's cache folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from magical_mj._version import __version__
+from magical_mj.protocol import INTENTS, PROTOCOL
+from magical_mj.utils import files
+
+FILE: Final = Path(__file__).with_name("sets.jsonl")
+
+
+class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The draws of a task.
+
+    Attributes:
+        task: the text of the intent, with the seed of its demo scenes if it is not 0.
+        steps: the horizon.
+        first: the number of the draw of the first demo scene.
+        contrasting: the number of the chosen draw for each further demo scene, as far as they are known.
+        set: the set that it is in.
+        cost: the mean cost of plans in Layout and All, in actions; 0 if it is not known.
+        moves: the mean number of blocks that these plans move.
+    """
+
+    task: str
+    steps: int
+    first: int
+    contrasting: tuple[int, ...] = ()
+    set: str = ""
+    cost: float = 0.0
+    moves: float = 0.0
+
+
+@cache
+def in_sets() -> tuple[Draws, ...]:
+    """The tasks of all sets, in the order of the file."""
+    return tuple(msgspec.json.decode(line, type=Draws) for line in FILE.read_bytes().splitlines())
+
+
+@cache
+def _shipped() -> Mapping[str, Draws]:
+    return {draws.task: draws for draws in in_sets()}
+
+
+_cached: dict[str, Draws] = {}
+"""The content of the cache file, with what this process has found."""
+
+
+def known(task: str) -> Draws | None:
+    """The stored draws of a task, if any."""
+    if (found := _shipped().get(task) or _cached.get(task)) is None:
+        _cached.update((draws.task, draws) for draws in _readable(_path()))
+        found = _cached.get(task)
+    return found
+
+
+def remember(draws: Draws) -> None:
+    """Adds draws to the cache file, if the user's cache folder can be written."""
+    _cached[draws.task] = draws
+    try:
+        _path().parent.mkdir(parents=True, exist_ok=True)
+        with _path().open("ab") as file:
+            file.write(msgspec.json.encode(draws) + b"\n")  # one write, so lines of several processes do not mix
+    except OSError:
+        pass
+
+
+def _path() -> Path:
+    """The cache file of this version and these protocols."""
+    return files.cache_folder() / f"intents-p{PROTOCOL}-i{INTENTS}-{__version__}.jsonl"
+
+
+def _readable(path: Path) -> Iterable[Draws]:
+    """The draws in a file. A line that a killed process left incomplete is skipped."""
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        try:
+            yield msgspec.json.decode(line, type=Draws)
+        except msgspec.MsgspecError:
+            continue

@@ -1,0 +1,88 @@
+"""The official evaluation of intents, side effects, and reports with rows by set."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import magical_mj
+from magical_mj.evaluation.scores import parse, read
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.intents import shortcuts
+from magical_mj.intents.by_set import floors, rows, set_of, with_side_effects
+from magical_mj.intents.names import TESTS, tasks_in
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import IntentError
+from tests.helpers.commands import Shell
+
+TASK = "intent:in(colour=red, region)"
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An evaluation of a shortcut that moves all blocks, and of doing nothing, in an intent and one of a test set."""
+    out = tmp_path_factory.mktemp("played") / "run"
+    policies = {"all": shortcuts["all blocks"], "noop": "noop"}
+    tasks = [TASK, "intent:combined/0"]
+    magical_mj.evaluate(policies, tasks=tasks, variants="Demo,Layout", episodes=1, out=out, jobs=1)
+    return out
+
+
+def test_the_official_evaluation_has_two_scenes_of_layout_and_all() -> None:
+    settings = EvaluationSettings(tasks="intents")
+    assert settings.episodes == 2
+    assert len(settings.environments) == 500
+    assert {variant for _, variant in settings.environments} == {"Layout", "All"}
+    assert {set_of(task) for task, _ in settings.environments} == set(TESTS)
+    assert EvaluationSettings(tasks="intents", episodes=1, variants="Demo").environments[0][1] == "Demo"
+
+
+def test_an_episode_records_the_blocks_that_the_intent_does_not_name(played: Path) -> None:
+    episodes = {(one.policy, one.task, one.variant): one for one in read(played)}
+    moved = episodes["all", TASK, "Layout"]
+    assert moved.score == 1.0
+    assert moved.others_moved
+    assert episodes["noop", TASK, "Layout"].others_moved == 0
+    older = replace(moved, others_moved=None)
+    assert parse(older.line()) == older
+    assert with_side_effects(older) == moved
+
+
+def test_rows_tell_sets_and_variants_apart(played: Path) -> None:
+    found = {(row.method, row.set, row.variants): row for row in rows(read(played))}
+    assert len(found) == 8
+    row = found["all", "in no set", "Layout"]
+    assert (row.intents, row.runs, row.episodes, row.floor) == (1, 1, 1, None)
+    assert [round(row.values[name].value, 2) for name in ("success", "clean success", "score")] == [1.0, 0.0, 1.0]
+    own = found["noop", "combined", "Demo"]
+    assert own.values["success"].value == 0.0
+    assert own.floor is not None
+    assert own.floor[1] == max(floors()["combined"].values())
+
+
+def test_a_report_has_a_page_of_sets(played: Path, tmp_path: Path, shell: Shell) -> None:
+    assert shell("report", played, "--out", tmp_path / "report", "--intents")[0] == 0
+    page = (tmp_path / "report" / "report.md").read_text("utf-8")
+    assert "Intents by set" in page
+    assert "outside the benchmark" not in page
+    table = pd.read_csv(tmp_path / "report" / "intents" / "intents.csv")
+    assert len(table) == 8
+    assert set(table["set"]) == {"combined", "in no set"}
+
+
+def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:
+    task = tasks_in("seen")[3]
+    assert set_of(f"intent:{task}") == "seen"
+    assert set_of(f"intent:{replace(task, demos=4, contrasting=True)}") == "seen"
+    assert set_of(f"intent:{task.intent}") == "train"
+
+
+def test_policies_can_receive_the_name_of_an_intent() -> None:
+    assert EvaluationSettings(tasks="MoveToRegion", like="intent:robot in()").like == "intent:robot in()"
+    with pytest.raises(IntentError):
+        EvaluationSettings(tasks="MoveToRegion", like="intent:robot flies()")
+    assert task_spec(TASK).title == TASK
+    assert task_spec(TASK).instruction == "Bring all red blocks into the region."

@@ -1,0 +1,46 @@
+"""Stored draws: intents that are in no set are looked up in the user's cache folder."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from magical_mj.intents import parse
+from magical_mj.intents.draws import Draws
+from magical_mj.intents.tasks import Task, draws_of, found_draws, spec_of
+
+SHOW = "import magical_mj; print(magical_mj.sample_scene('intent:line(colour=red) [seed=7]', 'Layout', 3).digest())"
+
+
+def test_draws_of_other_intents_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    task = Task(parse("wall(colour=red, left) & robot wall(top)"), seed=5)
+    spec = spec_of(task)
+    (path,) = (tmp_path / "magical_mj").glob("intents-*.jsonl")
+    (line,) = path.read_bytes().splitlines()
+    assert msgspec.json.decode(line, type=Draws) == found_draws(task.intent, task.seed) == draws_of(task)
+    assert spec_of(task).demo == spec.demo
+    four = Task(task.intent, seed=5, demos=3, contrasting=True)
+    further = spec_of(four).further_demos
+    assert len(further) == 2
+    assert spec_of(four).further_demos == further
+    assert msgspec.json.decode(path.read_bytes().splitlines()[-1], type=Draws) == draws_of(four)
+
+
+def test_a_damaged_cache_gives_the_same_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def shown() -> str:
+        return subprocess.run([sys.executable, "-c", SHOW], capture_output=True, text=True, check=True).stdout
+
+    first = shown()
+    (path,) = (tmp_path / "magical_mj").glob("intents-*.jsonl")
+    path.write_bytes(b"\xff{not json\n" + path.read_bytes()[:-9])
+    assert shown() == first
+    path.parent.chmod(0o500)
+    assert shown() == first
+    path.parent.chmod(0o700)

@@ -1,0 +1,467 @@
+"""Draws the sets of intents.
+
+    python -m tools.intent_sets draw JOBS    writes magical_mj/intents/sets.jsonl, with this number of processes; called
+                                             again, it continues. It takes about an hour of a core
+    python -m tools.intent_sets show 200     prints random intents with their sentences
+
+An intent is accepted if it has scenes, and each of its relations adds something to the others. An intent of a test set
+is accepted if no shortcut (`magical_mj.intents.shortcuts`) satisfies it in more than a tenth of 40 scenes of Layout and
+All, and no training intent means the same, with `untouched(others)` or without. The intents of `seen`, `combined`,
+`selector` and `relation` with the same number differ in one respect.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import islice
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from magical_mj.intents import EIGHT
+from magical_mj.intents.draws import FILE, Draws
+from magical_mj.intents.floors import RULES, shortcuts, shown
+from magical_mj.intents.intent import Intent, intent_of, parse
+from magical_mj.intents.names import NAMES
+from magical_mj.intents.plans import cost, planned
+from magical_mj.intents.readings import moved_blocks
+from magical_mj.intents.relations import RELATIONS, Conjunct
+from magical_mj.intents.scenes import keeps
+from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
+from magical_mj.intents.tasks import (
+    LEAST_STEPS,
+    Task,
+    first_demo,
+    found_draws,
+    spec_of,
+    task_of,
+)
+from magical_mj.scene import Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks.rules import pick, uniform_integer
+from magical_mj.tasks.spec import TaskSpec
+from magical_mj.utils.errors import IntentError, PlacementError
+from magical_mj.variants import vary
+from tools.pages import ROOT
+
+Rng = np.random.Generator
+ONE_OF_BOTH: Final = (*COLOURS, *SHAPES)
+SELECTORS: Final[dict[str, tuple[float, Callable[[Rng], Selector]]]] = {
+    "all": (1.5, lambda _: ALL),
+    "colour": (3.0, lambda rng: (Test("colour", pick(rng, COLOURS), rng.random() < 0.75),)),
+    "shape": (3.0, lambda rng: (Test("shape", pick(rng, SHAPES), rng.random() < 0.75),)),
+    "both": (2.0, lambda rng: (Test("colour", pick(rng, COLOURS)), Test("shape", pick(rng, SHAPES)))),
+    "region": (1.5, lambda rng: (Test("colour", REGION, rng.random() < 0.7),)),
+    "like": (1.5, lambda rng: (Test("like", pick(rng, ("colour", "shape", "both")), rng.random() < 0.7),)),
+    "starts": (1.0, lambda rng: (Test("starts", pick(rng, ("in", "out", "matched", "mismatched"))),)),
+    "nearest": (1.5, lambda rng: (Test("nearest", pick(rng, (REGION, ROBOT, *ONE_OF_BOTH))),)),
+    "odd": (1.5, lambda rng: (Test("odd", pick(rng, ("colour", "shape"))),)),
+    "farthest": (1.5, lambda rng: (Test("farthest", pick(rng, (REGION, ROBOT, *ONE_OF_BOTH))),)),
+}
+"""Kind of selector -> its weight, and what draws one."""
+ARRANGEMENTS: Final = ("clustered", "line", "apart")
+"""An intent has at most one of these relations."""
+ONE: Final = ("nearest", "farthest", "odd")
+"""The kinds that select one block."""
+RELATIONS_DRAWN: Final = {
+    "in": 4.0, "out": 2.0, "exactly": 2.0, "wall": 3.0, "near": 4.0, "line": 1.5, "clustered": 0.1, "robot in": 0.5,
+    "robot wall": 0.5, "robot near": 1.0, "corner": 2.0, "apart": 1.5,
+}  # fmt: skip
+MATCHED: Final = ("seen", "combined", "selector", "relation")
+TEST_VARIANTS: Final = ("Layout", "All")
+TRAIN, DEV, TEST = 1000, 50, 50
+TRAIN_SLOTS, DEV_SLOTS, SLOTS = 1400, 70, 50
+"""The numbers of draws of training and of test intents. There are more than needed, since some repeat others."""
+SEED: Final = 2026
+TRIES: Final = 60
+"""The number of proposals for one intent."""
+FEWER: Final = 20
+"""The same for the counterpart of an intent in another set."""
+FORMS: Final = {"1": 0.25, "2": 0.25, "1 rest": 0.2, "2 rest": 0.3}
+"""The number of relations of a training intent, and whether all other blocks are untouched -> probability."""
+UNTOUCHED: Final = Conjunct("untouched", REST)
+SCENES: Final = 20
+"""The number of scenes of each of Layout and All in which shortcuts are tried."""
+FLOOR: Final = 0.1
+"""The largest share of the scenes in which a shortcut satisfies a test intent."""
+GLANCE, GLANCE_MOST = 4, 0.25
+"""The same in a first look, in fewer scenes."""
+CHANCE: Final = 0.34
+"""The same for random places and training intents, in six scenes."""
+MOST_COST: Final = 90.0
+"""The largest cost of matched intents, in actions."""
+LONGER: Final = 0.35
+"""The largest relative difference of costs of matched intents."""
+MORE: Final = 0.75
+"""The largest difference of the numbers of blocks that they move."""
+NEVER_TRAINED_SELECTORS: Final = ("odd", "farthest")
+NEVER_TRAINED_RELATIONS: Final = ("corner", "apart", "robot near")
+
+
+def weighted(rng: Rng, weights: dict[str, float]) -> str:
+    """One of the keys, with a probability in proportion to its weight."""
+    names = list(weights)
+    return names[int(np.searchsorted(np.cumsum(list(weights.values())), rng.random() * sum(weights.values())))]
+
+
+def conjunct(rng: Rng, relations: Sequence[str], selectors: Sequence[str]) -> Conjunct:
+    """A random relation about random blocks."""
+    name = weighted(rng, {name: RELATIONS_DRAWN[name] for name in relations})
+    relation = RELATIONS[name]
+    argument = pick(rng, [value for value in relation.arguments if value != "home"])
+    if not relation.of_blocks or name == "clustered":
+        return Conjunct(name, argument=argument)
+    kinds = {kind: SELECTORS[kind][0] for kind in selectors if relation.each or kind not in ONE}
+    selector = SELECTORS[weighted(rng, kinds)][1](rng)
+    number = uniform_integer(rng, 1, 3) if name == "exactly" else 0
+    any_of = relation.quantified and not names_one(selector) and rng.random() < 0.2
+    return Conjunct(name, selector, argument, number, any_of)
+
+
+def proposals(rng: Rng, relations: Sequence[str], selectors: Sequence[str]) -> Iterator[Intent]:
+    """Random intents of one relation or two, half of them with `untouched(others)`."""
+    while True:
+        form = weighted(rng, FORMS)
+        conjuncts = [conjunct(rng, relations, selectors) for _ in range(int(form[0]))]
+        if form.endswith("rest"):
+            conjuncts.append(UNTOUCHED)
+        try:
+            intent = intent_of(conjuncts)
+        except IntentError:
+            continue
+        arranged = [one for one in conjuncts if one.relation in ARRANGEMENTS]
+        if len(intent.conjuncts) == len(conjuncts) and len(arranged) < 2 and all(map(has_sense, conjuncts)):
+            yield intent
+
+
+def has_sense(one: Conjunct) -> bool:
+    """Whether a relation wants something that does not hold anyway by what the selector says."""
+    starts = {test.value == "out" for test in one.selector if test.name == "starts"}
+    return not starts or (one.relation, starts) not in (("in", {False}), ("out", {True}))
+
+
+# What is accepted
+
+
+def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
+    """The draws and the definition of a task, or why it is not accepted.
+
+    An intent needs scenes, and each of its relations must add something. Random placement of its blocks must not
+    satisfy it too often. In test sets, no shortcut must.
+    """
+    intent = task.intent
+    try:
+        first = first_demo(intent, task.seed)
+        spec = spec_of(task, Draws(str(task), LEAST_STEPS, first))
+        if test and (why := floor(intent, spec, GLANCE, GLANCE_MOST)):
+            return why
+        scenes = test_scenes(spec, 3)
+        for one in intent.conjuncts:
+            if (rest := without(intent, one)) and not keeps(one):
+                reached = sum(intent.holds(*planned(rest, scene)) for scene in scenes)
+                if reached > len(scenes) / 2:
+                    return f"{one} adds nothing"
+        if not test:
+            random = shortcuts["random places"]
+            share = sum(intent.holds(scene, random.end(intent, spec.demo, scene)) for scene in scenes) / len(scenes)
+            return f"random places satisfy {share:.0%}" if share > CHANCE else (found_draws(intent, task.seed), spec)
+        if why := floor(intent, spec, SCENES, FLOOR):
+            return why
+        draws = msgspec.structs.replace(found_draws(intent, task.seed), **effort(intent, spec))
+        return draws, spec_of(task, draws)
+    except (IntentError, PlacementError) as error:
+        return str(error)
+
+
+def test_scenes(spec: TaskSpec, number: int) -> list[Scene]:
+    """The first test scenes of each of Layout and All. Those of the last task are kept."""
+    if spec.name not in _DRAWN:
+        _DRAWN.clear()
+    known = _DRAWN.setdefault(spec.name, [])
+    for seed in range(len(known) // len(TEST_VARIANTS), number):
+        known += [vary(spec, variant, seed) for variant in TEST_VARIANTS]
+    return known[: number * len(TEST_VARIANTS)]
+
+
+_DRAWN: dict[str, list[Scene]] = {}
+"""Name of a task -> its test scenes."""
+
+
+def without(intent: Intent, one: Conjunct) -> Intent | None:
+    """The intent without a conjunct, and without `others` if nothing else selects blocks; None if nothing is left."""
+    left = [other for other in intent.conjuncts if other != one]
+    if not any(other.definition.of_blocks and other.selector != REST for other in left):
+        left = [other for other in left if other.selector != REST]
+    return Intent(tuple(left)) if left else None
+
+
+def floor(intent: Intent, spec: TaskSpec, number: int, share: float) -> str:
+    """The shortcut that satisfies an intent in a larger share of some test scenes; empty if none does.
+
+    Those that choose the right blocks are found first, since this takes no plans.
+    """
+    scenes = test_scenes(spec, number)
+    most, demonstration = share * len(scenes), shown(intent, spec.demo)
+    for name, rule in RULES.items():
+        if sum(_same_blocks(rule(demonstration, scene), intent, scene) for scene in scenes) > most:
+            return name
+    counts = Counter[str]()
+    for scene in scenes:
+        for name, shortcut in shortcuts.items():
+            counts[name] += intent.holds(scene, shortcut.end(intent, spec.demo, scene))
+            if counts[name] > most:
+                return name
+    return ""
+
+
+def _same_blocks(blocks: Sequence[tuple[int, ...]], intent: Intent, scene: Scene) -> bool:
+    """Whether a shortcut moves the blocks that a plan of the intent moves in a scene."""
+    moved = shown(intent, scene).moved
+    return len(blocks) == len(moved) and all(set(one) == set(other) for one, other in zip(blocks, moved, strict=True))
+
+
+def effort(intent: Intent, spec: TaskSpec) -> dict[str, float]:
+    """The mean cost of plans in the test scenes, and the mean number of blocks that they move."""
+    scenes = test_scenes(spec, SCENES // 2)
+    moves = [len(moved_blocks(*planned(intent, scene))) for scene in scenes]
+    return {
+        "cost": round(float(np.mean([cost(intent, scene) for scene in scenes])), 1),
+        "moves": round(float(np.mean(moves)), 2),
+    }
+
+
+def twin(test: Intent, spec: TaskSpec, others: Iterable[Intent]) -> Intent | None:
+    """Another intent that means the same in the test scenes, perhaps with `untouched(others)` added; None if none does.
+
+    Each holds at the ends of the plans of the other.
+    """
+    scenes = test_scenes(spec, SCENES)
+    ends = [planned(test, scene) for scene in scenes]
+    for other in others:
+        if all(other.holds(*end) for end in ends) and all(test.holds(*planned(other, scene)) for scene in scenes):
+            return other
+    return None
+
+
+# The sets
+
+
+Group = dict[str, Draws]
+"""Set -> draws of an intent; {} if none was accepted."""
+
+
+def train_slot(number: int) -> Group:
+    """An intent like those of the training set; none if `TRIES` proposals are not accepted."""
+    rng = np.random.Generator(np.random.PCG64([SEED, 0, number]))
+    known = [kind for kind in SELECTORS if kind not in NEVER_TRAINED_SELECTORS]
+    trained = [name for name in RELATIONS_DRAWN if name not in NEVER_TRAINED_RELATIONS]
+    for intent in islice(proposals(rng, trained, known), TRIES):
+        if not isinstance(found := examined(Task(intent)), str):
+            return {"train": found[0]}
+    return {}
+
+
+def dev_slot(work: tuple[Draws, Sequence[str]]) -> Group:
+    """An intent of the set dev, unless a training intent means the same."""
+    draws, texts = work
+    task = task_of(draws.task)
+    if twin(task.intent, spec_of(task, draws), map(parse, texts)):
+        return {}
+    return {"dev": msgspec.structs.replace(draws, set="dev")}
+
+
+class Words:
+    """The relations of the training intents."""
+
+    def __init__(self, train: Sequence[Intent]) -> None:
+        self.train = train
+        self.moving = sorted({one for intent in train for one in intent.conjuncts if one.relation != "untouched"})
+        simple = [one for one in self.moving if one.definition.each and one.definition.least]
+        self.ones = [one for one in simple if names_one(one.selector)]
+        self.others = [one for one in simple if one.selector != ALL and not names_one(one.selector)]
+        self.together = {frozenset(pair) for intent in train for pair in itertools.combinations(intent.conjuncts, 2)}
+
+
+def matched_slot(work: tuple[int, Sequence[str]]) -> Group:
+    """Four intents that differ in one respect: of seen, combined, selector and relation.
+
+    They have two relations and `untouched(others)`. The second to fourth have another pair of relations, another
+    selector, or another relation than the first; everything else is equal, and their plans are about as long.
+    """
+    number, texts = work
+    rng, words = np.random.Generator(np.random.PCG64([SEED, 1, number])), Words(list(map(parse, texts)))
+    for _ in range(TRIES):
+        seen = _pair(rng, words)
+        found = examined(Task(seen, seed=1), test=True)
+        if isinstance(found, str) or found[0].cost > MOST_COST or isinstance(first := examined(Task(seen)), str):
+            continue
+        model, result = found[0], {"train": first[0], "seen": found[0]}
+        for name, variants in (("combined", combined), ("selector", selected), ("relation", related)):
+            for intent in islice(variants(rng, seen, words), FEWER):
+                other = examined(Task(intent), test=True)
+                if isinstance(other, str) or not alike(model, other[0]) or twin(intent, other[1], words.train):
+                    continue
+                result[name] = other[0]
+                break
+            else:
+                break
+        if len(result) == 5:
+            return result
+    return {}
+
+
+def _pair(rng: Rng, words: Words) -> Intent:
+    """An intent of two relations of training intents and `untouched(others)`. The first is about one block."""
+    while True:
+        try:
+            intent = intent_of([pick(rng, words.ones), pick(rng, words.others), UNTOUCHED])
+        except IntentError:
+            continue
+        if len(intent.conjuncts) == 3:
+            return intent
+
+
+def alike(one: Draws, other: Draws) -> bool:
+    """Whether plans are about as long, and move about as many blocks."""
+    return abs(other.cost / one.cost - 1) <= LONGER and abs(other.moves - one.moves) <= MORE
+
+
+def _with(seen: Intent, old: Conjunct, new: Conjunct) -> Iterator[Intent]:
+    try:
+        intent = intent_of([new if one == old else one for one in seen.conjuncts])
+    except IntentError:
+        return
+    if len(intent.conjuncts) == 3 and sum(one.relation in ARRANGEMENTS for one in intent.conjuncts) < 2:
+        yield intent
+
+
+def _moving(rng: Rng, seen: Intent) -> Conjunct:
+    """One of the two relations that ask for a change."""
+    return pick(rng, [one for one in seen.conjuncts if one != UNTOUCHED])
+
+
+def combined(rng: Rng, seen: Intent, words: Words) -> Iterator[Intent]:
+    """Intents with one relation of a training intent, and one of another with the same word."""
+    while True:
+        old = _moving(rng, seen)
+        (kept,) = (one for one in seen.conjuncts if one not in (old, UNTOUCHED))
+        alike = [one for one in words.moving if one.relation == old.relation]
+        new = pick(rng, [one for one in alike if names_one(one.selector) == names_one(old.selector)])
+        if frozenset((kept, new)) not in words.together:
+            yield from _with(seen, old, new)
+
+
+def selected(rng: Rng, seen: Intent, _: Words) -> Iterator[Intent]:
+    """Intents with a selector that no training intent has."""
+    while True:
+        old = _moving(rng, seen)
+        if not old.definition.each:
+            continue
+        kind = weighted(rng, {name: SELECTORS[name][0] for name in NEVER_TRAINED_SELECTORS})
+        yield from _with(seen, old, replace(old, selector=SELECTORS[kind][1](rng), any_of=False))
+
+
+def related(rng: Rng, seen: Intent, _: Words) -> Iterator[Intent]:
+    """Intents with a relation that no training intent has."""
+    while True:
+        old = _moving(rng, seen)
+        names = NEVER_TRAINED_RELATIONS[:2] if old.definition.of_blocks else NEVER_TRAINED_RELATIONS[2:]
+        name = pick(rng, names)
+        relation = RELATIONS[name]
+        selector, any_of = old.selector, old.any_of and relation.quantified
+        if name == "apart" and (names_one(selector) or old.any_of):
+            continue
+        yield from _with(seen, old, Conjunct(name, selector, pick(rng, relation.arguments), 0, any_of))
+
+
+def long_slot(work: tuple[int, Sequence[str], str]) -> Group:
+    """The two relations of an intent of `seen`, and a third one of a training intent."""
+    number, texts, seen = work
+    rng, words = np.random.Generator(np.random.PCG64([SEED, 2, number])), Words(list(map(parse, texts)))
+    both = [one for one in task_of(seen).intent.conjuncts if one != UNTOUCHED]
+    for _ in range(TRIES):
+        try:
+            intent = intent_of([*both, pick(rng, words.others)])
+        except IntentError:
+            continue
+        if len(intent.conjuncts) == 3 and not isinstance(found := examined(Task(intent), test=True), str):
+            return {"long": found[0]}
+    return {}
+
+
+def spread(what: str, function: Callable[[Any], Group], work: Sequence[Any], jobs: int) -> list[Group]:
+    """The results of a function, in the order of the work. They are kept in out/intents, so a second call continues."""
+    path = ROOT / "out" / "intents" / f"{what}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    results: list[Group] = [msgspec.json.decode(line, type=Group) for line in lines]
+    with ProcessPoolExecutor(jobs) as pool, path.open("ab") as file:
+        for result in pool.map(function, work[len(results) :]):
+            results.append(result)
+            file.write(msgspec.json.encode(result) + b"\n")
+            file.flush()
+    return results
+
+
+def draw(jobs: int) -> list[Draws]:
+    """The tasks of all sets."""
+    taken = set(map(str, EIGHT.values()))
+
+    def new(name: str, every: Iterable[Draws]) -> Iterator[Draws]:
+        for draws in every:
+            if draws.task not in taken:
+                taken.add(draws.task)
+                yield msgspec.structs.replace(draws, set=name)
+
+    slots = [slot["train"] for slot in spread("train", train_slot, range(TRAIN_SLOTS), jobs) if slot]
+    both = list(new("train", slots))
+    train, texts = both[: TRAIN - TEST], [draws.task for draws in both[: TRAIN - TEST]]
+    spare = [(draws, texts) for draws in both[TRAIN - TEST :][:DEV_SLOTS]]
+    dev = [slot["dev"] for slot in spread("dev", dev_slot, spare, jobs) if slot][:DEV]
+    found = spread("matched", matched_slot, [(k, texts) for k in range(SLOTS)], jobs)
+    work = [(k, texts, group["seen"].task) for k, group in enumerate(found) if group]
+    found = [group for group in found if group]
+    long = [slot["long"] for slot in spread("long", long_slot, work, jobs) if slot]
+    print(f"{len(both)} train and dev, {len(found)} matched, {len(long)} long", file=sys.stderr)
+    sets = {"train": train, "dev": dev}
+    groups = [group for group in found if taken.isdisjoint(draws.task for draws in group.values())][:TEST]
+    sets |= {name: list(new(name, (group[name] for group in groups))) for name in MATCHED}
+    sets["train"] += new("train", (group["train"] for group in groups))
+    sets["long"] = list(new("long", long))[:TEST]
+    return [draws for name in NAMES for draws in sets[name]]
+
+
+def write(jobs: int) -> None:
+    """Writes the file of the sets."""
+    FILE.write_bytes(b"".join(msgspec.json.encode(draws) + b"\n" for draws in draw(jobs)))
+    print(f"DIGEST in magical_mj/intents/names.py should be {hashlib.sha256(FILE.read_bytes()).hexdigest()}")
+
+
+def show(number: int) -> None:
+    """Prints intents with their sentences, and what was not accepted."""
+    rng, shown = np.random.default_rng(7), 0
+    for intent in proposals(rng, list(RELATIONS_DRAWN), list(SELECTORS)):
+        why = examined(Task(intent))
+        print(
+            f"- {intent}: {why}" if isinstance(why, str) else f"{shown:3} {intent}   |   {intent.sentence}", flush=True
+        )
+        shown += not isinstance(why, str)
+        if shown == number:
+            return
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["draw", jobs]:
+            write(int(jobs))
+        case ["show", number]:
+            show(int(number))
+        case _:
+            sys.exit(__doc__)
