@@ -77,8 +77,10 @@ RELATIONS_DRAWN: Final = {
 MATCHED: Final = ("seen", "combined", "selector", "relation")
 TEST_VARIANTS: Final = ("Layout", "All")
 TRAIN, DEV, TEST = 1000, 50, 50
-TRAIN_SLOTS, DEV_SLOTS, SLOTS = 1400, 70, 50
+TRAIN_SLOTS, DEV_SLOTS, SLOTS = 1400, 70, 52
 """The numbers of draws of training and of test intents. There are more than needed, since some repeat others."""
+SPARE: Final = range(52, 58)
+"""The numbers of further draws of long intents, since some find none."""
 SEED: Final = 2026
 TRIES: Final = 60
 """The number of proposals for one intent."""
@@ -426,16 +428,25 @@ def draw(jobs: int) -> list[Draws]:
     spare = [(draws, texts) for draws in both[TRAIN - TEST :][:DEV_SLOTS]]
     dev = [slot["dev"] for slot in spread("dev", dev_slot, spare, jobs) if slot][:DEV]
     found = spread("matched", matched_slot, [(k, texts) for k in range(SLOTS)], jobs)
-    work = [(k, texts, group["seen"].task) for k, group in enumerate(found) if group]
+    seen = {number: group["seen"].task for number, group in enumerate(found) if group}
+    work = [(k, texts, seen[k]) for k in seen] + [(k, texts, seen[k - TEST]) for k in SPARE]
     found = [group for group in found if group]
     long = [slot["long"] for slot in spread("long", long_slot, work, jobs) if slot]
     print(f"{len(both)} train and dev, {len(found)} matched, {len(long)} long", file=sys.stderr)
     sets = {"train": train, "dev": dev}
-    groups = [group for group in found if taken.isdisjoint(draws.task for draws in group.values())][:TEST]
+    trained = {_pair_of(group["train"]) for group in found}
+    groups = [group for group in found if _pair_of(group["combined"]) not in trained][:TEST]
     sets |= {name: list(new(name, (group[name] for group in groups))) for name in MATCHED}
-    sets["train"] += new("train", (group["train"] for group in groups))
+    more = [*(group["train"] for group in groups), *both[TRAIN - TEST + DEV_SLOTS :]]
+    own = {draws.task: draws for draws in (*train, *more)}
+    sets["train"] = [msgspec.structs.replace(draws, set="train") for draws in own.values()][:TRAIN]
     sets["long"] = list(new("long", long))[:TEST]
     return [draws for name in NAMES for draws in sets[name]]
+
+
+def _pair_of(draws: Draws) -> frozenset[Conjunct]:
+    """The relations of a matched intent, without `untouched(others)`."""
+    return frozenset(task_of(draws.task).intent.conjuncts) - {UNTOUCHED}
 
 
 def write(jobs: int) -> None:

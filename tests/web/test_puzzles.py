@@ -22,7 +22,7 @@ CHECKED = slice(0, None, 12)
 
 
 def test_both_demonstrations_of_a_puzzle_solve_it_and_reach_its_rivals() -> None:
-    assert {puzzle.intent for puzzle in puzzles()} == {task.intent for task in tasks_in("dev")}
+    assert {puzzle.intent for puzzle in puzzles()} <= {task.intent for task in tasks_in("dev")}
     for puzzle in puzzles()[CHECKED]:
         rivals = list(map(parse, puzzle.rivals))
         assert puzzle.intent not in rivals
