@@ -51,7 +51,7 @@ observations, and the same kind of help. A method's name opens its scores in eac
 episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
 [statistics](evaluation.md#statistics) how scores and intervals are computed."""
 INTENTS: Final = """What do policies reach that receive an [intent](intents.md#baselines) at test time, by what they are
-given? Means over the first test intents of each set in Demo, Layout and All, with 95 % intervals over runs and intents.
+given? Clean success in the first test intents of each set in Layout and All, with 95 % intervals over runs and intents.
 Their episodes are in the repository, in `results/intents.jsonl.xz`."""
 USES: Final = "May also use"
 GLOSSARY: Final = {
@@ -100,7 +100,8 @@ def standings_page(methods: Mapping[str, Standing]) -> str:
     beats = _beats(own)
     parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
-    parts += ["## Intents", INTENTS, baselines(kept())]
+    if episodes := kept():
+        parts += ["## Intents", INTENTS, baselines(episodes)]
     return "\n\n".join(parts) + "\n"
 
 

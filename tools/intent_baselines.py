@@ -150,8 +150,9 @@ def episodes_of(folder: Path) -> list[EpisodeResult]:
 
 
 def kept() -> list[EpisodeResult]:
-    """The episodes in the file of the repository."""
-    return [episode_in(line) for line in lzma.decompress(KEPT.read_bytes()).splitlines()]
+    """The episodes in the file of the repository; none before a first `write OUT`."""
+    lines = lzma.decompress(KEPT.read_bytes()).splitlines() if KEPT.exists() else []
+    return [episode_in(line) for line in lines]
 
 
 def keep(episodes: Iterable[EpisodeResult]) -> None:
@@ -168,6 +169,8 @@ def differences(episodes: Iterable[EpisodeResult], jobs: int | None = None) -> l
 def check() -> None:
     """Replays a random tenth of the episodes, as the leaderboard does with its entries."""
     every = kept()
+    if not every:
+        return
     chosen = [every[number] for number in np.random.default_rng().choice(len(every), len(every) // 10, replace=False)]
     if different := differences(chosen):
         sys.exit("\n".join(different))

@@ -54,7 +54,7 @@ def test_an_episode_records_the_blocks_that_the_intent_does_not_name(played: Pat
 def test_rows_tell_sets_and_variants_apart(played: Path) -> None:
     found = {(row.method, row.set, row.variants): row for row in rows(read(played))}
     assert len(found) == 8
-    row = found["all", "in no set", "Layout"]
+    row = found["all", "train", "Layout"]
     assert (row.intents, row.runs, row.episodes, row.floor) == (1, 1, 1, None)
     assert [round(row.values[name].value, 2) for name in ("success", "clean success", "score")] == [1.0, 0.0, 1.0]
     own = found["noop", "combined", "Demo"]
@@ -70,7 +70,7 @@ def test_a_report_has_a_page_of_sets(played: Path, tmp_path: Path, shell: Shell)
     assert "outside the benchmark" not in page
     table = pd.read_csv(tmp_path / "report" / "intents" / "intents.csv")
     assert len(table) == 8
-    assert set(table["set"]) == {"combined", "in no set"}
+    assert set(table["set"]) == {"combined", "train"}
 
 
 def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:

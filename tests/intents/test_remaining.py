@@ -37,7 +37,7 @@ def test_it_is_the_distance_of_the_task_that_says_the_same(task: str) -> None:
 
 def test_it_is_0_exactly_if_the_intent_holds() -> None:
     rng, held = np.random.default_rng(1), 0
-    intents = [intent for name in ("dev", "selector", "relation", "long") for intent in SETS[name]]
+    intents = [intent for name in ("train", "relation") for intent in SETS[name][:150]]
     for seed, intent in enumerate(intents):
         initial = magical_mj.sample_scene("FindDupe" if seed % 2 else "MatchRegions", "All", seed)
         for side in (0.05, 0.3, 0.6, 1.0):
