@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 METHODS := --editable methods/relational --editable methods/goals --editable methods/intents
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test worldmodel-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
+.PHONY: demo test fast bench peers leaderboard check format docs readme demonstrations lerobot integrations-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -32,18 +32,6 @@ peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in 
 .venv-peers/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-peers
 	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib minigrid pymunk
-	@touch $@
-
-mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
-	.venv-mujoco4/bin/python -m pytest -n auto tests/demos/test_files.py tests/tasks tests/envs \
-		--ignore tests/tasks/test_own_task.py $(ARGS)  # which trains, too
-
-.venv-mujoco4/.installed: pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv-mujoco4
-	grep -v '^mujoco\b\|^mujoco-warp\|^dm_control' constraints.txt > .venv-mujoco4/constraints.txt
-	.venv-mujoco4/bin/python -m pip install --quiet --constraint .venv-mujoco4/constraints.txt 'mujoco>=4,<5' cloudpickle filelock \
-		gymnasium msgspec numba numpy pillow rich shapely typer matplotlib pandas scipy h5py pytest pytest-xdist
-	.venv-mujoco4/bin/python -m pip install --quiet --no-deps --editable .
 	@touch $@
 
 leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
@@ -120,30 +108,11 @@ demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the sh
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
 	$(BIN)/python tools/experts.py out/experts
 
-LEROBOT := .venv-lerobot
-LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/null && echo $$p && break; done)
+integrations-test: $(VENV)/.installed-dev  ## other libraries with this package, LIBRARY=torchrl, several, all, or turn: two of them, others each day
+	$(BIN)/python -m tools.integrations $(or $(LIBRARY),turn)
 
-lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 6.3 GB) in which LeRobot's commands know this package
-
-lerobot-test: $(LEROBOT)/.installed  ## the tests of that plug-in
-	HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python -m pytest -n auto -rP tests/integrations/test_lerobot*.py $(ARGS)
-
-$(LEROBOT)/.installed: pyproject.toml
-	@$(or $(LEROBOT_PYTHON),false) -c 'import sys; sys.exit(not (3, 12) <= sys.version_info < (3, 14))' || { \
-		echo "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
-	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
-	@touch $@
-
-WORLDMODEL := .venv-worldmodel
-
-worldmodel-test: $(WORLDMODEL)/.installed  ## the environments in stable-worldmodel's World, in an environment of its own (7 GB)
-	OMP_NUM_THREADS=1 $(WORLDMODEL)/bin/python -m pytest -rP tests/integrations/test_world_model.py $(ARGS)
-
-$(WORLDMODEL)/.installed: pyproject.toml
-	$(PYTHON) -m venv $(WORLDMODEL)
-	$(WORLDMODEL)/bin/python -m pip install --quiet --editable '.[eval]' stable-worldmodel==0.1.1 opencv-python-headless pytest
-	@touch $@
+lerobot:  ## an environment of its own (Python 3.12, 6.3 GB) in which LeRobot's commands know this package
+	$(or $(PYTHON),python3) -m tools.integrations --install lerobot
 
 release-check: $(VENV)/.installed-release  ## build the wheel and the sdist in dist/, and check them, the changelog and the tag
 	rm -rf dist

@@ -1,6 +1,6 @@
 """Trains a world model on pictures with stable-worldmodel, and plans with it in MoveToRegion.
 
-    .venv-worldmodel/bin/python examples/world_model.py --out FOLDER    # after make worldmodel-test
+    .venv-stable-worldmodel/bin/python examples/world_model.py --out FOLDER    # after make integrations-test
 
 Records random episodes in Layout, trains the library's LeWM with a small convolutional encoder on them, and plans to
 the goal's picture by the cross-entropy method, in the scenes of seeds 0, 1, .... A second call with the same folder

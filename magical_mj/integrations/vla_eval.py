@@ -138,7 +138,7 @@ class MagicalBenchmark(StepBenchmark):
 
     def get_hold_action(self, last_action: Mapping[str, Any] | None) -> dict[str, Any]:
         """The action while the model computes in real time: the robot stops, and keeps the last gripper command."""
-        grip = 0.0 if last_action is None else np.asarray(last_action["actions"])[..., 2]
+        grip = 0.0 if last_action is None else np.asarray(last_action["actions"]).reshape(-1)[2]
         return {"actions": np.array([0.0, 0.0, grip], np.float32)}
 
     def get_action_spec(self) -> dict[str, DimSpec]:

@@ -1,4 +1,4 @@
-"""The LeRobot plug-in, by lerobot itself: `make lerobot-test` runs this in an environment that has it."""
+"""The LeRobot plug-in, by lerobot itself: `make integrations-test LIBRARY=lerobot` runs this."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,7 +27,8 @@ from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, Magic
 from tests.shifts import test_received as received
 
 ROOT = Path(__file__).parents[2]
-needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
+MISSING = "lerobot is missing: make integrations-test LIBRARY=lerobot"
+needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING)
 pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours to mend
 
 
@@ -40,13 +42,12 @@ def test_without_lerobot_one_line_says_what_to_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
-@pytest.mark.parametrize("python", ["", "false", "python-that-is-not-there"])
-def test_make_says_which_python_lerobot_needs(python: str, tmp_path: Path) -> None:
-    command = ["make", "--file", str(ROOT / "Makefile"), "lerobot", f"LEROBOT={tmp_path / 'venv'}"]
-    made = subprocess.run([*command, f"LEROBOT_PYTHON={python}"], cwd=ROOT, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("python", ["false", "python-that-is-not-there"])
+def test_make_says_which_python_lerobot_needs(python: str) -> None:
+    command = ["make", "--file", str(ROOT / "Makefile"), "lerobot", f"INTEGRATION_PYTHON={python}"]
+    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert made.returncode != 0
-    assert "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=" in made.stderr
-    assert not list(tmp_path.iterdir())
+    assert "lerobot: it needs Python 3.12 or 3.13: give INTEGRATION_PYTHON=" in made.stderr
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,9 @@ def plugin() -> Any:
 
 @needs_lerobot
 @pytest.mark.parametrize("task", magical_mj.TASKS)
-def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, tmp_path: Path) -> None:
+def test_a_data_set_read_back_replays_to_the_full_score(
+    task: str, plugin: Any, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     demos = magical_mj.demos.load(task)
@@ -78,7 +81,8 @@ def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, 
         assert reward == info["eval_score"] == (1.0 if truncated else 0.0)  # some end when they have reached their goal
     env.close()
     size = sum(path.stat().st_size for path in (tmp_path / "set").rglob("*") if path.is_file())
-    sys.stdout.write(f"{task}: {len(demos)} demonstrations, {number} frames alike, {size / 1e6:.1f} MB, scores 1.0\n")
+    record_property("compared", f"{len(demos)} demonstrations of {task}")
+    record_property("result", f"1.00 from {size / 1e6:.1f} MB")
 
 
 @needs_lerobot
@@ -272,7 +276,9 @@ def test_the_folder_for_the_hub_is_what_lerobot_loads_from_there(
         suite[0].close()
 
 
-@pytest.mark.skipif(find_spec("huggingface_hub") is None, reason="huggingface_hub is not installed: make lerobot-test")
+@pytest.mark.skipif(
+    find_spec("huggingface_hub") is None, reason="lerobot is missing: make integrations-test LIBRARY=lerobot"
+)
 @pytest.mark.parametrize("kind", ["model", "dataset"])
 def test_uploads_to_the_hub_are_whole(kind: str, tmp_path: Path) -> None:
     """By the hub's own command to a stand-in, as the pages say: hub/lerobot, and an export of demonstrations."""

@@ -14,7 +14,7 @@ import magical_mj
 from magical_mj.policies.interface import Episode
 from magical_mj.utils.errors import MagicalError, SettingsError
 
-pytest.importorskip("lerobot", reason="lerobot is not installed: make lerobot-test")
+pytest.importorskip("lerobot", reason="lerobot is missing: make integrations-test LIBRARY=lerobot")
 
 from magical_mj.integrations import lerobot as plugin
 

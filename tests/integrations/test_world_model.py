@@ -1,4 +1,4 @@
-"""The environments in stable-worldmodel's `World`: `make worldmodel-test` runs this where the library is installed."""
+"""The environments in stable-worldmodel's `World`: `make integrations-test LIBRARY=stable-worldmodel` runs this."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from magical_mj.actions import to_vector
 from magical_mj.experts import GoalPicture
 from magical_mj.utils.errors import InvalidSeedError, MissingExtraError, SettingsError, StateError, UnknownNameError
 
-needs_library = pytest.mark.skipif(
-    find_spec("stable_worldmodel") is None, reason="stable-worldmodel is not installed: make worldmodel-test"
-)
+MISSING = "stable_worldmodel is missing: make integrations-test LIBRARY=stable-worldmodel"
+needs_library = pytest.mark.skipif(find_spec("stable_worldmodel") is None, reason=MISSING)
 pytestmark = pytest.mark.filterwarnings("default")  # the library's own are not ours to mend
 TASK = "MatchRegions"
 
@@ -89,7 +88,9 @@ def test_variations_are_ours_and_their_values_are_those_of_the_episode(world: Ca
 
 
 @needs_library
-def test_a_recording_of_experts_is_read_back_and_continued(world: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_recording_of_experts_is_read_back_and_continued(
+    world: Callable[..., Any], tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """The frames, scores and goals are ours, and recorded episodes go on from any step; Lance stores float32."""
     from stable_worldmodel.data import LanceDataset
 
@@ -120,6 +121,8 @@ def test_a_recording_of_experts_is_read_back_and_continued(world: Callable[..., 
     places = {"dataset": data, "episodes_idx": [0, 1], "start_steps": [50, 70], "goal_offset": 20}
     continued = recorder.evaluate(**places, eval_budget=120, callables=callables)
     assert continued["success_rate"] == 100.0
+    record_property("compared", "recorded experts in MatchRegions' Jitter, continued from steps 50 and 70")
+    record_property("result", "1.00, the experts' score")
     np.testing.assert_allclose(recorder.infos["observation"][1, 0], final, atol=1e-3)
     recorder.close()
 
