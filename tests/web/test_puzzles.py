@@ -47,10 +47,10 @@ def test_the_data_of_a_puzzle_select_the_blocks_of_each_scene() -> None:
         for entry in data["scenes"]:
             scene = magical_mj.sample_scene(puzzle.task, variant, entry["seed"])
             first, second = entry["goal"]
-            pentagons = [index for index, block in enumerate(scene.blocks) if block.shape == "pentagon"]
-            assert first["blocks"] == pentagons
-            assert second["blocks"] == [i for i in range(len(scene.blocks)) if i != second["argument"]]
-            assert scene.blocks[second["argument"]].colour == "green"
+            colours = [block.colour for block in scene.blocks]
+            assert first["blocks"] == [index for index, colour in enumerate(colours) if colour != "yellow"]
+            assert second["blocks"] == [index for index, colour in enumerate(colours) if colour == "blue"]
+            assert colours[second["argument"]] == "yellow"
             assert all(rival["goal"] for rival in entry["rivals"])
     scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
     assert goal_data(parse("in(all, region)"), scene) is None
