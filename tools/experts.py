@@ -20,10 +20,9 @@ from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.web.page_data import EXPERT, SCENES
 
 INTRODUCTION: Final = """\
-How well does the scripted expert solve the environments, and how long does it take? It knows the true state and plans
-with the task's own subgoals and score: it tries manoeuvres on a copy of the simulation and keeps the best. Use it as
-`--policy expert`, or as `magical_mj.experts.Expert(engine, task, seed)`; with other seeds it acts differently
-([how it drives](demonstrations.md#how-they-are-made)).
+The scripted expert knows the true state and plans with the task's own subgoals and score: it tries manoeuvres on a
+copy of the simulation and keeps the best. Use it as `--policy expert`, or as `magical_mj.experts.Expert(engine, task,
+seed)`; with other seeds it acts differently ([how it drives](demonstrations.md#how-they-are-made)).
 
 ![The expert in seven demonstrations, from left to right](experts.png)
 
