@@ -73,9 +73,12 @@ def plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgo
     return todo or _drive(intent, initial, now, noise)
 
 
-def solved(intent: Intent, scene: Scene) -> Scene | None:
-    """The scene after a plan from the start of an episode, or None if no plan satisfies the intent."""
-    todo = _from_start(intent, scene)
+def solved(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | None:
+    """The scene after a plan from the start of an episode, or None if no plan satisfies the intent.
+
+    Without noise, it is the cheapest plan.
+    """
+    todo = _from_start(intent, scene, noise)
     end = scene_after(scene, todo)
     return end if not _overlaps(scene, todo) and intent.holds(scene, end) else None
 
@@ -90,9 +93,9 @@ def cost(intent: Intent, scene: Scene) -> float:
     return sum(subgoal.cost(scene) for subgoal in _from_start(intent, scene))
 
 
-def _from_start(intent: Intent, scene: Scene) -> list[Subgoal]:
-    """All subgoals from the start of an episode, without noise."""
-    noise = Noise(np.random.Generator(np.random.PCG64(0)), 0.0)  # named, since numpy may change its default
+def _from_start(intent: Intent, scene: Scene, noise: Noise | None = None) -> list[Subgoal]:
+    """All subgoals from the start of an episode."""
+    noise = noise or Noise(np.random.Generator(np.random.PCG64(0)), 0.0)  # named, since numpy may change its default
     todo = plan(intent, scene, scene, noise)
     return todo + _drive(intent, scene, scene_after(scene, todo), noise)
 
