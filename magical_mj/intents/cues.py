@@ -45,7 +45,9 @@ def alone(cue: str, demonstrations: Sequence[Ends], scene: Scene, ends: Sequence
     if cue == "same ends":
         final = demonstrations[0][1]
         targets = [final.blocks[index] for index in demonstrated.moved]
-        return np.array([-_distance(targets, [end.blocks[i] for i in blocks]) for end, blocks in zip(ends, moved, strict=True)])
+        return np.array(
+            [-_distance(targets, [end.blocks[i] for i in blocks]) for end, blocks in zip(ends, moved, strict=True)]
+        )
     wanted = readings(demonstrated, scene)[cue]
     return np.array([float(len(blocks & wanted) - len(blocks - wanted)) for blocks in moved])
 

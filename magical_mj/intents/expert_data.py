@@ -7,24 +7,31 @@ observations are computed by a replay when a demonstration is read.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, overload
 
+import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.demos import stored
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.learning import stream
+from magical_mj.demos.recording import ATTEMPTS, STRIDE
 from magical_mj.demos.stored import Stored, Watch
+from magical_mj.engine import Engine
 from magical_mj.envs.presets import preset_named
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.names import SETS
 from magical_mj.intents.tasks import PREFIX, task_of
+from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import Observations
+from magical_mj.scene import Scene
 from magical_mj.tasks.languages import canonical_name
 from magical_mj.tasks.registry import SPLITS, VARIANTS, Names, listed, listed_tasks, variant_name
 from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.settings import Count, fitting
 
 FILE: Final = "demonstrations.jsonl"
@@ -134,3 +141,29 @@ def with_scenes(task: str, scenes: int | None = None, *, contrasting: bool = Fal
     own = task_of(task.removeprefix(PREFIX))
     changed = replace(own, demos=scenes or own.demos, contrasting=contrasting or own.contrasting)
     return canonical_name(f"{PREFIX}{changed}")
+
+
+def frames_of(intent: Intent, start: Scene, seed: int, between: int) -> tuple[Scene, ...]:
+    """The first and the last scene of an expert's episode, and some scenes in between at equal intervals.
+
+    Args:
+        intent: the intent, which the expert satisfies.
+        start: the scene in which the episode starts.
+        seed: the expert's seed.
+        between: the number of scenes in between.
+
+    Raises:
+        DemonstrationError: if no expert satisfies the intent.
+    """
+    task = f"{PREFIX}{intent}"
+    with closing(Engine(task, scene=start)) as engine:
+        for attempt in range(ATTEMPTS):
+            engine.reset(scene=start)
+            expert, scenes = Expert(engine, task, seed + attempt * STRIDE), [start]
+            while not engine.step(expert()):
+                scenes.append(engine.scene)
+            scenes.append(engine.scene)
+            if engine.score() == 1.0:
+                chosen = np.linspace(0, len(scenes) - 1, between + 2).round().astype(int)
+                return tuple(scenes[index] for index in chosen)
+    raise DemonstrationError(f"{ATTEMPTS} experts tried the intent {intent} in a scene, but none satisfied it")

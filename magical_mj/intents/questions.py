@@ -8,7 +8,7 @@ A question shows demonstrations of an intent, and a new scene. There are four ta
   demonstrations allow the other readings, so the answer shows which reading seems natural.
 - ``say``: what is the intent? The answer is a text of the language. It is compared with the intent in `SCENES` scenes.
 - ``place``: which final poses of the blocks satisfy the intent?
-- ``act``: the same, reached in the simulation.
+- ``act``: the same, reached in the simulation. The scene is that of the variant All and the seed.
 
 Questions depend on the protocol number `INTENTS`, the set, the settings and the seed alone.
 """
@@ -18,11 +18,11 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -37,18 +37,19 @@ from magical_mj.intents.choices import (
     selection,
     shortcuts,
     weights,
-    with_free_robot,
     wrong_ends,
 )
-from magical_mj.intents.contrast import further_scenes, simplest_rivals
+from magical_mj.intents.contrast import simplest_rivals
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.names import NAMES, SETS
 from magical_mj.intents.readings import intended_blocks, moved_blocks
-from magical_mj.intents.scenes import ALL_RULES, demo_scene, redrawn
+from magical_mj.intents.scenes import ALL_RULES, keeps, redrawn
+from magical_mj.intents.tasks import PREFIX, Task, spec_of
 from magical_mj.protocol import INTENTS
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.planning import Noise
+from magical_mj.tasks.registry import sample_scene
 from magical_mj.utils.errors import IntentError, InvalidSceneError, SettingsError, check_name
 
 TASKS: Final = ("choose", "say", "place", "act")
@@ -93,18 +94,21 @@ class Question:
         set: the set of its intent.
         kind: "logic" or "prior" for ``choose``; otherwise empty.
         intent: the intent that is asked for.
+        name: the name of its task, with the settings of the demo scenes.
         demonstrations: for each demonstration, its scenes from the first to the last.
         sentence: the intent in English, if the question gives it; otherwise empty.
         scene: the new scene.
         options: the final scenes of ``choose``, A to D; otherwise empty.
         readings: the reading of each option, and "intended" for the right one.
         answer: a right answer: a letter, a text of the language, or a final scene as JSON.
+        own: the intent's own demonstrations, also where others or none are given.
     """
 
     task: str
     id: str
     set: str
     kind: str
+    name: str
     intent: Intent
     demonstrations: tuple[tuple[Scene, ...], ...]
     sentence: str
@@ -112,8 +116,12 @@ class Question:
     options: tuple[Scene, ...] = ()
     readings: tuple[str, ...] = ()
     answer: str = ""
-    watched: tuple[Ends, ...] = field(default=(), repr=False)
-    """The ends of the intent's own demonstrations, also if they are not given."""
+    own: tuple[tuple[Scene, ...], ...] = ()
+
+    @property
+    def watched(self) -> list[Ends]:
+        """The first and the last scene of each of the intent's own demonstrations."""
+        return _ends(self.own)
 
     def check(self, answer: str | Scene) -> Verdict:
         """Whether an answer is right.
@@ -133,6 +141,10 @@ class Question:
         if self.task == "say":
             return self._check_said(str(answer))
         return self._check_final(answer if isinstance(answer, Scene) else Scene.from_json(answer))
+
+    def problem_of(self, answer: str | Scene) -> str:
+        """Why an answer to ``say`` is no text of the language; empty if it is one."""
+        return self.check(answer).problem if self.task == "say" else ""
 
     def _check_said(self, text: str) -> Verdict:
         try:
@@ -158,8 +170,9 @@ class Question:
         return Verdict(float(right), right, right and not stray, "" if right else self._misread(changed))
 
     def _may_move(self) -> set[int]:
-        """The blocks that a relation of the intent is about."""
-        return {index for blocks in self.intent.blocks(self.scene) for index in blocks} | set(
+        """The blocks of all relations that ask for a change."""
+        pairs = zip(self.intent.conjuncts, self.intent.blocks(self.scene), strict=True)
+        return {index for one, blocks in pairs if not keeps(one) for index in blocks} | set(
             intended_blocks(self.intent, self.scene)
         )
 
@@ -173,21 +186,48 @@ class Question:
 
     @property
     def data(self) -> dict[str, Any]:
-        """The question as JSON has it, without the answer."""
+        """The question with its answer, as JSON has it; `question_of` reads it."""
         return {
-            "id": self.id,
             "task": self.task,
+            "id": self.id,
+            "set": self.set,
+            "kind": self.kind,
+            "name": self.name,
+            "intent": str(self.intent),
+            "demonstrations": [list(map(_plain, shown)) for shown in self.demonstrations],
             "sentence": self.sentence,
-            "demonstrations": [[json.loads(scene.to_json()) for scene in shown] for shown in self.demonstrations],
-            "scene": json.loads(self.scene.to_json()),
-            "options": [json.loads(scene.to_json()) for scene in self.options],
+            "scene": _plain(self.scene),
+            "options": list(map(_plain, self.options)),
+            "readings": list(self.readings),
+            "answer": self.answer,
+            "own": [list(map(_plain, shown)) for shown in self.own],
         }
 
     @property
     def digest(self) -> str:
-        """The SHA-256 of the question and its answer, in hexadecimal digits. It is the same on every machine."""
-        text = json.dumps([self.data, self.answer, self.readings], sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        """The SHA-256 of `data` in hexadecimal digits. It is the same on every machine."""
+        return hashlib.sha256(json.dumps(self.data, sort_keys=True).encode()).hexdigest()
+
+
+def question_of(data: Mapping[str, Any]) -> Question:
+    """The question with this `Question.data`."""
+
+    def scenes(values: Iterable[Any]) -> tuple[Scene, ...]:
+        return tuple(Scene.from_json(json.dumps(value)) for value in values)
+
+    changed: dict[str, Any] = {
+        "intent": parse(data["intent"]),
+        "demonstrations": tuple(map(scenes, data["demonstrations"])),
+        "scene": Scene.from_json(json.dumps(data["scene"])),
+        "options": scenes(data["options"]),
+        "readings": tuple(data["readings"]),
+        "own": tuple(map(scenes, data["own"])),
+    }
+    return Question(**{**data, **changed})
+
+
+def _plain(scene: Scene) -> Any:
+    return json.loads(scene.to_json())
 
 
 @dataclass(frozen=True)
@@ -239,8 +279,8 @@ def questions(
     number = scenes if demonstrations is None else demonstrations
     if scenes not in SCENE_COUNTS or not scenes <= number <= 8 * scenes or frames < 0:
         raise SettingsError(
-            f"scenes is one of {SCENE_COUNTS}, demonstrations is from {scenes} to {8 * scenes} for {scenes} scenes, and "
-            f"frames is 0 or more; not {scenes}, {number} and {frames}"
+            f"scenes is one of {SCENE_COUNTS}, demonstrations is from scenes to 8 * scenes, and frames is 0 or more; "
+            f"not {scenes}, {number} and {frames}"
         )
     if contrasting and scenes == 1:
         raise SettingsError("contrasting is for several demo scenes: give scenes=2, 4 or 8, or leave it out")
@@ -259,11 +299,17 @@ def _questions(task: str, name: str, settings: Settings) -> Iterator[Question]:
 
 def _question(task: str, name: str, number: int, kind: str, settings: Settings) -> Question | None:
     intent = SETS[name][number]
-    ends = _demonstrated(intent, settings)
+    own = _demonstrated(intent, settings)
+    ends = _ends(own)
     key = f"{INTENTS} {task} {name} {number} {kind} {settings.contrasting}"
     entropy = [zlib.crc32(key.encode()), settings.seed, settings.scenes, settings.demonstrations]
     rng = np.random.Generator(np.random.PCG64(entropy))
-    found = _chosen(intent, ends, kind, rng) if kind else _new_scene(intent, ends, rng)
+    label = f"{PREFIX}{_task_of(intent, settings)}"
+    if task == "act":
+        scene = sample_scene(label, "All", settings.seed)
+        found = scene, end_of(intent, scene) or scene, []
+    else:
+        found = _chosen(intent, ends, kind, rng) if kind else _new_scene(intent, ends, rng)
     if found is None:
         return None
     scene, right, wrong = found
@@ -273,41 +319,54 @@ def _question(task: str, name: str, number: int, kind: str, settings: Settings) 
         "nothing": (),
         "sentence": (),
         "wrong": _demonstrated(SETS[name][(number + 1) % len(SETS[name])], settings),
-    }.get(settings.given, ends)
+    }.get(settings.given, own)
     answers = {"choose": LETTERS[order.index(0)], "say": str(intent)}
     return Question(
         task=task,
         id="/".join(filter(None, (task, name, str(number), kind))),
         set=name,
         kind=kind,
+        name=label,
         intent=intent,
-        demonstrations=tuple(shown),
+        demonstrations=shown,
         sentence=intent.sentence if settings.given in ("sentence", "both") else "",
         scene=scene,
         options=tuple(options[place].end for place in order) if kind else (),
         readings=tuple(options[place].reading for place in order) if kind else (),
         answer=answers.get(task) or right.to_json(),
-        watched=ends,
+        own=own,
     )
 
 
+def _task_of(intent: Intent, settings: Settings) -> Task:
+    return Task(intent, settings.seed, settings.scenes, settings.contrasting)
+
+
+def _ends(demonstrations: Sequence[Sequence[Scene]]) -> list[Ends]:
+    return [(shown[0], shown[-1]) for shown in demonstrations]
+
+
 @lru_cache(maxsize=64)  # the two questions of an intent, and the next intent's, if demonstrations are wrong
-def _demonstrated(intent: Intent, settings: Settings) -> tuple[Ends, ...]:
-    """The first and last scene of each demonstration."""
-    rng = np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), settings.seed]))
-    first = demo_scene(intent, rng)
-    starts = [first, *further_scenes(intent, rng, first, settings.scenes - 1, contrasting=settings.contrasting)]
-    noise = Noise(rng, 1.0)
-    ends = []
-    for number in range(settings.demonstrations):
-        start = starts[number % len(starts)]
-        end = end_of(intent, start, noise if number >= len(starts) else None) or end_of(intent, start)
-        if end is not None:  # every demo scene has a plan
-            ends.append((start, end))
-    return tuple(ends)
+def _demonstrated(intent: Intent, settings: Settings) -> tuple[tuple[Scene, ...], ...]:
+    """The demonstrations of an intent. Without scenes in between, each is the end of a plan."""
+    spec = spec_of(_task_of(intent, settings))
+    starts = [spec.demo, *spec.further_demos]
+    if settings.frames:
+        from magical_mj.intents.expert_data import frames_of  # which needs the simulator
+
+        pairs = enumerate(starts[number % len(starts)] for number in range(settings.demonstrations))
+        return tuple(frames_of(intent, start, number, settings.frames) for number, start in pairs)
+    noise = Noise(np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), settings.seed])), 1.0)
+    shown = [(start, end_of(intent, start) or start) for start in starts]  # every demo scene has a plan
+    for number in range(len(starts), settings.demonstrations):
+        start, end = shown[number % len(starts)]
+        shown.append((start, end_of(intent, start, noise) or end))
+    return tuple(shown)
 
 
-def _new_scene(intent: Intent, ends: Sequence[Ends], rng: np.random.Generator) -> tuple[Scene, Scene, list[Option]] | None:
+def _new_scene(
+    intent: Intent, ends: Sequence[Ends], rng: np.random.Generator
+) -> tuple[Scene, Scene, list[Option]] | None:
     """A scene that no demonstration has shown, with an end that satisfies the intent."""
     starts = {start for start, _ in ends}
     for _ in range(TRIES):

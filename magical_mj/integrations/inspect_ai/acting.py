@@ -1,0 +1,163 @@
+"""Acting on an intent: the tools that a model has, and the agent that uses them.
+
+The tools are the manoeuvres of the expert: to bring a block to a position, or to drive there. They are planned in a
+copy of the simulation and performed with the 18 actions, within the task's horizon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any, Final
+
+import numpy as np
+from anyio.to_thread import run_sync
+from inspect_ai.agent import AgentSubmit, as_solver, react
+from inspect_ai.model import Content
+from inspect_ai.solver import Generate, Solver, TaskState, solver
+from inspect_ai.tool import Tool, ToolError, tool
+
+from magical_mj.engine import Engine
+from magical_mj.integrations.inspect_ai.content import contents
+from magical_mj.integrations.inspect_ai.scoring import ACTIONS, FINAL
+from magical_mj.intents.question_text import table
+from magical_mj.intents.questions import question_of
+from magical_mj.policies.expert.driving import Lookahead
+from magical_mj.policies.expert.planner import Planner
+from magical_mj.tasks.planning import Subgoal
+
+REACH: Final = 0.9
+"""The greatest |x| and |y| of a position that a tool accepts (world units)."""
+LONGEST: Final = 120
+"""A manoeuvre takes at most this number of actions."""
+BUDGET: Final = 3_000
+"""After this number of simulated steps, no new plan of a manoeuvre is started."""
+TRIED: Final = 4
+"""The number of manoeuvres that are tried in one situation."""
+MESSAGES: Final = 60
+"""The largest number of messages in an episode, those of the tools included."""
+
+
+class Hands:
+    """Performs manoeuvres in an engine, and keeps the actions.
+
+    Attributes:
+        engine: the engine, at the start of an episode.
+        actions: the performed actions.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.actions: list[int] = []
+        self._rng = np.random.Generator(np.random.PCG64(0))
+
+    @property
+    def left(self) -> int:
+        """The number of remaining actions."""
+        return (self.engine.horizon or 0) - self.engine.steps
+
+    def perform(self, subgoal: Subgoal) -> bool:
+        """Performs a manoeuvre that reaches the subgoal. Returns False, and does nothing, if none was found."""
+        scene = self.engine.scene
+        if subgoal.left(scene) == 0.0:
+            return True
+        if self.left <= 0:
+            return False
+        planner = Planner(
+            lambda scene: float(subgoal.left(scene) == 0.0),
+            lambda scene, _, __: (subgoal,) if subgoal.left(scene) else (),
+            Lookahead(self.engine),
+            tries=TRIED,
+            steady=True,
+        )
+        plan = planner.plan(min(self.left, LONGEST), BUDGET, self._rng)
+        if plan.score < 1.0:
+            return False
+        for action in plan.actions[: len(plan.actions) - plan.rest]:
+            self.engine.step(action)
+            self.actions.append(action)
+        return True
+
+
+@solver
+def agent(form: str) -> Solver:
+    """An agent with the tools move, drive, look and done, which plays an episode in the question's scene."""
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        question = question_of(state.metadata["question"])
+        with closing(Engine(question.name, "All", scene=question.scene)) as engine:
+            hands = Hands(engine)
+            tools = [move(hands), drive(hands), look(hands, form)]
+            submit = AgentSubmit(name="done", description="End the episode: the goal is reached, or cannot be.")
+            state.message_limit = state.message_limit or MESSAGES
+            try:
+                return await as_solver(react(prompt=None, tools=tools, submit=submit))(state, generate)
+            finally:
+                state.store.set(FINAL, engine.scene.to_json())
+                state.store.set(ACTIONS, hands.actions)
+
+    return solve
+
+
+@tool
+def move(hands: Hands) -> Tool:
+    """A tool that brings a block to a position."""
+
+    async def execute(block: int, x: float, y: float) -> str:
+        """Bring a block to a position: drive to it, grip it, carry it, and release it.
+
+        Args:
+            block: The number of the block, from 1.
+            x: The position to the right, from -0.9 to 0.9.
+            y: The position upwards, from -0.9 to 0.9.
+        """
+        count = len(hands.engine.scene.blocks)
+        if not 1 <= block <= count:
+            raise ToolError(f"there are the blocks 1 to {count}, not {block}")
+        return await _report(hands, Subgoal(block - 1, _target(x, y)), f"block {block}")
+
+    return execute
+
+
+@tool
+def drive(hands: Hands) -> Tool:
+    """A tool that drives the robot to a position."""
+
+    async def execute(x: float, y: float) -> str:
+        """Drive the robot to a position.
+
+        Args:
+            x: The position to the right, from -0.9 to 0.9.
+            y: The position upwards, from -0.9 to 0.9.
+        """
+        return await _report(hands, Subgoal(None, _target(x, y)), "the robot")
+
+    return execute
+
+
+@tool
+def look(hands: Hands, form: str) -> Tool:
+    """A tool that shows the scene."""
+
+    async def execute() -> list[Content]:
+        """Look at the scene as it is now."""
+        return list(contents(hands.engine.scene, form))
+
+    return execute
+
+
+def _target(x: float, y: float) -> tuple[float, float]:
+    if not (abs(x) <= REACH and abs(y) <= REACH):
+        raise ToolError(f"x and y are from -{REACH} to {REACH}, not {x} and {y}")
+    return x, y
+
+
+async def _report(hands: Hands, subgoal: Subgoal, name: str) -> str:
+    """Performs a manoeuvre in a thread, and says what happened."""
+    before = hands.engine.steps
+    perform: Callable[[], Any] = lambda: hands.perform(subgoal)  # noqa: E731
+    reached = await run_sync(perform)
+    what = (
+        f"{name} is there after {hands.engine.steps - before} steps" if reached else f"{name} could not be moved there"
+    )
+    return f"{what}; {hands.left} steps are left. The scene now:\n{table(hands.engine.scene)}"

@@ -1,0 +1,129 @@
+"""How Inspect scores the answers to questions."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any, Final
+
+from inspect_ai.model import ChatMessageUser
+from inspect_ai.scorer import (
+    Metric,
+    SampleScore,
+    Score,
+    Scorer,
+    Target,
+    Value,
+    ci_wilson,
+    frequency,
+    mean,
+    metric,
+    scorer,
+)
+from inspect_ai.solver import Generate, Solver, TaskState, solver
+
+from magical_mj.intents.choices import SHORTCUTS
+from magical_mj.intents.question_text import read_answer
+from magical_mj.intents.questions import Question, Verdict, question_of
+from magical_mj.scene import Scene
+from magical_mj.utils.errors import MagicalError
+
+KINDS_OF_ANSWERS: Final = ("intended", *SHORTCUTS, "another reading", "another goal", "no answer")
+"""What an answer follows: the intent, a shortcut, another reading of the demonstrations, or another goal."""
+FINAL, ACTIONS = "final scene", "actions"
+"""The names in a sample's store of an episode's final scene, as JSON, and of its actions."""
+
+
+@metric
+def by_set() -> Metric:
+    """The mean in each set, for each kind of question, with an interval of 95 %.
+
+    The interval is Wilson's score interval over the questions. It covers which intents and scenes were drawn.
+    """
+
+    def compute(scores: list[SampleScore]) -> Value:
+        groups = defaultdict[str, list[SampleScore]](list)
+        for score in scores:
+            question = (score.sample_metadata or {})["question"]
+            groups[" ".join(filter(None, (question["set"], question["kind"])))].append(score)
+        values: dict[str, float] = {}
+        for name, group in groups.items():
+            interval: Any = ci_wilson()(group)  # pyright: ignore - metrics with a list of SampleScore
+            values |= {name: sum(map(_value, group)) / len(group)}
+            values |= {f"{name} {end}": interval[end] for end in ("lower", "upper")}
+        return values
+
+    return compute
+
+
+def _value(score: SampleScore) -> float:
+    return score.score.as_float()
+
+
+@scorer(metrics={"*": [mean(), by_set()]})
+def judged(english: bool = False) -> Scorer:
+    """Checks answers exactly. The metadata of a score has the reading that a wrong answer follows."""
+
+    async def score(state: TaskState, target: Target) -> Score:  # noqa: ARG001 - Inspect passes both
+        question, verdict = _checked(state, english)
+        values = {
+            "choose": {"right": verdict.score},
+            "say": {"agreement": verdict.score, "exact": float(verdict.right)},
+        }.get(question.task, {"right": verdict.score, "clean": float(verdict.clean)})
+        return Score(
+            value=values,
+            answer=state.output.completion[-200:],
+            explanation=verdict.problem or f"The intent is {question.intent}.",
+            metadata={"misread": verdict.misread},
+        )
+
+    return score
+
+
+@scorer(metrics=[frequency(KINDS_OF_ANSWERS)])
+def misread(english: bool = False) -> Scorer:
+    """What answers follow; see `KINDS_OF_ANSWERS`."""
+
+    async def score(state: TaskState, target: Target) -> Score:  # noqa: ARG001 - Inspect passes both
+        _, verdict = _checked(state, english)
+        if verdict.right:
+            return Score(value="intended")
+        if verdict.problem:
+            return Score(value="no answer")
+        followed = verdict.misread if verdict.misread in SHORTCUTS else "another reading"
+        return Score(value=followed if verdict.misread else "another goal")
+
+    return score
+
+
+def _checked(state: TaskState, english: bool) -> tuple[Question, Verdict]:
+    question = question_of(state.metadata["question"])
+    try:
+        return question, question.check(_answer(question, state, english))
+    except MagicalError as error:  # no answer, or one of another form
+        return question, Verdict(0.0, False, False, problem=str(error))
+
+
+def _answer(question: Question, state: TaskState, english: bool) -> str | Scene:
+    if question.task == "act":
+        return Scene.from_json(state.store.get(FINAL, question.scene.to_json()))
+    return read_answer(question, state.output.completion, english=english)
+
+
+@solver
+def repaired(english: bool = False) -> Solver:
+    """Gives a model one chance to repair an answer that cannot be read. It is shown the position of the error."""
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        question = question_of(state.metadata["question"])
+        try:
+            problem = question.problem_of(read_answer(question, state.output.completion, english=english))
+        except MagicalError as error:
+            problem = str(error)
+        if problem:
+            state.messages.append(
+                ChatMessageUser(content=f"This answer cannot be read:\n{problem}\nPlease correct it.")
+            )
+            return await generate(state)
+        return state
+
+    return solve
