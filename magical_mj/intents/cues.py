@@ -8,6 +8,7 @@ question are selected such that each cue prefers the right one with a probabilit
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from magical_mj.intents.ambiguity import Ends
 from magical_mj.intents.readings import READINGS, DemonstratedBlocks, moved_blocks, readings
 from magical_mj.intents.relations import STAYED
-from magical_mj.scene import Scene
+from magical_mj.scene import Block, Scene
 
 CUES: Final = ("most moved", "fewest moved", *READINGS, "same ends", "most typical", "least typical")
 """The blocks that a cue looks for: many moved ones, few, those of a reading, those that end where the demonstrated ones
@@ -52,6 +53,17 @@ def alone(cue: str, demonstrations: Sequence[Ends], scene: Scene, ends: Sequence
     return np.array([float(len(blocks & wanted) - len(blocks - wanted)) for blocks in moved])
 
 
+def by_words(sentence: str, scene: Scene, ends: Sequence[Scene]) -> _Array:
+    """How much the words of a sentence prefer each final scene, shape (ends,): moved blocks that they name.
+
+    A block is named if the words contain its colour or shape.
+    """
+    words = set(re.findall(r"[a-z]+?(?=s?\b)", sentence.lower()))
+    named = {index for index, block in enumerate(scene.blocks) if {block.colour, block.shape} & words}
+    moved = [set(moved_blocks(scene, end)) for end in ends]
+    return np.array([float(len(blocks & named) - len(blocks - named)) for blocks in moved])
+
+
 def different_blocks(ends: Sequence[Scene]) -> _Array:
     """The number of blocks with other positions in each two of the final scenes, shape (ends, ends)."""
     places = np.array([[(block.x, block.y) for block in end.blocks] for end in ends]).reshape(len(ends), -1, 2)
@@ -69,5 +81,6 @@ def success(values: _Array) -> _Array:
     return best[..., 0] / best.sum(axis=-1)
 
 
-def _distance(targets: Sequence, blocks: Sequence) -> float:
+def _distance(targets: Sequence[Block], blocks: Sequence[Block]) -> float:
+    """The sum of the distances from each target to the nearest block."""
     return sum(min((math.dist(a.pose[:2], b.pose[:2]) for b in blocks), default=FAR) for a in targets)

@@ -234,7 +234,7 @@ def _final_scene(scene: Scene, text: str) -> Scene:
 
 
 def _intent_text(question: Question, sentence: str) -> str:
-    known = _sentences() | {_plain(one.sentence): str(one) for one in [*rivals(question.watched), question.intent]}
+    known = {**_sentences()} | {_plain(one.sentence): str(one) for one in [*rivals(question.watched), question.intent]}
     found = known.get(_plain(sentence))
     if found is None:
         raise SettingsError(f"this is no sentence of the language: {sentence[:200]!r}")

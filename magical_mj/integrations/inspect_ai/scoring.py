@@ -47,7 +47,7 @@ def by_set() -> Metric:
             groups[" ".join(filter(None, (question["set"], question["kind"])))].append(score)
         values: dict[str, float] = {}
         for name, group in groups.items():
-            interval: Any = ci_wilson()(group)  # pyright: ignore - metrics with a list of SampleScore
+            interval: Any = ci_wilson()(group)
             values |= {name: sum(map(_value, group)) / len(group)}
             values |= {f"{name} {end}": interval[end] for end in ("lower", "upper")}
         return values
