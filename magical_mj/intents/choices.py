@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, all_selectors, rivals
 from magical_mj.intents.cues import CUES, alone, different_blocks, success
 from magical_mj.intents.intent import Intent, intent_of
-from magical_mj.intents.plans import CLEAR, ROBOT_LIMIT, solved
+from magical_mj.intents.plans import CLEAR, solved
 from magical_mj.intents.readings import DemonstratedBlocks, readings
 from magical_mj.intents.relations import STAYED, Conjunct
 from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, ROBOT, Selector, Test, UngroundedError, selected
 from magical_mj.scene import Scene
+from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.planning import Noise, places_anywhere
-from magical_mj.utils.errors import IntentError
+from magical_mj.utils.errors import IntentError, InvalidSceneError
 
 READING_BITS: Final = 24.0
 """The longest readings, in bits."""
@@ -37,6 +38,8 @@ WRONG: Final = 3
 """The number of wrong options."""
 CANDIDATES: Final = 20
 """The number of wrong ends from which a question's are selected."""
+INNER: Final = 0.6
+"""At positions within this square (half side), the robot touches no wall with any heading."""
 SHORTCUTS: Final = ("all blocks", "same place", "nearest")
 
 
@@ -76,27 +79,34 @@ def shortcuts(intent: Intent, demonstrations: Sequence[Ends], scene: Scene) -> I
 
 
 def end_of(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | None:
-    """The end of a plan from a scene, or None without one. The robot stands where it touches no block."""
+    """The end of a plan from a scene, in which no bodies overlap. None if there is none."""
     if not intent.grounded(scene) or intent.holds(scene, scene):
         return None
     end = solved(intent, scene, noise)
-    return None if end is None else with_free_robot(end)
+    return None if end is None else next((free for free in _with_free_robot(end) if is_legal(free)), None)
 
 
-def with_free_robot(scene: Scene) -> Scene:
-    """The scene with the robot at the nearest free position, if a block is where it stands."""
+def is_legal(scene: Scene) -> bool:
+    """Whether all bodies are inside the walls and none overlap."""
+    try:
+        check_scene(scene)
+    except InvalidSceneError:
+        return False
+    return True
 
-    def gap(x: float, y: float) -> float:
-        return min((math.hypot(block.x - x, block.y - y) for block in scene.blocks), default=math.inf)
 
+def _with_free_robot(scene: Scene) -> Iterator[Scene]:
+    """The scene, and if a block or a wall is where the robot stands, with other headings, then at free positions."""
     robot = scene.robot
-    if gap(robot.x, robot.y) >= CLEAR:
-        return scene
-    free = [(x, y) for x, y in places_anywhere() if gap(x, y) >= CLEAR and max(abs(x), abs(y)) <= ROBOT_LIMIT]
-    if not free:
-        return scene
-    x, y = min(free, key=lambda place: math.dist(place, (robot.x, robot.y)))
-    return scene.moved(robot=(x, y, robot.angle))
+    yield scene
+    gap = min((math.dist(block.pose[:2], robot.pose[:2]) for block in scene.blocks), default=math.inf)
+    if gap >= CLEAR:
+        yield from (scene.moved(robot=(robot.x, robot.y, turn * math.pi / 4)) for turn in range(8))
+        return
+    free = [(x, y) for x, y in places_anywhere() if max(abs(x), abs(y)) <= INNER]
+    for x, y in sorted(free, key=lambda place: math.dist(place, robot.pose[:2])):
+        if all(math.dist(block.pose[:2], (x, y)) >= CLEAR for block in scene.blocks):
+            yield scene.moved(robot=(x, y, robot.angle))
 
 
 def wrong_ends(intent: Intent, named: Iterable[tuple[str, Intent]], scene: Scene, right: Scene) -> Iterator[Option]:

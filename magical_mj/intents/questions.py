@@ -288,8 +288,20 @@ def questions(
     return islice(_questions(task, set, settings), limit)
 
 
+def expected(task: str, name: str, scenes: int, limit: int | None = None) -> int:
+    """The number of questions, if there is one for each intent and kind."""
+    number = len(SETS[name]) * len(_kinds(task, scenes))
+    return number if limit is None else min(limit, number)
+
+
+def _kinds(task: str, scenes: int) -> tuple[str, ...]:
+    if task != "choose":
+        return ("",)
+    return ("prior",) if scenes == 1 else ("logic", "prior")
+
+
 def _questions(task: str, name: str, settings: Settings) -> Iterator[Question]:
-    kinds = ("",) if task != "choose" else ("prior",) if settings.scenes == 1 else ("logic", "prior")
+    kinds = _kinds(task, settings.scenes)
     for number in range(len(SETS[name])):
         for kind in kinds:
             question = _question(task, name, number, kind, settings)

@@ -4,4 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-COMMANDS: Final = {"demos intents": ("magical_mj.intents.cli.make:make_intents", "Make demonstrations of intents.")}
+COMMANDS: Final = {
+    "demos intents": ("magical_mj.intents.cli.make:make_intents", "Make demonstrations of intents."),
+    "demos questions": ("magical_mj.intents.cli.questions:make_questions", "Make questions about demonstrations."),
+}
