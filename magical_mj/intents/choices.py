@@ -40,6 +40,8 @@ CANDIDATES: Final = 20
 """The number of wrong ends from which a question's are selected."""
 INNER: Final = 0.6
 """At positions within this square (half side), the robot touches no wall with any heading."""
+HARD: Final = ("most moved", "same ends")
+"""Cues that count more in a selection: most intents move more blocks than their readings, and to the same places."""
 SHORTCUTS: Final = ("all blocks", "same place", "nearest")
 
 
@@ -134,7 +136,8 @@ def selection(
     values = [alone(cue, demonstrations, scene, ends)[groups] for cue in CUES[:-2]] + [-distances, distances]
     chosen = np.array([success(value) for value in values])  # (cues, groups)
     wanted = rng.random(len(values)) < 1 / (1 + WRONG)
-    best = int(np.square(chosen - wanted[:, None]).sum(axis=0).argmin())
+    weight = np.where(np.isin(CUES, HARD), 3.0, 1.0)
+    best = int((weight @ np.square(chosen - wanted[:, None])).argmin())
     return [wrong[number - 1] for number in groups[best, 1:].tolist()]
 
 

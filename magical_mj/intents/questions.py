@@ -416,7 +416,9 @@ def _chosen(
 
 
 def _refuted(reading: Intent, ends: Sequence[Ends]) -> bool:
-    return not all(reading.grounded(start) and reading.holds(start, end) for start, end in ends)
+    """Whether a demonstration does not reach an intent, or starts with it."""
+    judge = Judge([reading])
+    return not all(judge.reached(*pair)[0] for pair in ends)
 
 
 def _less_probable(allowed: Sequence[Intent], scene: Scene, right: Scene, wrong: Sequence[Option]) -> list[Option]:

@@ -1,3 +1,4 @@
+# ruff: noqa: E402 - imports after the check that Inspect is installed
 """The tasks of Inspect, with models that are servers on the loopback address and answer by rule."""
 
 from __future__ import annotations
@@ -106,19 +107,19 @@ def knowing(made: list[Question], answer: Callable[[Question, dict[str, Any]], R
     return lambda body: answer(known["".join(text_of(body).split())], body)
 
 
-def test_always_the_first_option_is_right_for_a_quarter_of_the_questions(tmp_path: Path):
-    log = evaluated(choose(set="dev", limit=40), lambda _: said("I choose the first.\nANSWER: A"), tmp_path)
+def test_always_the_first_option_is_right_for_a_quarter_of_the_questions(tmp_path: Path) -> None:
+    log = evaluated(choose(set="dev", limit=24, scenes=2), lambda _: said("I choose the first.\nANSWER: A"), tmp_path)
     right = values(log, "right")
-    assert len(right) == 40
-    assert 3 <= sum(right) <= 19  # the 99.8 % interval of 40 guesses with a probability of a quarter
+    assert len(right) == 24
+    assert 1 <= sum(right) <= 13  # fewer or more have a probability of .002
 
 
-def test_one_who_knows_the_answers_scores_1_in_choose(tmp_path: Path):
+def test_one_who_knows_the_answers_scores_1_in_choose(tmp_path: Path) -> None:
     rule = knowing(list(questions("choose", limit=6)), lambda question, _: said(f"ANSWER: {question.answer}"))
     assert values(evaluated(choose(limit=6), rule, tmp_path), "right") == [1.0] * 6
 
 
-def test_one_who_knows_the_intents_scores_1_in_say(tmp_path: Path):
+def test_one_who_knows_the_intents_scores_1_in_say(tmp_path: Path) -> None:
     rule = knowing(list(questions("say", limit=3)), lambda question, _: said(f"ANSWER: {question.answer}"))
     log = evaluated(say(limit=3), rule, tmp_path)
     assert values(log, "agreement") == values(log, "exact") == [1.0] * 3
@@ -135,7 +136,7 @@ def robot_of(question: Question) -> tuple[float, float]:
     return robot.x, robot.y
 
 
-def test_one_who_knows_final_poses_scores_1_in_place(tmp_path: Path):
+def test_one_who_knows_final_poses_scores_1_in_place(tmp_path: Path) -> None:
     def answer(question: Question, _: dict[str, Any]) -> Reply:
         return said(f"ANSWER: {json.dumps({'blocks': moved(question), 'robot': robot_of(question)})}")
 
@@ -143,7 +144,7 @@ def test_one_who_knows_final_poses_scores_1_in_place(tmp_path: Path):
     assert values(log, "right") == values(log, "clean") == [1.0] * 4
 
 
-def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path):
+def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path) -> None:
     def answer(question: Question, body: dict[str, Any]) -> Reply:
         calls = [called("move", block=number, x=x, y=y) for number, (x, y) in moved(question).items()]
         calls += [called("done", answer="")]
@@ -156,13 +157,15 @@ def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path
 @pytest.mark.parametrize(
     "text", ["", "I cannot help with that.", "ANSWER: E", "ANSWER:", "{" * 100_000, "A" * 1_000_000]
 )
-def test_answers_that_cannot_be_read_are_wrong(text: str, tmp_path: Path):
+def test_answers_that_cannot_be_read_are_wrong(text: str, tmp_path: Path) -> None:
     log = evaluated(choose(limit=1), lambda _: said(text), tmp_path)
     assert values(log, "right") == [0.0]
-    assert log.samples and log.samples[0].scores and log.samples[0].scores["misread"].value == "no answer"
+    assert log.samples
+    assert log.samples[0].scores
+    assert log.samples[0].scores["misread"].value == "no answer"
 
 
-def test_places_that_are_nonsense_are_wrong(tmp_path: Path):
+def test_places_that_are_nonsense_are_wrong(tmp_path: Path) -> None:
     texts = iter(
         ['ANSWER: {"blocks": {"99": [0, 0]}}', 'ANSWER: {"blocks": {"1": [NaN, 0]}}', "ANSWER: {}", "ANSWER: [[["]
     )
@@ -170,7 +173,7 @@ def test_places_that_are_nonsense_are_wrong(tmp_path: Path):
     assert values(log, "right") == [0.0] * 4
 
 
-def test_a_second_answer_repairs_a_text_with_an_error(tmp_path: Path):
+def test_a_second_answer_repairs_a_text_with_an_error(tmp_path: Path) -> None:
     intents = {question.id: question.answer for question in questions("say", limit=1)}
 
     def rule(body: dict[str, Any]) -> Reply:
@@ -182,13 +185,14 @@ def test_a_second_answer_repairs_a_text_with_an_error(tmp_path: Path):
     assert values(evaluated(say(limit=1), rule, tmp_path), "exact") == [1.0]
 
 
-def test_a_server_error_is_no_score(tmp_path: Path):
+def test_a_server_error_is_no_score(tmp_path: Path) -> None:
     log = evaluated(choose(limit=1), lambda _: 500, tmp_path)
     assert not values(log, "right")
-    assert log.samples and log.samples[0].error
+    assert log.samples
+    assert log.samples[0].error
 
 
-def test_a_server_that_does_not_answer_is_no_score(tmp_path: Path):
+def test_a_server_that_does_not_answer_is_no_score(tmp_path: Path) -> None:
     def rule(_: dict[str, Any]) -> Reply:
         time.sleep(3)
         return said("ANSWER: A")
@@ -197,13 +201,13 @@ def test_a_server_that_does_not_answer_is_no_score(tmp_path: Path):
     assert not values(log, "right")
 
 
-def test_logs_contain_no_key(tmp_path: Path):
+def test_logs_contain_no_key(tmp_path: Path) -> None:
     evaluated(choose(limit=1), lambda _: said("ANSWER: A"), tmp_path, log_format="json")
     (file,) = tmp_path.glob("*.json")
     assert KEY not in file.read_text()
 
 
-def test_pictures_reach_the_model(tmp_path: Path):
+def test_pictures_reach_the_model(tmp_path: Path) -> None:
     seen = list[str]()
 
     def rule(body: dict[str, Any]) -> Reply:
