@@ -18,7 +18,7 @@ import numpy as np
 from magical_mj.intents.ambiguity import Judge
 from magical_mj.intents.choices import allowed_readings, weights
 from magical_mj.intents.cues import CUES, by_words, preferences, success
-from magical_mj.intents.questions import LETTERS, Question, questions
+from magical_mj.intents.question import LETTERS, Question, questions
 from tools.pages import ROOT, filled, number, table
 
 FILE: Final = ROOT / "docs" / "question-floors.csv"

@@ -18,7 +18,7 @@ from magical_mj.intents.expert_data import dataset
 from magical_mj.intents.floors import shortcuts
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.names import EIGHT, SETS
-from magical_mj.intents.questions import question_of, questions
+from magical_mj.intents.question import question_of, questions
 
 __all__ = [
     "EIGHT",

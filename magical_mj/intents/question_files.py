@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import magical_mj
+from magical_mj.intents.question import Question
 from magical_mj.intents.question_pictures import png
 from magical_mj.intents.question_text import prompt, table
-from magical_mj.intents.questions import Question
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 

@@ -17,7 +17,7 @@ import msgspec
 from magical_mj.intents.ambiguity import all_conjuncts, rivals
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.names import NAMES, SETS
-from magical_mj.intents.questions import LETTERS, Question
+from magical_mj.intents.question import LETTERS, Question
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.intents.selectors import PAIRS, VALUES
 from magical_mj.scene import Block, Scene

@@ -21,8 +21,8 @@ from inspect_ai.model import ChatMessageUser
 
 from magical_mj.integrations.inspect_ai import act, choose, place, say
 from magical_mj.integrations.inspect_ai.content import contents
+from magical_mj.intents.question import Question, questions
 from magical_mj.intents.question_text import prompt
-from magical_mj.intents.questions import Question, questions
 from magical_mj.scene import Scene
 
 pytestmark = pytest.mark.filterwarnings("default")  # Inspect's own

@@ -11,9 +11,9 @@ import pytest
 
 from magical_mj.intents import parse, question_of, questions
 from magical_mj.intents.choices import SHORTCUTS
+from magical_mj.intents.question import LETTERS, Question
 from magical_mj.intents.question_files import write
 from magical_mj.intents.question_text import grammar, prompt, read_answer, table
-from magical_mj.intents.questions import LETTERS, Question
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.geometry import check_scene

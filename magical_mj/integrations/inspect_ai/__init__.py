@@ -17,8 +17,8 @@ from inspect_ai.solver import Solver, generate
 from magical_mj.integrations.inspect_ai.acting import agent
 from magical_mj.integrations.inspect_ai.content import FORMS, contents
 from magical_mj.integrations.inspect_ai.scoring import judged, misread, repaired
+from magical_mj.intents.question import Question, questions
 from magical_mj.intents.question_text import prompt
-from magical_mj.intents.questions import Question, questions
 from magical_mj.protocol import INTENTS
 from magical_mj.utils.errors import check_name
 

@@ -22,8 +22,8 @@ from inspect_ai.scorer import (
 from inspect_ai.solver import Generate, Solver, TaskState, solver
 
 from magical_mj.intents.choices import SHORTCUTS
+from magical_mj.intents.question import Question, Verdict, question_of
 from magical_mj.intents.question_text import read_answer
-from magical_mj.intents.questions import Question, Verdict, question_of
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import MagicalError
 

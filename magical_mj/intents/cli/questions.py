@@ -26,8 +26,8 @@ def make_questions(
     limit: Annotated[int | None, Option(help="The largest number of questions.", show_default="all")] = None,
 ) -> None:
     """Write questions about what demonstrations were for: JSON lines with pictures, and a Croissant file."""
+    from magical_mj.intents.question import expected, questions
     from magical_mj.intents.question_files import write  # imported late: it loads the simulator
-    from magical_mj.intents.questions import expected, questions
 
     made = questions(
         task,
