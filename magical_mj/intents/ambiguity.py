@@ -185,7 +185,7 @@ class _Table(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _table(bits: float) -> _Table:
-    return _table_of([one for one in all_conjuncts() if intent_bits([one]) <= bits], all_selectors())
+    return _table_of([one for one in all_conjuncts() if intent_bits([one]) <= bits], _selectors())
 
 
 def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _Table:
@@ -205,7 +205,7 @@ def _table_of(conjuncts: Sequence[Conjunct], selectors: Sequence[Selector]) -> _
 
 
 @lru_cache(maxsize=1)
-def all_selectors() -> tuple[Selector, ...]:
+def _selectors() -> tuple[Selector, ...]:
     """All selectors except `others`."""
     tests: dict[str, list[Test]] = {}
     for name, values in VALUES.items():
@@ -226,7 +226,7 @@ def all_conjuncts() -> Iterable[Conjunct]:
             else:
                 numbers = range(1, MOST_IN_REGION + 1) if name == "exactly" else (0,)
                 quantifiers = (False, True) if relation.quantified else (False,)
-                for selector, number, any_of in itertools.product(all_selectors(), numbers, quantifiers):
+                for selector, number, any_of in itertools.product(_selectors(), numbers, quantifiers):
                     if not names_one(selector) or (relation.each is not None and not any_of):
                         yield Conjunct(name, selector, argument, number, any_of)
                 if relation.least == 0:

@@ -1,7 +1,7 @@
 """The final scenes of questions: one that satisfies an intent, and wrong ones, each the end of another reading.
 
-A reading is an intent, or a shortcut: to move all blocks, those at the demonstrated places, or the one nearest to the
-robot. Each wrong end is the end of a plan for its reading, and refutes the intent.
+A reading is an intent, or a shortcut (`magical_mj.intents.shortcuts`). Each wrong end is the end of a plan for its
+reading, and refutes the intent.
 """
 
 from __future__ import annotations
@@ -9,20 +9,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, all_selectors, rivals
+from magical_mj.intents.ambiguity import Ends, Judge, all_conjuncts, rivals
 from magical_mj.intents.cues import CUES, alone, different_blocks, success
+from magical_mj.intents.floors import shortcuts
 from magical_mj.intents.intent import Intent, intent_of
 from magical_mj.intents.plans import CLEAR, solved
-from magical_mj.intents.readings import DemonstratedBlocks, readings
+from magical_mj.intents.readings import moved_blocks
 from magical_mj.intents.relations import STAYED, Conjunct
-from magical_mj.intents.scenes import keeps
-from magical_mj.intents.selectors import ALL, ROBOT, Selector, Test, UngroundedError, selected
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.planning import Noise, places_anywhere
@@ -42,7 +41,8 @@ INNER: Final = 0.6
 """At positions within this square (half side), the robot touches no wall with any heading."""
 HARD: Final = ("most moved", "same ends")
 """Cues that count more in a selection: most intents move more blocks than their readings, and to the same places."""
-SHORTCUTS: Final = ("all blocks", "same place", "nearest")
+SHORTCUTS: Final = ("all blocks", "demonstrated places", "nearest blocks")
+"""The shortcuts behind wrong options."""
 
 
 class Option(NamedTuple):
@@ -71,13 +71,15 @@ def doubtful_readings(intent: Intent, demonstrations: Sequence[Ends], rng: np.ra
     return [one for pair in itertools.zip_longest(changed, drawn) for one in pair if one is not None]
 
 
-def shortcuts(intent: Intent, demonstrations: Sequence[Ends], scene: Scene) -> Iterator[tuple[str, Intent]]:
-    """The intent as each shortcut reads it in a scene: it moves other blocks instead of the intended ones."""
-    blocks = readings(DemonstratedBlocks.of(demonstrations[:1]), scene)["same place"]
-    selectors = {"all blocks": ALL, "same place": _selector_of(blocks, scene), "nearest": (Test("nearest", ROBOT),)}
-    for name, selector in selectors.items():
-        if selector is not None and (redirected := _redirected(intent, selector)) is not None:
-            yield name, redirected
+def shortcut_ends(intent: Intent, demonstrations: Sequence[Ends], scene: Scene) -> Iterator[Option]:
+    """The ends of the shortcuts in a scene, as far as a demonstration refutes them: it moved other blocks."""
+    demo = demonstrations[0][0]
+    for name in SHORTCUTS:
+        end = partial(shortcuts[name].end, intent, demo)
+        if any(moved_blocks(start, final) != moved_blocks(start, end(start)) for start, final in demonstrations):
+            legal = first_legal(end(scene))
+            if legal is not None:
+                yield Option(legal, name)
 
 
 def end_of(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | None:
@@ -85,7 +87,12 @@ def end_of(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | 
     if not intent.grounded(scene) or intent.holds(scene, scene):
         return None
     end = solved(intent, scene, noise)
-    return None if end is None else next((free for free in _with_free_robot(end) if is_legal(free)), None)
+    return None if end is None else first_legal(end)
+
+
+def first_legal(scene: Scene) -> Scene | None:
+    """The scene, or one in which the robot stands elsewhere, so that no bodies overlap. None if there is none."""
+    return next((free for free in _with_free_robot(scene) if is_legal(free)), None)
 
 
 def is_legal(scene: Scene) -> bool:
@@ -111,14 +118,21 @@ def _with_free_robot(scene: Scene) -> Iterator[Scene]:
             yield scene.moved(robot=(x, y, robot.angle))
 
 
-def wrong_ends(intent: Intent, named: Iterable[tuple[str, Intent]], scene: Scene, right: Scene) -> Iterator[Option]:
-    """The ends of named readings that refute the intent, each different from the right end and from those before."""
+def distinct(intent: Intent, options: Iterable[Option], scene: Scene, right: Scene) -> Iterator[Option]:
+    """The options that refute the intent, each different from the right end and from those before."""
     ends = [right]
-    for name, reading in named:
+    for option in options:
+        if not intent.holds(scene, option.end) and not any(_alike(option.end, other) for other in ends):
+            ends.append(option.end)
+            yield option
+
+
+def reading_ends(readings: Iterable[Intent], scene: Scene) -> Iterator[Option]:
+    """The ends of readings in a scene, where they have one."""
+    for reading in readings:
         end = end_of(reading, scene)
-        if end is not None and not intent.holds(scene, end) and not any(_alike(end, other) for other in ends):
-            ends.append(end)
-            yield Option(end, name)
+        if end is not None:
+            yield Option(end, str(reading))
 
 
 def selection(
@@ -170,29 +184,6 @@ def _with_replacements(intent: Intent, parts: Sequence[Conjunct], rng: np.random
             continue
         if other != intent:
             yield other
-
-
-def _selector_of(blocks: frozenset[int], scene: Scene) -> Selector | None:
-    """The first selector that selects just these blocks in a scene, or None."""
-    for selector in all_selectors():
-        try:
-            if frozenset(selected(selector, scene)) == blocks:
-                return selector
-        except UngroundedError:
-            continue
-    return None
-
-
-def _redirected(intent: Intent, selector: Selector) -> Intent | None:
-    """The intent with another selector in all relations that ask for a change, and without the others."""
-    asking = [one for one in intent.conjuncts if not keeps(one)]
-    if not any(one.definition.of_blocks for one in asking):
-        return None
-    changed = [replace(one, selector=selector, any_of=False) if one.definition.of_blocks else one for one in asking]
-    try:
-        return intent_of(changed)
-    except IntentError:
-        return None
 
 
 def _alike(one: Scene, other: Scene) -> bool:

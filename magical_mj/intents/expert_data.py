@@ -22,10 +22,10 @@ from magical_mj.demos.recording import ATTEMPTS, STRIDE
 from magical_mj.demos.stored import Stored, Watch
 from magical_mj.engine import Engine
 from magical_mj.envs.presets import preset_named
+from magical_mj.experts import Expert
 from magical_mj.intents.intent import Intent
 from magical_mj.intents.names import SETS
 from magical_mj.intents.tasks import PREFIX, task_of
-from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import Observations
 from magical_mj.scene import Scene
 from magical_mj.tasks.languages import canonical_name

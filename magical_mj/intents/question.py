@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
@@ -32,18 +32,19 @@ from magical_mj.intents.choices import (
     READING_BITS,
     Option,
     allowed_readings,
+    distinct,
     doubtful_readings,
     end_of,
+    reading_ends,
     selection,
-    shortcuts,
+    shortcut_ends,
     weights,
-    wrong_ends,
 )
 from magical_mj.intents.contrast import simplest_rivals
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.names import NAMES, SETS
-from magical_mj.intents.readings import intended_blocks, moved_blocks
-from magical_mj.intents.scenes import ALL_RULES, keeps, redrawn
+from magical_mj.intents.readings import moved_blocks, others_moved
+from magical_mj.intents.scenes import ALL_RULES, redrawn
 from magical_mj.intents.tasks import PREFIX, Task, spec_of
 from magical_mj.protocol import INTENTS
 from magical_mj.scene import Scene
@@ -166,23 +167,17 @@ class Question:
             except InvalidSceneError as error:
                 return Verdict(0.0, False, False, problem=str(error))
         right = self.intent.holds(self.scene, changed)
-        stray = set(moved_blocks(self.scene, changed)) - self._may_move()
-        return Verdict(float(right), right, right and not stray, "" if right else self._misread(changed))
-
-    def _may_move(self) -> set[int]:
-        """The blocks of all relations that ask for a change."""
-        pairs = zip(self.intent.conjuncts, self.intent.blocks(self.scene), strict=True)
-        return {index for one, blocks in pairs if not keeps(one) for index in blocks} | set(
-            intended_blocks(self.intent, self.scene)
-        )
+        clean = right and not others_moved(self.intent, self.scene, changed)
+        return Verdict(float(right), right, clean, "" if right else self._misread(changed))
 
     def _misread(self, final: Scene) -> str:
         """The simplest reading of the first demonstration, or the first shortcut, that a wrong final scene follows."""
         pool = rivals(self.watched[:1], READING_BITS)
         reached = Judge(pool).reached(self.scene, final)
         found = next((str(one) for one, flag in zip(pool, reached, strict=True) if flag), "")
-        named = shortcuts(self.intent, self.watched, self.scene)
-        return found or next((name for name, one in named if one.holds(self.scene, final)), "")
+        moved = moved_blocks(self.scene, final)
+        named = shortcut_ends(self.intent, self.watched, self.scene)
+        return found or next((name for end, name in named if moved_blocks(self.scene, end) == moved), "")
 
     @property
     def data(self) -> dict[str, Any]:
@@ -401,24 +396,16 @@ def _chosen(
             return None
         scene, right, _ = new
         if kind == "logic":
-            refuted = [pair for pair in shortcuts(intent, ends, scene) if _refuted(pair[1], ends)]
-            named = refuted + [(str(one), one) for one in doubtful]
+            options = chain(shortcut_ends(intent, ends, scene), reading_ends(doubtful, scene))
         else:
-            order = rng.permutation(len(allowed)).tolist()
-            named = [(str(allowed[place]), allowed[place]) for place in order]
-        wrong = list(islice(wrong_ends(intent, named, scene, right), CANDIDATES))
+            options = reading_ends((allowed[place] for place in rng.permutation(len(allowed)).tolist()), scene)
+        wrong = list(islice(distinct(intent, options, scene, right), CANDIDATES))
         if kind == "logic":
             wrong = _less_probable(allowed, scene, right, wrong)
-        options = selection(ends, scene, right, wrong, rng)
-        if options is not None:
-            return scene, right, options
+        selected = selection(ends, scene, right, wrong, rng)
+        if selected is not None:
+            return scene, right, selected
     return None
-
-
-def _refuted(reading: Intent, ends: Sequence[Ends]) -> bool:
-    """Whether a demonstration does not reach an intent, or starts with it."""
-    judge = Judge([reading])
-    return not all(judge.reached(*pair)[0] for pair in ends)
 
 
 def _less_probable(allowed: Sequence[Intent], scene: Scene, right: Scene, wrong: Sequence[Option]) -> list[Option]:

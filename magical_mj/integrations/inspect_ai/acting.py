@@ -18,12 +18,12 @@ from inspect_ai.solver import Generate, Solver, TaskState, solver
 from inspect_ai.tool import Tool, ToolError, tool
 
 from magical_mj.engine import Engine
+from magical_mj.experts.driving import Lookahead
+from magical_mj.experts.planner import Planner
 from magical_mj.integrations.inspect_ai.content import contents
 from magical_mj.integrations.inspect_ai.scoring import ACTIONS, FINAL
 from magical_mj.intents.question import question_of
 from magical_mj.intents.question_text import table
-from magical_mj.policies.expert.driving import Lookahead
-from magical_mj.policies.expert.planner import Planner
 from magical_mj.tasks.planning import Subgoal
 
 REACH: Final = 0.9
