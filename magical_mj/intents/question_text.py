@@ -54,6 +54,7 @@ MEANINGS: Final = {
     "exactly": "NUMBER of the blocks end in the region",
     "wall": "the blocks end at the wall",
     "corner": "the blocks end in the corner",
+    "near corner": "the blocks end close to the corner, but not necessarily in it",
     "near": "the blocks end next to the block with this colour, shape or both, which is the only one",
     "apart": "the blocks end far from each other",
     "line": "the blocks end in a line",

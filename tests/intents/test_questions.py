@@ -115,10 +115,11 @@ def test_what_a_question_gives(given: str, shown: int, words: bool) -> None:
 
 
 def test_more_demonstrations_than_scenes_end_in_other_ways() -> None:
-    (one,) = questions("say", "dev", scenes=1, demonstrations=3, limit=1)
-    starts, ends = zip(*((shown[0], shown[-1]) for shown in one.demonstrations), strict=True)
-    assert len(set(starts)) == 1
-    assert len(set(ends)) > 1
+    distinct = set[int]()
+    for one in questions("say", "dev", scenes=1, demonstrations=3, limit=4):
+        assert len({shown[0] for shown in one.demonstrations}) == 1
+        distinct.add(len({shown[-1] for shown in one.demonstrations}))
+    assert max(distinct) > 1
 
 
 @pytest.mark.slow
