@@ -122,7 +122,7 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
     outline = block_outline(shape)
     margin = c.SQUARE_MARGIN if shape == "square" else 0.0
     reach = math.hypot(*outline[0]) + margin
-    return Solid(x, y, reach, (Part(shapely.polygons(placed(outline, pose)), margin),))
+    return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
 
 
 @lru_cache(maxsize=64)  # placement calls this often with the same few arguments
