@@ -8,6 +8,7 @@ import json
 import lzma
 import os
 import re
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -201,7 +202,7 @@ def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path)
 
 def test_folders_that_cannot_be_an_entry_are_explained(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match=r"holds an episode twice: .* again with another --run"):
-        submit([folder, folder], tmp_path / "entry.json.xz")
+        submit([folder, shutil.copytree(folder, tmp_path / "again")], tmp_path / "entry.json.xz")
     training = tmp_path / "training"
     training.mkdir()
     (training / "policy.safetensors").touch()
