@@ -150,8 +150,8 @@ def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path
         calls += [called("done", answer="")]
         return calls[min(len(calls) - 1, sum(message["role"] == "tool" for message in body["messages"]))]
 
-    log = evaluated(act(limit=3), knowing(list(questions("act", limit=3)), answer), tmp_path)
-    assert sum(values(log, "right")) >= 2  # a manoeuvre may miss its target
+    log = evaluated(act(limit=6), knowing(list(questions("act", limit=6)), answer), tmp_path)
+    assert sum(values(log, "right")) >= 3  # without a look, some manoeuvres push other blocks
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_a_server_that_does_not_answer_is_no_score(tmp_path: Path) -> None:
         time.sleep(3)
         return said("ANSWER: A")
 
-    log = evaluated(choose(limit=1), rule, tmp_path, timeout=1)
+    log = evaluated(choose(limit=1), rule, tmp_path, attempt_timeout=1)
     assert not values(log, "right")
 
 

@@ -28,6 +28,8 @@ from magical_mj.tasks.planning import Subgoal
 
 REACH: Final = 0.9
 """The greatest |x| and |y| of a position that a tool accepts (world units)."""
+NEAR: Final = 0.07
+"""A manoeuvre ends at most this far (world units) from its target, as those of plans."""
 LONGEST: Final = 120
 """A manoeuvre takes at most this number of actions."""
 BUDGET: Final = 3_000
@@ -114,7 +116,7 @@ def move(hands: Hands) -> Tool:
         count = len(hands.engine.scene.blocks)
         if not 1 <= block <= count:
             raise ToolError(f"there are the blocks 1 to {count}, not {block}")
-        return await _report(hands, Subgoal(block - 1, _target(x, y)), f"block {block}")
+        return await _report(hands, Subgoal(block - 1, _target(x, y), NEAR), f"block {block}")
 
     return execute
 
@@ -130,7 +132,7 @@ def drive(hands: Hands) -> Tool:
             x: The position to the right, from -0.9 to 0.9.
             y: The position upwards, from -0.9 to 0.9.
         """
-        return await _report(hands, Subgoal(None, _target(x, y)), "the robot")
+        return await _report(hands, Subgoal(None, _target(x, y), NEAR), "the robot")
 
     return execute
 
