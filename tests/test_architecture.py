@@ -42,7 +42,17 @@ OUTSIDE = {"__init__": "evaluation", "__main__": "cli", "_version": "utils", **P
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
 PURE_LAYERS = ("utils", "scene", "variants", "tasks")
-PLAYED = {"by_set", "expert_data", "attribution", "explained", "evaluation", "given", "cli"}
+PLAYED = {
+    "question_files",
+    "question_pictures",
+    "by_set",
+    "expert_data",
+    "attribution",
+    "explained",
+    "evaluation",
+    "given",
+    "cli",
+}
 """What needs the simulator in `intents`."""
 OPTIONAL = {"cloudpickle", "distributed", "filelock", "msgspec"}
 """Libraries that `utils` wraps for all layers."""

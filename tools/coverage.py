@@ -18,6 +18,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+if __name__ == "coverage":  # numba looks for the library of this name, in scripts beside this file too
+    raise ImportError("this is tools.coverage")
+
 from magical_mj.evaluation.reports.intervals import Cell, Floats, estimate
 from tools.pages import table
 from tools.scores import own_methods

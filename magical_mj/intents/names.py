@@ -64,6 +64,8 @@ class Sets(Mapping[str, tuple[Intent, ...]]):
     """Set -> its intents, which are read at the first use."""
 
     def __getitem__(self, name: str) -> tuple[Intent, ...]:
+        if name not in NAMES:
+            raise KeyError(name)
         return tuple(task.intent for task in tasks_in(name))
 
     def __iter__(self) -> Iterator[str]:

@@ -122,7 +122,7 @@ class TrainingError(MagicalError, RuntimeError):
     """A training run, or its files, that cannot be continued."""
 
 
-class MissingFileError(SettingsError, TrainingError, EvaluationError, DemonstrationError, FileNotFoundError):
+class MissingFileError(FileNotFoundError, SettingsError, TrainingError, EvaluationError, DemonstrationError):
     """A file or folder that does not exist. It is also the error for one that exists and is not usable."""
 
 

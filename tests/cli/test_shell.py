@@ -137,7 +137,7 @@ def test_broken_plug_ins_take_nothing_else_away(tmp_path: Path) -> None:
     (about / "entry_points.txt").write_text(f"[magical_mj.tasks]\n{tasks}")
     result = process("list", PYTHONPATH=str(tmp_path))
     assert result.returncode == 0
-    assert len(result.stdout.splitlines()) == 1 + len(ENVIRONMENTS) + len(variants_of(task_spec("SweepToTop")))
+    assert len(result.stdout.splitlines()) == 4 + len(ENVIRONMENTS) + len(variants_of(task_spec("SweepToTop")))
     told = result.stderr
     assert "the task 'FindDupe' (broken:SPEC) is ignored: another task has this name" in told
     assert "the task 'Push Out' (broken:SPEC) is ignored: the name of a task must consist of letters" in told

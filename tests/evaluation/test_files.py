@@ -37,7 +37,7 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
     assert len(read(tmp_path)) == len(frame) == 6
     entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    optional = {"given", "demonstrations", "other", "other_score"}
+    optional = {"given", "demonstrations", "other", "other_score", "others_moved"}
     unwritten = {"split", "shift", "wrap", "body", "retry", *optional}  # left out if they have default values
     assert set(entry) == set(frame.columns) - unwritten
     assert entry["version"] == magical_mj.__version__

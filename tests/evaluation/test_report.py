@@ -317,7 +317,9 @@ def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path, shell: Sh
     assert not rescored["score"].equals(results.gather([tmp_path / "paper"])["score"])
     folder = tmp_path / "paper"
     assert shell("report", folder, "--rules", "released", "--jobs", 1, "--out", tmp_path / "out")[0] == 0
-    assert "--jobs has an effect only with --explain or --rules" in shell.fails(2, "report", folder, "--jobs", 1)
+    assert "--jobs has an effect only with --explain or --intents or --rules" in shell.fails(
+        2, "report", folder, "--jobs", 1
+    )
     page = (tmp_path / "out" / "report.md").read_text()
     assert "scores by the rules `released`" in page
     path = tmp_path / "paper" / SCORES

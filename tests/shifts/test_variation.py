@@ -103,7 +103,7 @@ def test_samples_of_the_space_can_be_played(task: str) -> None:
         (5, SettingsError),
         ({"camra": {}}, UnknownNameError),
         ({"camera": {"zoom": 0.9}}, SettingsError),
-        ({"camera": {"zom": 0.1}}, SettingsError),
+        ({"camera": {"zom": 0.1}}, UnknownNameError),
         *(({"scene": part}, SettingsError) for part in ({"block_count": 11}, {"dynamics": [3, "a"]})),
         ({"seed": "x"}, InvalidSeedError),
     ],

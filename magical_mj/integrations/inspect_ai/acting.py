@@ -6,12 +6,10 @@ copy of the simulation and performed with the 18 actions, within the task's hori
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from anyio.to_thread import run_sync
 from inspect_ai.agent import AgentSubmit, as_solver, react
 from inspect_ai.model import Content
 from inspect_ai.solver import Generate, Solver, TaskState, solver
@@ -116,7 +114,7 @@ def move(hands: Hands) -> Tool:
         count = len(hands.engine.scene.blocks)
         if not 1 <= block <= count:
             raise ToolError(f"there are the blocks 1 to {count}, not {block}")
-        return await _report(hands, Subgoal(block - 1, _target(x, y), NEAR), f"block {block}")
+        return _report(hands, Subgoal(block - 1, _target(x, y), NEAR), f"block {block}")
 
     return execute
 
@@ -132,7 +130,7 @@ def drive(hands: Hands) -> Tool:
             x: The position to the right, from -0.9 to 0.9.
             y: The position upwards, from -0.9 to 0.9.
         """
-        return await _report(hands, Subgoal(None, _target(x, y), NEAR), "the robot")
+        return _report(hands, Subgoal(None, _target(x, y), NEAR), "the robot")
 
     return execute
 
@@ -154,11 +152,10 @@ def _target(x: float, y: float) -> tuple[float, float]:
     return x, y
 
 
-async def _report(hands: Hands, subgoal: Subgoal, name: str) -> str:
-    """Performs a manoeuvre in a thread, and says what happened."""
+def _report(hands: Hands, subgoal: Subgoal, name: str) -> str:
+    """Performs a manoeuvre, and says what happened."""
     before = hands.engine.steps
-    perform: Callable[[], Any] = lambda: hands.perform(subgoal)  # noqa: E731
-    reached = await run_sync(perform)
+    reached = hands.perform(subgoal)
     what = (
         f"{name} is there after {hands.engine.steps - before} steps" if reached else f"{name} could not be moved there"
     )
