@@ -152,6 +152,8 @@ def evaluate_rewards(
         raise SettingsError(f"none of these trainings has learnt a reward: give a training of {able}")
     if len(presets := {settings.preset for settings in settings_of.values()}) > 1:
         raise SettingsError(f"the trainings have different presets: {', '.join(sorted(presets))}")
+    for path in rewarding:  # before their policies play
+        learner_of_reward(path, settings_of[path])
     rows = []
     for task in dict.fromkeys(task for settings in settings_of.values() for task in settings.tasks):
         own = {path: settings for path, settings in settings_of.items() if task in settings.tasks}

@@ -219,7 +219,8 @@ def test_all_ids_are_checked_before_the_first_minari_set_is_made(
     other = demos.demonstrate("MoveToRegion", "Jitter", 5)
     for episode in (demo, other):
         demos.write(episode, tmp_path / f"{episode.name}.npz")
-    there = demos.to_minari([other])  # the second one
+    assert main(["demos", "export", str(tmp_path / f"{other.name}.npz"), "--to", "minari"]) == 0  # the second one
+    (there,) = minari.list_local_datasets()
     assert main(["demos", "export", str(tmp_path), "--to", "minari"]) == 1
     assert "the data set" in " ".join(capsys.readouterr().err.split())
     assert list(minari.list_local_datasets()) == [there]

@@ -166,9 +166,10 @@ def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -
 def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     tasks = {"left/": "FindDupe", "right/": "MatchRegions"}
+    page = run_page(TWO)  # exports both
     for task in tasks.values():
+        (tmp_path / f"{task}.xml").unlink()
         magical_mj.export_mjcf(started(task), tmp_path / f"{task}.xml")
-    page = run_page(TWO)
     both, data = page["model"], page["data"]
     mujoco.mj_resetDataKeyframe(both, data, both.key("right/now").id)
     alone = {prefix: run_page(LOAD)["load"](f"{task}.xml") for prefix, task in tasks.items()}
