@@ -171,7 +171,7 @@ def write(new: Iterable[Row]) -> None:
     known = {row["library"]: row for row in [*(rows() if FILE.exists() else []), *new]}
     titles = [library["title"] for library in LIBRARIES.values()]
     with FILE.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer: csv.DictWriter[str] = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(known[title] for title in titles if title in known)
     text = PAGE.read_text(encoding="utf-8")

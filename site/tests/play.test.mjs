@@ -220,7 +220,7 @@ test("the theme that was chosen on another page is kept", { skip: cannotEmulate 
   await themed.goto(`${site.address}play/#MoveToCorner-Demo-0`);
   assert.equal(await shownTheme(), "light");
   await themed.emulateMedia({ colorScheme: "dark" });
-  assert.equal(await shownTheme(), "dark");
+  await themed.waitForFunction(() => document.documentElement.dataset.theme === "dark");
   await themed.evaluate(() => localStorage.setItem("theme", "light"));
   await themed.reload();
   assert.equal(await shownTheme(), "light");

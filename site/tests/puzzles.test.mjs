@@ -48,7 +48,7 @@ test("scores of intents equal Python's", async () => {
     }
   }
   console.log(`${count} scores are equal: ${held} of 1, ${between} between 0 and 1; relations that held: ${[...seen].sort().join(", ")}`);
-  assert.ok(held > 1000 && between > 500);
+  assert.ok(held > 500 && between > 200);
   assert.equal(seen.size, 19);  // all 14 relations, and the five for which one of the blocks can be enough
 });
 
