@@ -9,8 +9,6 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import tomli_w
-
 from magical_mj.learners.methods import METHODS, OWN
 from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
@@ -157,6 +155,8 @@ def to_toml(settings: TrainingSettings) -> str:
 
 def as_toml(table: dict[str, Any]) -> str:
     """A table as TOML. Characters that cannot be encoded, such as invalid UTF-8 in a file name, are escaped twice."""
+    import tomli_w  # imported late: the command line lists settings without the extra
+
     return re.sub("[\ud800-\udfff]", lambda match: rf"\\u{ord(match[0]):x}", tomli_w.dumps(table))
 
 
