@@ -226,7 +226,7 @@ def _explained(error: Exception, name: str) -> tuple[str | None, int]:
             message = error.format_message().replace("Value error, ", "").rstrip(".")
             return f"{message}; see {command} --help", error.exit_code
         case MagicalError():
-            return str(error), 2 if isinstance(error, ValueError) and not isinstance(error, OSError) else 1
+            return str(error), 2 if isinstance(error, ValueError) else 1
         case OSError():
             return f"{error.filename}: {error.strerror}" if error.filename else str(error), 1
         case MemoryError():

@@ -98,9 +98,9 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
         ("evaluate --policy noop --out o --rules mine", 2, "paper"),
         ("evaluate --policy noop --out /dev/null/folder", 1, "cannot write into /dev/null/folder"),
         ("report", 2, "FOLDERS"),
-        ("report nothing", 1, "nothing does not exist; magical-mj evaluate"),
-        ("verify nothing", 1, "nothing does not exist; magical-mj evaluate"),
-        ("compare nothing nothing", 1, "nothing does not exist; magical-mj evaluate"),
+        ("report nothing", 2, "nothing does not exist; magical-mj evaluate"),
+        ("verify nothing", 2, "nothing does not exist; magical-mj evaluate"),
+        ("compare nothing nothing", 2, "nothing does not exist; magical-mj evaluate"),
         ("compare nothing", 2, "missing argument"),
     ],
 )

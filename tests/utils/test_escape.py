@@ -85,7 +85,7 @@ def test_the_console_obeys_no_text(tmp_path: Path, capsys: pytest.CaptureFixture
     """Names of folders may hold anything."""
     folder = write(tmp_path / "a\x1b[2J", example())
     assert main(["report", str(folder)]) == 0
-    assert main(["report", str(tmp_path / "none\x1b[2J")]) == 1
+    assert main(["report", str(tmp_path / "none\x1b[2J")]) == 2
     out, error = capsys.readouterr()
     assert "\x1b" not in out + error
     assert "a\\x1b[2J/report/report.md" in out
