@@ -143,10 +143,6 @@ class Question:
             return self._check_said(str(answer))
         return self._check_final(answer if isinstance(answer, Scene) else Scene.from_json(answer))
 
-    def problem_of(self, answer: str | Scene) -> str:
-        """Why an answer to ``say`` is no text of the language; empty if it is one."""
-        return self.check(answer).problem if self.task == "say" else ""
-
     def _check_said(self, text: str) -> Verdict:
         try:
             said = parse(text)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,6 +25,7 @@ from magical_mj.integrations.inspect_ai import act, choose, place, say
 from magical_mj.integrations.inspect_ai.content import contents
 from magical_mj.intents.question import Question, questions
 from magical_mj.intents.question_text import prompt
+from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
 
 pytestmark = pytest.mark.filterwarnings("default")  # Inspect's own
@@ -216,3 +219,36 @@ def test_pictures_reach_the_model(tmp_path: Path) -> None:
 
     evaluated(choose(limit=1, scenes=2, form="pictures"), rule, tmp_path)
     assert seen.count("image_url") == 2 * 2 + 1 + 4
+
+
+def command(*arguments: object) -> tuple[int, str]:
+    """The exit code and the output of `python -m magical_mj.integrations.inspect_ai`."""
+    program = [sys.executable, "-W", "ignore", "-m", "magical_mj.integrations.inspect_ai", *map(str, arguments)]
+    result = subprocess.run(program, capture_output=True, text=True, check=False)
+    return result.returncode, result.stdout + result.stderr
+
+
+def test_episodes_of_act_become_an_evaluation_with_the_same_results(tmp_path: Path) -> None:
+    calls = iter([called("move", block=1, x=0.5, y=0.5), called("done", answer="")])
+    log = evaluated(act(limit=1), lambda _: next(calls), tmp_path / "logs")
+    code, out = command("episodes", tmp_path / "logs", "--out", tmp_path / "played")
+    assert code == 0, out
+    (line,) = (tmp_path / "played" / "scores.jsonl").read_text().splitlines()
+    assert (json.loads(line)["score"] == 1.0) == (values(log, "right") == [1.0])
+    (sample,) = log.samples or ()
+    assert sum(action != 0 for action in json.loads(line)["actions"]) > 0
+    assert sample.store["actions"] == actions_of(json.loads(line)["actions"])[: len(sample.store["actions"])]
+
+
+def test_episodes_in_other_scenes_are_refused(tmp_path: Path) -> None:
+    evaluated(act(limit=1, seed=1), lambda _: called("done", answer=""), tmp_path / "logs")
+    code, out = command("episodes", tmp_path / "logs", "--out", tmp_path / "played")
+    assert code == 2
+    assert "another seed" in out
+
+
+def test_readings_of_wrong_answers_are_counted(tmp_path: Path) -> None:
+    evaluated(choose(limit=4), lambda _: said("ANSWER: A"), tmp_path)
+    code, out = command("misread", tmp_path)
+    assert code == 0
+    assert "taken for" in out

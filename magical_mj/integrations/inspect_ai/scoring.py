@@ -22,6 +22,7 @@ from inspect_ai.scorer import (
 from inspect_ai.solver import Generate, Solver, TaskState, solver
 
 from magical_mj.intents.choices import SHORTCUTS
+from magical_mj.intents.intent import parse
 from magical_mj.intents.question import Question, Verdict, question_of
 from magical_mj.intents.question_text import read_answer
 from magical_mj.scene import Scene
@@ -116,13 +117,10 @@ def repaired(english: bool = False) -> Solver:
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         question = question_of(state.metadata["question"])
         try:
-            problem = question.problem_of(read_answer(question, state.output.completion, english=english))
+            parse(str(read_answer(question, state.output.completion, english=english)))
         except MagicalError as error:
-            problem = str(error)
-        if problem:
-            state.messages.append(
-                ChatMessageUser(content=f"This answer cannot be read:\n{problem}\nPlease correct it.")
-            )
+            text = f"This answer cannot be read:\n{error}\nPlease correct it."
+            state.messages.append(ChatMessageUser(content=text))
             return await generate(state)
         return state
 
