@@ -36,7 +36,7 @@ REPLACED: Final = 150
 WRONG: Final = 3
 """The number of wrong options."""
 CANDIDATES: Final = 20
-"""The number of wrong ends from which a question's are selected."""
+"""A question's wrong ends are selected from this number."""
 INNER: Final = 0.6
 """At positions within this square (half side), the robot touches no wall with any heading."""
 HARD: Final = ("most moved", "same ends")
@@ -83,7 +83,7 @@ def shortcut_ends(intent: Intent, demonstrations: Sequence[Ends], scene: Scene) 
 
 
 def end_of(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | None:
-    """The end of a plan from a scene, in which no bodies overlap. None if there is none."""
+    """The end of a plan from a scene without overlaps of bodies, or None."""
     if not intent.grounded(scene) or intent.holds(scene, scene):
         return None
     end = solved(intent, scene, noise)
@@ -91,7 +91,7 @@ def end_of(intent: Intent, scene: Scene, noise: Noise | None = None) -> Scene | 
 
 
 def first_legal(scene: Scene) -> Scene | None:
-    """The scene, or one in which the robot stands elsewhere, so that no bodies overlap. None if there is none."""
+    """The scene without overlaps of bodies, if need be with the robot at another position, or None."""
     return next((free for free in _with_free_robot(scene) if is_legal(free)), None)
 
 

@@ -248,7 +248,7 @@ def questions(
     """Questions about the intents of a set, in their order.
 
     For ``choose``, an intent gives two questions, of the kinds ``logic`` and ``prior``. With one demo scene there are
-    only those of the kind ``prior``. An intent for which no question is found is left out.
+    only those of the kind ``prior``. Intents without a question are left out.
 
     Args:
         task: "choose", "say", "place" or "act".

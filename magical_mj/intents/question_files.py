@@ -62,7 +62,7 @@ def write(questions: Iterable[Question], folder: Path, name: str, watch: Callabl
         watch: called with the number of finished questions.
 
     Raises:
-        SettingsError: if the folder contains files, or there is no question.
+        SettingsError: if the folder contains files, or questions are missing.
     """
     if folder.exists() and any(folder.iterdir()):
         raise SettingsError(f"{folder} is not empty: give another folder, or delete it")
