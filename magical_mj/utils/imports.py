@@ -135,10 +135,10 @@ def imported(noun: str, name: str, point: EntryPoint | None, failed: type[Magica
 
 
 def moved(module: str, *names: str) -> Callable[[str], Any]:
-    """A module's `__getattr__` for names (by default all) that are now in another module, imported at first use."""
+    """A module's `__getattr__` for names that are now in another module, which is imported at their first use."""
 
     def __getattr__(name: str) -> Any:  # noqa: N807
-        if name.startswith("__") or (names and name not in names):
+        if name not in names:
             raise AttributeError(f"no attribute {name!r}")
         return getattr(importlib.import_module(module), name)
 

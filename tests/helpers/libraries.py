@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import magical_mj
+from magical_mj.actions import NOOP
 from magical_mj.datasets import make_env_and_datasets
-from magical_mj.scene.actions import NOOP
 
 TASK, VARIANTS = "MoveToRegion", ("Jitter", "All")
 """Policies solve Jitter, and only some scenes of All, so that a comparison also shows whether scenes are mixed up."""
