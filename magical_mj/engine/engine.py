@@ -26,7 +26,7 @@ from magical_mj.utils.errors import ClosedError, CopyError, PhysicsError, Settin
 from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
-_EPISODE: Final = ("scene_model", "model", "data", "episode_shifts", "steps", "trajectory", "_renderers")
+_EPISODE: Final = ("scene_model", "_model", "_data", "episode_shifts", "_steps", "trajectory", "_renderers")
 """The attributes of an engine that `close` frees."""
 
 
@@ -147,7 +147,7 @@ class Engine(Simulation):
     @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        steps = self.steps  # an error if the engine is closed
+        steps = self._steps  # an error if the engine is closed
         return self._broken or (self.limit is not None and steps >= self.limit)
 
     def reset(

@@ -79,7 +79,9 @@ def test_a_vector_of_different_environments_plays_each_episode_in_its_own() -> N
         list(rollouts(mixed, Counting(), [Episode("MoveToRegion", "Layout", 0)]))
 
 
-@pytest.mark.parametrize("name", ["setup", "task", "variant", "rules", "seed", "horizon", "shifts"])
+@pytest.mark.parametrize(
+    "name", ["setup", "task", "variant", "rules", "seed", "horizon", "shifts", "steps", "model", "data"]
+)
 def test_what_an_engine_plays_cannot_be_renamed(name: str) -> None:
     engine = magical_mj.Engine("MoveToRegion", seed=0, shifts="clutter:3")
     with pytest.raises(AttributeError):

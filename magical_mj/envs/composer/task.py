@@ -85,6 +85,7 @@ class SceneTask(composer.Task):
         self.settings, self.setup, self.horizon = settings, settings.setup, settings.setup.horizon
         self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None
+        self._simulated = 0, 0  # the identities of its model and data, which it keeps alive
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None  # a model and its copy before shifts
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
@@ -119,14 +120,15 @@ class SceneTask(composer.Task):
         """The simulation of this episode, which uses composer's model and data."""
         model, data = physics.model.ptr, physics.data.ptr
         simulation = self._simulation
-        if simulation is None or simulation.model is not model or simulation.data is not data:
+        if simulation is None or self._simulated != (id(model), id(data)):
             self.free()
             self.scene_model.find_in(model)
             renderer = self.settings.renderer
             own = Simulation(self.setup, self.scene_model, model, data, renderer, CAMERA_NAMES)
             if simulation is not None:  # a copy of the physics is in the same episode
-                own.steps, own.trajectory = simulation.steps, simulation.trajectory
-            self._simulation = simulation = own
+                own.take_records(simulation)
+            self._simulation, self._simulated = own, (id(model), id(data))
+            simulation = own
         self.scene_model.coordinates = simulation.scene_model.coordinates
         simulation.scene_model, simulation.episode_shifts = self.scene_model, self.shifts
         return simulation
