@@ -18,7 +18,7 @@ from magical_mj.evaluation.repeatable import check_repeatable
 from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, append, frame
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.evaluation.worker import Played, Player, plan, prepared, single_env
+from magical_mj.evaluation.worker import Player, plan, prepared, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import Source
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
@@ -217,12 +217,11 @@ class Evaluation:
             played = map_here(player, self.units)
         else:
             played = map_unordered(player, self.units, workers, self.settings.backend, self.settings.address)
-        unit: Played
+        results: list[EpisodeResult]
         try:
             with closing(played), closing(player):
-                for unit in played:
-                    self._cause = unit.cause
-                    yield unit.results
+                for results, self._cause in played:
+                    yield results
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 

@@ -260,8 +260,7 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
     """The episodes as a pandas frame, one row each."""
     import pandas as pd
 
-    rows = [dataclasses.asdict(result) for result in results]
-    return pd.DataFrame(rows, columns=list(_FIELDS)).astype({"other_score": float})
+    return pd.DataFrame(results, columns=list(_FIELDS)).astype({"other_score": float})
 
 
 @contextmanager
@@ -274,4 +273,4 @@ def open_scores(folder: Path) -> Iterator[Appender]:
 
 def append(file: Appender, results: Iterable[EpisodeResult]) -> None:
     """Appends finished episodes."""
-    file.append("".join(result.line() for result in results).encode())
+    file.append("".join(map(EpisodeResult.line, results)).encode())

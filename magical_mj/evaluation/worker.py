@@ -7,9 +7,9 @@ and `evaluate` waits for the call.
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any, Final, TypeVar
@@ -22,8 +22,8 @@ from magical_mj.evaluation.playing import Env, late, play_episode, play_side_by_
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.policies.interface import Episode, PolicyError, policy_task
-from magical_mj.policies.loading import Source, playable
+from magical_mj.policies.interface import Act, Episode, policy_task, uses_simulation
+from magical_mj.policies.loading import Source, also_fitting, check_fit, common_preset, sources, statistics_of
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
@@ -32,31 +32,57 @@ from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed, map_here
 
 T = TypeVar("T")
+Played = tuple[list[EpisodeResult], Exception | None]
+"""The results of a unit, and the error that the policy raised in it."""
 
 GRACE: Final = 1.0
 """Seconds from the time limit until a worker process is killed. It is only needed if a call does not return."""
 
 
 def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], EvaluationSettings]:
-    """The policies in the argument of `evaluate`, each loaded once, and the settings with their preset.
+    """The policies in the argument of `evaluate`, each loaded once to check it, and the settings with their preset.
+
+    Later, `Source.load` raises an error if a policy's file has changed.
+
+    Warns if the folder of a stable-baselines3 archive contains statistics of VecNormalize, which are not used, if the
+    preset is chosen among several with the observation shape of a policy, and if a training has not finished.
 
     Raises:
         SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or the settings do not fit it.
     """
-    listed = playable(
-        policy,
-        settings.environments,
-        settings.preset,
-        first_run=settings.run,
-        trust=settings.trust,
-        batched=settings.batched,
-        like=settings.like,
-    )
-    settings = replace(settings, preset=listed[0].preset)
+    loaded = [(source, source.load()) for source in sources(policy, settings.run, settings.trust)]
+    preset = common_preset(act for _, act in loaded) if settings.preset is None else settings.preset
+    for source, act in loaded:
+        check_fit(act, settings.environments, preset, settings.like)
+        if settings.batched and uses_simulation(act):
+            raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
+        for doubt in _doubts(source, act, preset, is_chosen=settings.preset is None):
+            warnings.warn(doubt, stacklevel=4)  # the call of `evaluate`
+    listed = [source.checked(act, preset) for source, act in loaded]
+    settings = replace(settings, preset=preset)
     settings.check_policies(listed)
     for task, _ in settings.environments:
         settings.shift_labels(task, listed)
     return listed, settings
+
+
+def _doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Iterator[str]:
+    """Why the scores of a policy may not be those that the user expects."""
+    if is_chosen and (others := also_fitting(policy, preset)):
+        yield (
+            f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
+            "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
+        )
+    if stopped := getattr(policy, "unfinished", ""):
+        yield (
+            f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
+            "of an unfinished training: magical-mj train --resume finishes it"
+        )
+    if statistics := statistics_of(source.origin):
+        yield (
+            f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
+            "lack the normalization; docs/evaluation.md shows how to evaluate such a policy"
+        )
 
 
 def plan(
@@ -77,19 +103,6 @@ def plan(
             units += [replace(every, seeds=new[first : first + size]) for first in range(0, len(new), size)]
             units += [replace(every, seeds=(seed,), retry=failed[key]) for key, seed in left if key in failed]
     return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
-
-
-@dataclass(frozen=True)
-class Played:
-    """The results of a unit, and the error that the policy raised in it."""
-
-    results: list[EpisodeResult]
-    cause: Exception | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Converts the error to text, since it may not be picklable."""
-        text = None if self.cause is None else PolicyError("".join(traceback.format_exception(self.cause)))
-        return {"results": self.results, "cause": text}
 
 
 class Player:
@@ -121,28 +134,30 @@ class Player:
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
         env = self._env(unit, source)
         starts = self.starts.of(unit, source, policy_task(unit.task, policy, self.settings.like))
-        episodes = [episode for episode, _ in starts]
         recorders = self._recorders(unit, source, policy, [facts for _, facts in starts])
-        split, several = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds]), len(unit.seeds) > 1
         limit = self.settings.time_limit
         seconds = limit * len(unit.seeds)
+        failed = Outcome(failure=late(limit), seconds=limit)
+        split: Split[Unit] | None = None
+        if len(unit.seeds) > 1:
+            split = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
 
         def play() -> Played | Split[Unit]:
+            episodes = [episode for episode, _ in starts]
             if isinstance(env, VectorEnv):
                 outcomes = play_side_by_side(env, policy, episodes, seconds)
             else:
                 outcomes = [play_episode(env, policy, episode, seconds) for episode in episodes]
-            if several and any(outcome.failure for outcome in outcomes):
+            if split and any(outcome.failure for outcome in outcomes):
                 return split
             played = [record(outcome) for record, outcome in zip(recorders, outcomes, strict=True)]
-            return Played(list(map(self.starts.finished, played)), outcomes[-1].cause)
+            return list(map(self.starts.finished, played)), outcomes[-1].cause
 
-        outcome = Outcome(failure=late(limit), seconds=limit)
-        return Timed(seconds + GRACE, play, split if several else Played([recorders[0](outcome)]))
+        return Timed(seconds + GRACE, play, split or ([recorders[0](failed)], None))
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
         """Plays a unit in this process and returns its results."""
-        return [result for played in map_here(self, [unit]) for result in played.results]
+        return [result for results, _ in map_here(self, [unit]) for result in results]
 
     def close(self) -> None:
         """Closes the environments."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -203,7 +204,7 @@ def policy_name(policy: object) -> str:
 
 def letters_of(actions: Iterable[int]) -> str:
     """Actions as a string, with a letter for each."""
-    return "".join(LETTERS[action] for action in actions)
+    return "".join(map(LETTERS.__getitem__, actions))
 
 
 def actions_of(letters: str) -> list[int]:
@@ -217,6 +218,10 @@ def actions_of(letters: str) -> list[int]:
 
 class PolicyError(Exception):
     """A policy raised an error, which is the cause of this one. The text becomes the reason in the episode's result."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For other processes: with the whole traceback as text, since the cause may not be picklable."""
+        return PolicyError, ("".join(traceback.format_exception(self)),)
 
 
 @contextmanager

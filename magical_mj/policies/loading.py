@@ -6,7 +6,6 @@ import hashlib
 import inspect
 import os
 import re
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -82,8 +81,13 @@ class Learnt(NamedTuple):
     other_tasks: tuple[str, ...] = ()
 
     def unusual(self) -> dict[str, Any]:
-        """The fields without a default value."""
-        return {name: value for name, value in self._asdict().items() if value != self._field_defaults[name]}
+        """The fields without a default value, as JSON holds them."""
+        usual = self._field_defaults
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in self._asdict().items()
+            if value != usual[name]
+        }
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ class Source:
         trust: whether files that contain code may be loaded.
         digest: the expected hash of the policy's file ("sha256") or module ("code"). Empty without a file, or if the
             hash is not checked.
-        batches: whether it acts in batches of observations. Set by `playable`, like the attributes below.
+        batches: whether it acts in batches of observations. Set by `checked`, like the attributes below.
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
         uses_simulation: whether it uses the simulation instead of observations.
@@ -120,6 +124,21 @@ class Source:
     learnt: Learnt = field(default_factory=Learnt)
     needs_plan: bool = False
     unfinished: str = ""
+
+    def checked(self, policy: Act, preset: str) -> Source:
+        """The source with the attributes of its policy, which is played with this preset."""
+        return replace(
+            self,
+            digest=self._hash(),
+            batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
+            preset=preset,
+            unnoticed=_unnoticed(policy, preset),
+            uses_simulation=uses_simulation(policy),
+            uses_demonstrations=uses_demonstrations(policy),
+            needs_plan=getattr(policy, "needs_plan", False),
+            learnt=learnt_from(self.origin, policy),
+            unfinished=getattr(policy, "unfinished", ""),
+        )
 
     def load(self) -> Act:
         """The policy.
@@ -166,11 +185,9 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        learnt = {
-            name: list(value) if name == "other_tasks" else value for name, value in self.learnt.unusual().items()
-        }
         stopped = {"unfinished": self.unfinished} if self.unfinished else {}
-        return {"name": self.name, "run": self.run, "origin": origin, **self.digest, **learnt, **stopped}
+        known = {**self.digest, **self.learnt.unusual(), **stopped}
+        return {"name": self.name, "run": self.run, "origin": origin, **known}
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -209,81 +226,6 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     return listed
 
 
-def playable(
-    policies: Any,
-    pairs: Sequence[Pair],
-    preset: str | None,
-    *,
-    first_run: int = 0,
-    trust: bool = False,
-    batched: bool = False,
-    like: str = "",
-) -> list[Source]:
-    """Loads each policy of `sources` once to check it. Later, `Source.load` raises an error if its file has changed.
-
-    Warns if the folder of a stable-baselines3 archive contains statistics of VecNormalize, which are not used, and if
-    the preset is chosen among several with the observation shape of a policy.
-
-    Args:
-        policies: see `sources`.
-        pairs: the tasks and variants of the evaluation.
-        preset: the preset of the observations. None: the preset that all policies were trained with, according to
-            their `preset`, or to their `observation_shapes` if only one preset matches. If they differ:
-            `DEFAULT_PRESET`.
-        first_run: the number of the first run.
-        trust: whether files that contain code may be loaded.
-        batched: whether MuJoCo Warp simulates the environments.
-        like: the task name that policies receive instead of the real one.
-
-    Raises:
-        SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or does not fit: see `check_fit`.
-    """
-    loaded = [(source, source.load()) for source in sources(policies, first_run, trust)]
-    is_chosen = preset is None
-    if preset is None:
-        named = (policy for _, policy in loaded if hasattr(policy, "preset") or not uses_simulation(policy))
-        known = {_own_preset(policy) for policy in named}
-        preset = known.pop() if len(known) == 1 else DEFAULT_PRESET
-    checked = []
-    for source, policy in loaded:
-        check_fit(policy, pairs, preset, like)
-        if batched and uses_simulation(policy):
-            raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
-        if is_chosen and (others := _also_fitting(policy, preset)):
-            warnings.warn(
-                f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
-                "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)",
-                stacklevel=5,  # the call of `evaluate`
-            )
-        if stopped := getattr(policy, "unfinished", ""):
-            warnings.warn(
-                f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
-                "of an unfinished training: magical-mj train --resume finishes it",
-                stacklevel=5,  # the call of `evaluate`
-            )
-        if statistics := statistics_of(source.origin):
-            warnings.warn(
-                f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
-                "lack the normalization; docs/evaluation.md shows how to evaluate such a policy",
-                stacklevel=5,  # the call of `evaluate`
-            )
-        checked.append(
-            replace(
-                source,
-                digest=source._hash(),
-                batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
-                preset=preset,
-                unnoticed=_unnoticed(policy, preset),
-                uses_simulation=uses_simulation(policy),
-                uses_demonstrations=uses_demonstrations(policy),
-                needs_plan=getattr(policy, "needs_plan", False),
-                learnt=learnt_from(source.origin, policy),
-                unfinished=getattr(policy, "unfinished", ""),
-            )
-        )
-    return checked
-
-
 def learnt_from(origin: object, policy: object = None) -> Learnt:
     """What a policy's training used.
 
@@ -294,13 +236,13 @@ def learnt_from(origin: object, policy: object = None) -> Learnt:
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     settings = read_toml(path) if path.is_file() else {}
     facts: dict[str, Any] = {}
-    for name, sources in LEARNT.items():
-        value, where = getattr(policy, name, Learnt._field_defaults[name]), f"the policy's attribute {name}"
-        for part, setting in sources:
+    for name, tables in LEARNT.items():
+        if hasattr(policy, name):
+            facts[name] = CHECKS[name](getattr(policy, name), f"the policy's attribute {name}")
+        for part, setting in tables:
             known = settings.get(part)
             if isinstance(known, dict) and setting in known:
-                value, where = known[setting], f"{part}.{setting} in {path}"
-        facts[name] = CHECKS[name](value, where)
+                facts[name] = CHECKS[name](known[setting], f"{part}.{setting} in {path}")
     return Learnt(**facts)
 
 
@@ -313,15 +255,21 @@ def statistics_of(origin: object) -> Path | None:
     return min(found, default=None)
 
 
-def _own_preset(policy: object) -> str:
-    """The preset of a policy's training, according to its attributes. `DEFAULT_PRESET` if they do not determine it."""
-    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    fitting = [] if shapes is None else _fitting(list(shapes))
-    by_shape = fitting[0] if len(fitting) == 1 else DEFAULT_PRESET
-    return getattr(policy, "preset", by_shape)
+def common_preset(policies: Iterable[object]) -> str:
+    """The preset that all policies were trained with, or `DEFAULT_PRESET`.
+
+    A policy's preset is its attribute `preset`, or the only one that matches its `observation_shapes`.
+    """
+    known = set[str]()
+    for policy in policies:
+        if hasattr(policy, "preset") or not uses_simulation(policy):
+            shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
+            fitting = [] if shapes is None else _fitting(list(shapes))
+            known.add(getattr(policy, "preset", fitting[0] if len(fitting) == 1 else DEFAULT_PRESET))
+    return known.pop() if len(known) == 1 else DEFAULT_PRESET
 
 
-def _also_fitting(policy: object, preset: str) -> list[str]:
+def also_fitting(policy: object, preset: str) -> list[str]:
     """The other presets with observations of a policy's shapes, if it does not say which it was trained with."""
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     if shapes is None or hasattr(policy, "preset"):

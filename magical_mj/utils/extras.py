@@ -32,11 +32,10 @@ def check_extra(what: str, *extras: str) -> None:
 
     `what` is the feature that needs them, in the plural, for the message.
     """
-    missing = {extra: [name for name in MODULES[extra] if find_spec(name) is None] for extra in extras}
-    names = list(dict.fromkeys(name for modules in missing.values() for name in modules))
-    if names:
-        needed = ",".join(extra for extra in extras if missing[extra])
-        raise MissingExtraError(f"{what} need {', '.join(names)}: {remedy(needed)}")
+    missing = [(extra, name) for extra in extras for name in MODULES[extra] if find_spec(name) is None]
+    if missing:
+        needed, names = map(dict.fromkeys, zip(*missing, strict=True))
+        raise MissingExtraError(f"{what} need {', '.join(names)}: {remedy(','.join(needed))}")
 
 
 def check_module(what: str, name: str, extra: str) -> None:
