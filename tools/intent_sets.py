@@ -2,12 +2,10 @@
 
     python -m tools.intent_sets draw JOBS    writes magical_mj/intents/sets.jsonl, with this number of processes; called
                                              again, it continues. It takes about an hour of a core
+    python -m tools.intent_sets check 5      examines every fifth member of the file again; 1 takes half an hour
     python -m tools.intent_sets show 200     prints random intents with their sentences
 
-An intent is accepted if it has scenes, and each of its relations adds something to the others. An intent of a test set
-is accepted if no shortcut (`magical_mj.intents.shortcuts`) satisfies it in more than a tenth of 40 scenes of Layout and
-All, and no training intent means the same, with `untouched(others)` or without. The intents of `seen`, `combined`,
-`selector` and `relation` with the same number differ in one respect.
+Which intents are accepted is in tools/intent_criteria.py.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -27,28 +24,19 @@ import numpy as np
 
 from magical_mj.intents import EIGHT
 from magical_mj.intents.draws import FILE, Draws
-from magical_mj.intents.floors import RULES, shortcuts, shown
 from magical_mj.intents.intent import Intent, intent_of, parse
 from magical_mj.intents.names import NAMES
-from magical_mj.intents.plans import cost, planned
-from magical_mj.intents.readings import moved_blocks
 from magical_mj.intents.relations import RELATIONS, Conjunct
-from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import ALL, REGION, REST, ROBOT, Selector, Test, names_one
 from magical_mj.intents.tasks import (
-    LEAST_STEPS,
     Task,
-    first_demo,
-    found_draws,
     spec_of,
     task_of,
 )
-from magical_mj.scene import Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.rules import pick, uniform_integer
-from magical_mj.tasks.spec import TaskSpec
-from magical_mj.utils.errors import IntentError, PlacementError
-from magical_mj.variants import vary
+from magical_mj.utils.errors import IntentError
+from tools.intent_criteria import MATCHED, alike, check, examined, twin
 from tools.pages import ROOT
 
 Rng = np.random.Generator
@@ -74,8 +62,6 @@ RELATIONS_DRAWN: Final = {
     "in": 4.0, "out": 2.0, "exactly": 2.0, "wall": 3.0, "near": 4.0, "line": 1.5, "clustered": 0.1, "robot in": 0.5,
     "robot wall": 0.5, "robot near": 1.0, "corner": 2.0, "apart": 1.5,
 }  # fmt: skip
-MATCHED: Final = ("seen", "combined", "selector", "relation")
-TEST_VARIANTS: Final = ("Layout", "All")
 TRAIN, DEV, TEST = 1000, 50, 50
 TRAIN_SLOTS, DEV_SLOTS, SLOTS = 1400, 70, 52
 """The numbers of draws of training and of test intents. There are more than needed, since some repeat others."""
@@ -89,20 +75,8 @@ FEWER: Final = 20
 FORMS: Final = {"1": 0.25, "2": 0.25, "1 rest": 0.2, "2 rest": 0.3}
 """The number of relations of a training intent, and whether all other blocks are untouched -> probability."""
 UNTOUCHED: Final = Conjunct("untouched", REST)
-SCENES: Final = 20
-"""The number of scenes of each of Layout and All in which shortcuts are tried."""
-FLOOR: Final = 0.1
-"""The largest share of the scenes in which a shortcut satisfies a test intent."""
-GLANCE, GLANCE_MOST = 4, 0.25
-"""The same in a first look, in fewer scenes."""
-CHANCE: Final = 0.34
-"""The same for random places and training intents, in six scenes."""
 MOST_COST: Final = 90.0
 """The largest cost of matched intents, in actions."""
-LONGER: Final = 0.35
-"""The largest relative difference of costs of matched intents."""
-MORE: Final = 0.75
-"""The largest difference of the numbers of blocks that they move."""
 NEVER_TRAINED_SELECTORS: Final = ("odd", "farthest")
 NEVER_TRAINED_RELATIONS: Final = ("corner", "apart", "robot near")
 
@@ -147,109 +121,6 @@ def has_sense(one: Conjunct) -> bool:
     """Whether a relation wants something that does not hold anyway by what the selector says."""
     starts = {test.value == "out" for test in one.selector if test.name == "starts"}
     return not starts or (one.relation, starts) not in (("in", {False}), ("out", {True}))
-
-
-# What is accepted
-
-
-def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
-    """The draws and the definition of a task, or why it is not accepted.
-
-    An intent needs scenes, and each of its relations must add something. Random placement of its blocks must not
-    satisfy it too often. In test sets, no shortcut must.
-    """
-    intent = task.intent
-    try:
-        first = first_demo(intent, task.seed)
-        spec = spec_of(task, Draws(str(task), LEAST_STEPS, first))
-        if test and (why := floor(intent, spec, GLANCE, GLANCE_MOST)):
-            return why
-        scenes = test_scenes(spec, 3)
-        for one in intent.conjuncts:
-            if (rest := without(intent, one)) and not keeps(one):
-                reached = sum(intent.holds(*planned(rest, scene)) for scene in scenes)
-                if reached > len(scenes) / 2:
-                    return f"{one} adds nothing"
-        if not test:
-            random = shortcuts["random places"]
-            share = sum(intent.holds(scene, random.end(intent, spec.demo, scene)) for scene in scenes) / len(scenes)
-            return f"random places satisfy {share:.0%}" if share > CHANCE else (found_draws(intent, task.seed), spec)
-        if why := floor(intent, spec, SCENES, FLOOR):
-            return why
-        draws = msgspec.structs.replace(found_draws(intent, task.seed), **effort(intent, spec))
-        return draws, spec_of(task, draws)
-    except (IntentError, PlacementError) as error:
-        return str(error)
-
-
-def test_scenes(spec: TaskSpec, number: int) -> list[Scene]:
-    """The first test scenes of each of Layout and All. Those of the last task are kept."""
-    if spec.name not in _DRAWN:
-        _DRAWN.clear()
-    known = _DRAWN.setdefault(spec.name, [])
-    for seed in range(len(known) // len(TEST_VARIANTS), number):
-        known += [vary(spec, variant, seed) for variant in TEST_VARIANTS]
-    return known[: number * len(TEST_VARIANTS)]
-
-
-_DRAWN: dict[str, list[Scene]] = {}
-"""Name of a task -> its test scenes."""
-
-
-def without(intent: Intent, one: Conjunct) -> Intent | None:
-    """The intent without a conjunct, and without `others` if nothing else selects blocks; None if nothing is left."""
-    left = [other for other in intent.conjuncts if other != one]
-    if not any(other.definition.of_blocks and other.selector != REST for other in left):
-        left = [other for other in left if other.selector != REST]
-    return Intent(tuple(left)) if left else None
-
-
-def floor(intent: Intent, spec: TaskSpec, number: int, share: float) -> str:
-    """The shortcut that satisfies an intent in a larger share of some test scenes; empty if none does.
-
-    Those that choose the right blocks are found first, since this takes no plans.
-    """
-    scenes = test_scenes(spec, number)
-    most, demonstration = share * len(scenes), shown(intent, spec.demo)
-    for name, rule in RULES.items():
-        if sum(_same_blocks(rule(demonstration, scene), intent, scene) for scene in scenes) > most:
-            return name
-    counts = Counter[str]()
-    for scene in scenes:
-        for name, shortcut in shortcuts.items():
-            counts[name] += intent.holds(scene, shortcut.end(intent, spec.demo, scene))
-            if counts[name] > most:
-                return name
-    return ""
-
-
-def _same_blocks(blocks: Sequence[tuple[int, ...]], intent: Intent, scene: Scene) -> bool:
-    """Whether a shortcut moves the blocks that a plan of the intent moves in a scene."""
-    moved = shown(intent, scene).moved
-    return len(blocks) == len(moved) and all(set(one) == set(other) for one, other in zip(blocks, moved, strict=True))
-
-
-def effort(intent: Intent, spec: TaskSpec) -> dict[str, float]:
-    """The mean cost of plans in the test scenes, and the mean number of blocks that they move."""
-    scenes = test_scenes(spec, SCENES // 2)
-    moves = [len(moved_blocks(*planned(intent, scene))) for scene in scenes]
-    return {
-        "cost": round(float(np.mean([cost(intent, scene) for scene in scenes])), 1),
-        "moves": round(float(np.mean(moves)), 2),
-    }
-
-
-def twin(test: Intent, spec: TaskSpec, others: Iterable[Intent]) -> Intent | None:
-    """Another intent that means the same in the test scenes, perhaps with `untouched(others)` added; None if none does.
-
-    Each holds at the ends of the plans of the other.
-    """
-    scenes = test_scenes(spec, SCENES)
-    ends = [planned(test, scene) for scene in scenes]
-    for other in others:
-        if all(other.holds(*end) for end in ends) and all(test.holds(*planned(other, scene)) for scene in scenes):
-            return other
-    return None
 
 
 # The sets
@@ -328,11 +199,6 @@ def _pair(rng: Rng, words: Words) -> Intent:
             continue
         if len(intent.conjuncts) == 3:
             return intent
-
-
-def alike(one: Draws, other: Draws) -> bool:
-    """Whether plans are about as long, and move about as many blocks."""
-    return abs(other.cost / one.cost - 1) <= LONGER and abs(other.moves - one.moves) <= MORE
 
 
 def _with(seen: Intent, old: Conjunct, new: Conjunct) -> Iterator[Intent]:
@@ -472,6 +338,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["draw", jobs]:
             write(int(jobs))
+        case ["check", every]:
+            check(int(every))
         case ["show", number]:
             show(int(number))
         case _:

@@ -4,17 +4,19 @@ python -m tools.intents floors JOBS      writes magical_mj/intents/floors.json a
 python -m tools.intents picture          draws docs/intents.png
 python -m tools.intents demonstrations 1000 JOBS
 makes the first 1,000 of those of the test sets, and writes the file that
-the package ships; called again, it continues. A second of a core each
+the package ships; called again, it continues. Two seconds of a core each
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import lzma
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,12 +37,13 @@ from magical_mj.intents.tasks import (
     task_of,
 )
 from magical_mj.utils.errors import DemonstrationError
-from tools.intent_sets import SCENES, test_scenes
+from tools.intent_criteria import SCENES, TEST_VARIANTS, test_scenes
 from tools.pages import ROOT, filled
 from tools.tables import table
 
-MEASURED: Final = 8
-"""The number of intents of each set in which shortcuts are measured."""
+MEASURED: Final = 5
+"""The number of scenes of each of Layout and All in which shortcuts are measured. They are other scenes than those in
+which the sets were chosen."""
 PICTURED: Final = (
     "in(colour=red, region) & untouched(others)",
     "near(all, to=blue star)",
@@ -54,9 +57,9 @@ PICTURED: Final = (
 
 
 def satisfied(draws: Draws) -> dict[str, float]:
-    """Shortcut -> the share of the test scenes of an intent in which its plan satisfies the intent."""
+    """Shortcut -> the share of some scenes of an intent in which its plan satisfies the intent."""
     intent, spec = task_of(draws.task).intent, spec_of(task_of(draws.task), draws)
-    scenes = test_scenes(spec, SCENES)
+    scenes = test_scenes(spec, SCENES + MEASURED)[-MEASURED * len(TEST_VARIANTS) :]
     return {
         name: float(np.mean([intent.holds(scene, shortcut.end(intent, spec.demo, scene)) for scene in scenes]))
         for name, shortcut in shortcuts.items()
@@ -65,7 +68,7 @@ def satisfied(draws: Draws) -> dict[str, float]:
 
 def write_floors(jobs: int) -> None:
     """Writes the file of floors, and the table of the docs."""
-    tests = [draws for name in TESTS for draws in [one for one in in_sets() if one.set == name][:MEASURED]]
+    tests = [draws for draws in in_sets() if draws.set in TESTS]
     with ProcessPoolExecutor(jobs) as pool:
         shares = list(pool.map(satisfied, tests))
     floors = {
@@ -100,38 +103,45 @@ def write_tables() -> None:
 # Demonstrations
 
 
-def shipped_keys() -> list[stored.Key]:
-    """The demonstrations of the test sets that the package should ship, the most needed first.
+class Wanted(NamedTuple):
+    """A demonstration that the package should ship: its key, and that of the same one in a task with one demo scene."""
 
-    Four in one scene, in four contrasting and in four random ones, and four more in one scene.
+    key: stored.Key
+    made: stored.Key
+
+
+def wanted() -> Iterator[Wanted]:
+    """Those of the test sets, the most needed first.
+
+    Four in one scene, in four contrasting and in four random ones, and four more in one scene. The first is the same in
+    all three, since the first demo scene is.
     """
     tasks = [f"{PREFIX}{task}" for each in zip(*map(tasks_in, TESTS), strict=True) for task in each]
-    kinds: list[tuple[int, bool, range]] = [
+    kinds = (
         (1, False, range(4)),
         (4, True, range(4)),
         (4, False, range(4)),
         (1, False, range(4, DEMONSTRATIONS_GIVEN)),
-    ]
-    return [
-        (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
-        for scenes, contrasting, numbers in kinds
-        for task in tasks
-        for number in numbers
-    ]
+    )
+    for scenes, contrasting, numbers in kinds:
+        for task, number in itertools.product(tasks, numbers):
+            key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
+            yield Wanted(key, key if number else (task, "Demo", 0))
 
 
 def demonstrations(first: int, jobs: int) -> None:
-    """Makes the first of the demonstrations in `shipped_keys`, and ships those that were made."""
-    keys = shipped_keys()
+    """Makes the first of the `wanted` demonstrations, and ships all that were made."""
+    every = list(wanted())
     path = ROOT / "out" / "intents" / stored.default_path().name
+    known = dict(stored.shipped())
     try:
-        stored.complete(keys[:first], path, known=stored.shipped(), jobs=jobs)
+        stored.complete(dict.fromkeys(one.made for one in every[:first]), path, known=known, jobs=jobs)
     except DemonstrationError as error:
         print(error, file=sys.stderr)
-    made = {**stored.read(path), **stored.shipped()}
-    lines = [msgspec.json.encode(made[key]) for key in keys if key in made]
-    stored.shipped_path().write_bytes(lzma.compress(b"\n".join(lines), preset=9))
-    print(f"{stored.shipped_path()}: {len(lines)} of {len(keys)} demonstrations")
+    made = {**known, **stored.read(path)}
+    found = [msgspec.structs.replace(made[one.made], task=one.key[0]) for one in every if one.made in made]
+    stored.shipped_path().write_bytes(lzma.compress(b"\n".join(map(msgspec.json.encode, found)), preset=9))
+    print(f"{stored.shipped_path()}: {len(found)} of {len(every)} demonstrations")
 
 
 # The picture
