@@ -22,6 +22,7 @@ from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
     COLUMNS,
+    NEW_PLACES,
     Standing,
     improvement,
     own_standings,
@@ -65,7 +66,8 @@ GLOSSARY: Final = {
     "Memory": "mean score in Demo, Jitter and Dynamics, which hardly change the scene",
     "Distraction": "mean score in Colour and Shape, which change how objects look",
     "Generalisation": "mean score in Layout, CountPlus and All, which move, add and remove objects",
-    ABOVE: "generalisation on a scale from 0, doing nothing, to 1, the full score",
+    NEW_PLACES: "mean score in the scenes where it is wrong to go to the same places as in the demonstrations",
+    ABOVE: "generalisation on a scale from 0, the best agent that does not look, to 1, the full score",
     USES: "what a method uses besides the demonstrations as its policy observes them",
     "[0.10, 0.12]": "95 % interval over scenes and runs; of one run over scenes only",
     "(2/8)": "mean over two of the eight tasks, which does not compare with others; such methods are always last",
@@ -298,7 +300,7 @@ def _chance(chance: float) -> str:
 
 
 def _costs(methods: Iterable[Standing]) -> str:
-    lines = ["| Method | Above doing nothing | Demonstrations a task | Hours a run | Device | Steps a run |"]
+    lines = [f"| Method | {ABOVE} | Demonstrations a task | Hours a run | Device | Steps a run |"]
     lines.append("| --- | ---: | ---: | ---: | --- | ---: |")
     for method in sorted(methods, key=lambda method: method.rank):
         card = method.entry.card

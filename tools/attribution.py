@@ -15,10 +15,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS, sample_scene
-from magical_mj.evaluation.reports.intervals import mean_over
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT
 from magical_mj.intents.attribution import Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
@@ -118,27 +116,18 @@ def chosen(task: str) -> bool:
 
 
 def endings() -> str:
-    """Whether some policies chose the right blocks, and solved the task then, in the tasks with a choice.
+    """What the unsolved episodes of some policies did, in the tasks with a choice, in per cent.
 
-    The last columns are shares of the unsolved episodes. All wrong blocks are one column.
+    All wrong blocks are one column.
     """
     rows = []
     every = [row for row in measured() if row["task"] in CHOICES]
     for name in COMPARED:
         group = [row for row in every if row["entry"] == name]
-        tasks = [(int(row["episodes"]), int(float(row["intended"])), int(float(row["incompetent"]))) for row in group]
-        right = mean_over((i, i, _flags(solved + some, total)) for i, (total, solved, some) in enumerate(tasks))
-        solved = sum(solved for _, solved, _ in tasks) / max(sum(solved + some for _, solved, some in tasks), 1)
-        cells = ("{:.2f} [{:.2f}, {:.2f}]".format(*right), f"{solved:.2f}")
         unsolved = sum(int(row["failed"]) for row in group)
         parts = (_percent(part) for part in of_unsolved(group)) if unsolved else ("",) * 3
-        rows.append((read_entry(RESULTS / name).method, *cells, str(unsolved), *parts))
-    header = ("Method", "right blocks", "solved given that", "unsolved", "wrong blocks", "incompetent", "nothing")
-    return table(header, rows)
-
-
-def _flags(count: int, total: int) -> NDArray[np.float64]:
-    return np.array([[1.0] * count + [0.0] * (total - count)])
+        rows.append((read_entry(RESULTS / name).method, str(unsolved), *parts))
+    return table(("Method", "unsolved", "wrong blocks", "incompetent", "nothing"), rows)
 
 
 def of_unsolved(rows: Iterable[Mapping[str, str]]) -> tuple[float, float, float]:

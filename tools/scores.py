@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.evaluation.reports.floors import floors
 from magical_mj.leaderboard.page import label, shown
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
     COLUMNS,
     GROUPS,
+    NEW_PLACES,
     Standing,
     floor,
     own_standings,
@@ -23,6 +25,7 @@ from magical_mj.leaderboard.standings import (
 from tools import released
 from tools.claims import claims
 from tools.pages import ROOT, number, table
+from tools.test_scenes import right_first
 
 RESULTS: Final = ROOT / "results"
 AGENTS: Final = {
@@ -43,22 +46,36 @@ HEADLINES: Final = (
 PUBLISHED: Final = ("BC (ST)", "GAIL (ST)")
 """The paper's methods in the table of scores in each variant."""
 SATURATED: Final = 0.95
-"""From this score of the best learnt method on, an environment does not tell methods apart."""
+"""From this score of the best learnt method, or of the floor, on, an environment does not tell methods apart."""
 HOPELESS: Final = 0.1
-"""Up to this score above doing nothing, (score - n) / (1 - n), the best learnt method does not solve an environment."""
+"""Up to this score above the floor, (score - f) / (1 - f), the best learnt method does not solve an environment."""
 LEARNT: Final = ("pictures", "pictures and more", "states", "states and more")
 """The blocks of methods that learn a policy."""
 
 
-def groups(methods: Iterable[Standing]) -> str:
-    """The scores of methods in the groups of variants: in blocks, in the order of the leaderboard."""
+FIRST: Final = ("Right block first", "Then solved")
+"""The columns from docs/first-blocks.csv; see `tools.test_scenes.right_first`."""
+
+
+def groups(methods: Mapping[str, Standing]) -> str:
+    """What methods chose, and their scores: in blocks, in the order of the leaderboard. `methods`: by entry."""
     rows: list[Sequence[str]] = []
-    columns = (*GROUPS, ABOVE)
+    columns = (NEW_PLACES, ABOVE, *GROUPS)
     for block, heading in BLOCKS.items():
-        group = sorted((method for method in methods if method.block == block), key=lambda method: method.rank)
-        rows += [(f"**{heading}**", *[""] * len(columns))] if group else []
-        rows += [(_label(method), *(shown(method, column) for column in columns)) for method in group]
-    return table(("Method", *columns), rows)
+        group = sorted(
+            ((name, method) for name, method in methods.items() if method.block == block),
+            key=lambda named: named[1].rank,
+        )
+        rows += [(f"**{heading}**", *[""] * len((*FIRST, *columns)))] if group else []
+        rows += [
+            (_label(method), *_first(name), *(shown(method, column) for column in columns)) for name, method in group
+        ]
+    rows.append(("Floor", "", "", *(number(floor(column)) for column in columns)))
+    return table(("Method", *FIRST, *columns), rows)
+
+
+def _first(name: str) -> tuple[str, ...]:
+    return tuple("" if figure is None else "{:.2f} [{:.2f}, {:.2f}]".format(*figure) for figure in right_first(name))
 
 
 def compared(methods: Iterable[Standing]) -> str:
@@ -79,10 +96,15 @@ def limits(learnt: Iterable[Standing]) -> str:
     """A table of the environments that do not tell methods apart."""
     methods = [method for method in learnt if method.everywhere and method.block in LEARNT]
     best = {pair: max(float(method.means[pair].mean()) for method in methods) for pair in ENVIRONMENTS}
-    floors = {pair: floor(*pair, "paper") for pair in ENVIRONMENTS}
+    lowest = floors()
+    blind = [pair for pair in ENVIRONMENTS if lowest[pair] >= SATURATED]
     saturated = [pair for pair in ENVIRONMENTS if best[pair] >= SATURATED]
-    hopeless = [pair for pair in ENVIRONMENTS if (best[pair] - floors[pair]) / (1 - floors[pair]) <= HOPELESS]
-    named = (("Saturated", saturated), ("Hopeless", hopeless))
+    hopeless = [
+        pair
+        for pair in ENVIRONMENTS
+        if pair not in blind and (best[pair] - lowest[pair]) / (1 - lowest[pair]) <= HOPELESS
+    ]
+    named = (("Blind", blind), ("Saturated", saturated), ("Hopeless", hopeless))
     return table(("", "Number", "Environments"), [(name, str(len(pairs)), _named(pairs)) for name, pairs in named])
 
 
@@ -94,7 +116,7 @@ def _named(pairs: Sequence[tuple[str, str]]) -> str:
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     chosen = {*HEADLINES, *AGENTS}
-    own = [method for method in own_methods().values() if method.name in chosen and method.everywhere]
+    own = {name: method for name, method in own_methods().items() if method.name in chosen and method.everywhere}
     rescored = by_released_rules()
     in_paper = [method for method in published() if method.name in PUBLISHED]
     return {

@@ -62,6 +62,7 @@ class Attribution:
     Attributes:
         ending: shares of `magical_mj.intents.readings.ENDINGS`, which sum to 1.
         moved: the blocks whose final position differs from the initial one.
+        right_first: whether the first block that moved had to be moved. If several moved at the same step: any of them.
         rivals: the rivals that a failed episode reached: they hold at its end, but not at its start. Index in
             `task_rivals` -> share by bits; shares sum to 1. The simplest rival is first.
         remaining: the length (world units) of the moves that the task's plan still has at the end.
@@ -72,6 +73,7 @@ class Attribution:
     final: Scene
     ending: Mapping[str, float]
     moved: tuple[int, ...]
+    right_first: bool
     rivals: Mapping[int, float]
     remaining: float
 
@@ -148,20 +150,35 @@ def _attribute(
 ) -> list[Attribution | Unexplained]:
     """The work of one process: some episodes of one environment, the demonstrated blocks, and the rivals."""
     chunk, demonstrated, intents = work
-    judge, results = Judge(intents), []
+    judge = Judge(intents)
     with closing(engine_for(chunk[0])) as engine:
-        for episode in chunk:
-            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)
-            if problem := replay_problem(episode, engine):
-                results.append(Unexplained(episode, problem))
-                continue
-            initial, final, solved = engine.initial_scene, engine.scene, episode.score == 1.0
-            end = ending(task_intent(episode.task), demonstrated, initial, final, solved=solved)
-            reached = {} if solved else _shares(judge, initial, final)
-            left = 0.0 if solved else remaining(episode, (initial, final))
-            moved = moved_blocks(initial, final)
-            results.append(Attribution(episode, initial, final, end, moved, reached, left))
-    return results
+        return [_attributed(episode, engine, demonstrated, judge) for episode in chunk]
+
+
+def _attributed(
+    episode: EpisodeResult, engine: Engine, demonstrated: DemonstratedBlocks, judge: Judge
+) -> Attribution | Unexplained:
+    engine.reset(seed=None if episode.seed == engine.seed else episode.seed)
+    first: list[int] = []
+
+    def watch(_: int) -> None:
+        if not first:
+            first.extend(moved_blocks(engine.initial_scene, engine.scene))
+
+    if problem := replay_problem(episode, engine, watch):
+        return Unexplained(episode, problem)
+    intent, initial, final = task_intent(episode.task), engine.initial_scene, engine.scene
+    solved = episode.score == 1.0
+    return Attribution(
+        episode=episode,
+        initial=initial,
+        final=final,
+        ending=ending(intent, demonstrated, initial, final, solved=solved),
+        moved=moved_blocks(initial, final),
+        right_first=not intended_blocks(intent, initial).isdisjoint(first),
+        rivals={} if solved else _shares(judge, initial, final),
+        remaining=0.0 if solved else remaining(episode, (initial, final)),
+    )
 
 
 def _shares(judge: Judge, initial: Scene, final: Scene) -> dict[int, float]:

@@ -19,8 +19,10 @@ from magical_mj.leaderboard.standings import (
     COLUMNS,
     COMMON,
     LEAST_RUNS,
+    NEW_PLACES,
     Standing,
     difference,
+    floor,
     improvement,
 )
 from magical_mj.shifts import SHIFTS
@@ -160,7 +162,7 @@ def _card(method: Standing) -> str:
 
 
 def intervals(methods: Sequence[Standing]) -> str:
-    """The generalisation of each method with all environments: above doing nothing, a dot with its interval."""
+    """The generalisation of each method with all environments: above the floor, a dot with its interval."""
     methods = [method for method in methods if method.everywhere]
     height = ROW * (len(methods) + 1)
     rows = _grid(height - ROW)
@@ -170,7 +172,7 @@ def intervals(methods: Sequence[Standing]) -> str:
         if not math.isnan(score.low):
             rows += f'<line class="{method.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
         rows += f'<circle class="{method.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
-    title = "Generalisation above doing nothing, with 95 % intervals"
+    title = "Generalisation above the floor, with 95 % intervals"
     picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{rows}</svg>'
     box = f'<div class="wide" tabindex="0" role="region" aria-label="{title}">{picture}</div>'
     return f'<p class="caption">{title}.</p>{box}'
@@ -215,13 +217,16 @@ def _scores(methods: Sequence[Standing]) -> Table:
 
     return Table(
         "scores",
-        "Mean scores. Memory (Demo, Jitter, Dynamics), distraction (Colour, Shape) and generalisation (Layout, "
-        f"CountPlus, All) are means over the {len(COMMON)} tasks that have all variants. Columns of variants are means "
-        f"over the tasks that have the variant, with their number if some are missing. {ABOVE}: the generalisation "
-        "group's mean of (score - n) / (1 - n), where n is the score of doing nothing. In brackets, 95 % intervals "
-        "over scenes and runs; where an environment has one run, over its scenes only",
+        f"Mean scores. {NEW_PLACES}: in the scenes where it is wrong to move what stands where the demonstrations "
+        f"moved something, or to end where they ended ({len(COLUMNS[NEW_PLACES])} environments). {ABOVE}: the "
+        "generalisation group's mean of (score - f) / (1 - f), where f is the environment's floor: the best mean score "
+        "of doing nothing, random actions and replaying a demonstration. Memory (Demo, Jitter, Dynamics), distraction "
+        f"(Colour, Shape) and generalisation (Layout, CountPlus, All) are over the {len(COMMON)} tasks that have all "
+        "variants. Columns of variants are over the tasks that have the variant, with their number if some are "
+        "missing. In brackets, 95 % intervals over scenes and runs; where an environment has one run, over its scenes "
+        "only",
         ("Method", USES, "runs", *COLUMNS),
-        _grouped(methods, cells),
+        (*_grouped(methods, cells), ("", (("Floor", "", "", *(f"{floor(column):.2f}" for column in COLUMNS)),))),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
     )
 

@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from magical_mj.envs.presets import PRESETS
+from magical_mj.evaluation.reports.floors import floors, new_place_floors, refuting_seeds
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
-from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.leaderboard.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair, sample_scene, score
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 from magical_mj.utils.errors import counted
 
 Kind = Literal["official", "partial", "published"]
@@ -49,12 +49,16 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
 """Variants whose scores rise and fall together, by what they test."""
 COMMON: Final = tuple(task for task in TASKS if all((task, variant) in ENVIRONMENTS for variant in VARIANTS))
 """The tasks that have all variants. The means over a group are over these tasks, so that groups can be compared."""
-ABOVE: Final = "Above doing nothing"
-"""The generalisation group's mean of (score - n) / (1 - n), with n the score of doing nothing. It orders methods."""
+ABOVE: Final = "Above the floor"
+"""The generalisation group's mean of (score - f) / (1 - f), where f is the environment's floor: the best mean score of
+doing nothing, random actions and replaying a demonstration. It orders methods."""
+NEW_PLACES: Final = "New places"
+"""The mean score in the scenes that refute the shortcut *same place*, over the environments that have some."""
 COLUMNS: Final[Mapping[str, tuple[Pair, ...]]] = {
+    NEW_PLACES: tuple(refuting_seeds()),
     **{
         name: tuple(pair for pair in ENVIRONMENTS if pair[0] in COMMON and pair[1] in GROUPS[group])
-        for name, group in [*zip(GROUPS, GROUPS, strict=True), (ABOVE, "Generalisation")]
+        for name, group in [(ABOVE, "Generalisation"), *zip(GROUPS, GROUPS, strict=True)]
     },
     **{variant: tuple(pair for pair in ENVIRONMENTS if pair[1] == variant) for variant in VARIANTS},
 }
@@ -72,6 +76,7 @@ class Standing:
         means: mean score of each run in each environment; for published methods only the mean of five runs.
         episodes: environment -> run -> the scores of its episodes by seed, NaN for missing ones; empty for published
             methods.
+        new_places: the same, of the scenes that refute the shortcut.
         printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
 
@@ -80,6 +85,7 @@ class Standing:
     gaps: tuple[str, ...]
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
+    new_places: Mapping[Pair, Mapping[int, Floats]] = field(default_factory=dict)
     printed: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -121,32 +127,31 @@ class Standing:
         """The mean over the environments of each of `COLUMNS` that were played, without columns that have none."""
         played = {name: pairs for name, pairs in COLUMNS.items() if any(pair in self.means for pair in pairs)}
         scores = {name: self.mean(pairs, above=name == ABOVE) for name, pairs in played.items()}
-        return scores | {name: Estimate(value) for name, value in self.printed.items()}
+        scores |= {name: Estimate(value) for name, value in self.printed.items()}
+        weights = dict.fromkeys(self.new_places, 1 / max(len(self.new_places), 1))
+        return scores | {NEW_PLACES: estimate(_cells(self.new_places, weights))}
 
     def mean(self, pairs: Iterable[Pair], above: bool = False) -> Estimate:
         """The mean score over those of the environments that were played, with its interval.
 
         Args:
             pairs: the environments.
-            above: whether to take the mean of (score - n) / (1 - n), where n is the score of doing nothing.
+            above: whether to take the mean of (score - f) / (1 - f), where f is the floor.
         """
         played = [pair for pair in pairs if pair in self.means]
-        floors = [floor(*pair, self.entry.rules) if above else 0.0 for pair in played]
+        lowest = [floors(self.entry.rules)[pair] if above else 0.0 for pair in played]
         scores = [self.means[pair].mean() for pair in played]
-        value = round(float(np.mean([(x - n) / (1 - n) for x, n in zip(scores, floors, strict=True)])), 9)
+        value = round(float(np.mean([(x - f) / (1 - f) for x, f in zip(scores, lowest, strict=True)])), 9)
         if not played or not all(pair in self.episodes for pair in played):
             return Estimate(value)
-        weights = [1 / (len(played) * (1 - n)) for n in floors]
+        weights = [1 / (len(played) * (1 - f)) for f in lowest]
         found = estimate(self.cells(dict(zip(played, weights, strict=True))))
         shift = value - found.value
         return Estimate(value, found.low + shift, found.high + shift)
 
     def cells(self, weights: Mapping[Pair, float], side: str = "") -> list[Cell]:
         """The scores in some environments, each with the weight of its mean. `side` tells two methods apart."""
-        return [
-            Cell(np.stack([*self.episodes[pair].values()]), weight, (side, pair[0]), pair)
-            for pair, weight in weights.items()
-        ]
+        return _cells(self.episodes, weights, side)
 
     def lacks(self, column: str) -> str:
         """How many of a column's environments were played, such as "(2/8)". Empty for all and for none."""
@@ -207,17 +212,29 @@ class Standing:
         return curves
 
 
+def _cells(episodes: Mapping[Pair, Mapping[int, Floats]], weights: Mapping[Pair, float], side: str = "") -> list[Cell]:
+    return [
+        Cell(np.stack([*episodes[pair].values()]), weight, (side, pair[0]), pair) for pair, weight in weights.items()
+    ]
+
+
 def standing(entry: Entry) -> Standing:
     """The standing of an entry."""
-    scores: dict[Pair, dict[int, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
-    for episode in entry.counted:
-        scores[episode.task, episode.variant][episode.run][episode.seed] = episode.score
-    episodes = {pair: _by_run(scores[pair]) for pair in ENVIRONMENTS if pair in scores}
+    episodes = _by_environment(entry.counted)
+    refuting = refuting_seeds()
+    new = (row for row in entry.counted if row.seed in refuting.get((row.task, row.variant), ()))
     means: dict[Pair, Floats] = {
         pair: np.array([float(np.nanmean(row)) for row in runs.values()]) for pair, runs in episodes.items()
     }
     missing = tuple(gaps(entry))
-    return Standing("partial" if missing else "official", entry, missing, means, episodes)
+    return Standing("partial" if missing else "official", entry, missing, means, episodes, _by_environment(new))
+
+
+def _by_environment(rows: Iterable[EpisodeResult]) -> dict[Pair, dict[int, Floats]]:
+    scores: dict[Pair, dict[int, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
+    for row in rows:
+        scores[row.task, row.variant][row.run][row.seed] = row.score
+    return {pair: _by_run(scores[pair]) for pair in ENVIRONMENTS if pair in scores}
 
 
 def _by_run(scores: Mapping[int, Mapping[int, float]]) -> dict[int, Floats]:
@@ -260,7 +277,7 @@ def published() -> list[Standing]:
         card = Card(str(policy), privileges=[] if str(policy).startswith("BC") else ["simulator in training"])
         entry = Entry(card, "pictures", PUBLISHED_RULES, None, Versions([], [], []), [])
         printed = table[table["policy"] == policy].set_index("variant")["mean"].to_dict()
-        methods.append(Standing("published", entry, (), means, {}, printed))
+        methods.append(Standing("published", entry, (), means, {}, printed=printed))
     return methods
 
 
@@ -290,16 +307,15 @@ def _better(first: Floats, second: Floats) -> Any:
     return ((difference > SCORE_TOLERANCE) + 0.5 * (np.abs(difference) <= SCORE_TOLERANCE)).mean(axis=(-1, -2))
 
 
+def floor(column: str) -> float:
+    """The mean floor over the environments of a column, by the paper's rules; 0 for `ABOVE`."""
+    known = new_place_floors() if column == NEW_PLACES else floors()
+    return 0.0 if column == ABOVE else float(np.mean([known[pair] for pair in COLUMNS[column]]))
+
+
 def standings(entries: Sequence[Entry]) -> list[Standing]:
     """All methods, by block and by `Standing.rank`."""
     blocks = tuple(BLOCKS)
     return sorted(
         [*map(standing, entries), *published()], key=lambda method: (blocks.index(method.block), *method.rank)
     )
-
-
-@cache
-def floor(task: str, variant: str, rules: Rules) -> float:
-    """The mean score of doing nothing in the test scenes of an environment."""
-    scenes = (sample_scene(task, variant, seed) for seed in range(SEEDS))
-    return float(np.mean([score(task, scene, scene, rules) for scene in scenes]))

@@ -16,6 +16,7 @@ from PIL import Image
 import magical_mj
 from magical_mj import Engine, demos
 from magical_mj.actions import NOOP
+from magical_mj.evaluation.reports.floors import refuting_seeds
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.experts import Expert
 from magical_mj.intents import EIGHT, parse
@@ -40,6 +41,7 @@ from tests.helpers.evaluations import TEMPLATE
 from tools import last_solvable
 from tools.attribution import CHOICES, COLUMNS, ENDED, RESULTS, ROOT, covered, endings, measured_row, of_unsolved
 from tools.pages import filled
+from tools.test_scenes import REPLAYED, first_blocks, is_refuted
 
 CLOSE_GRIPPER = 9
 
@@ -89,6 +91,30 @@ def test_the_rivals_of_a_failed_episode_hold_at_its_end_and_not_at_its_start() -
         ratio = 2.0 ** (rivals[second].bits - rivals[first].bits)
         assert result.rivals[first] / result.rivals[second] == pytest.approx(ratio)
     assert reached
+
+
+def test_a_demonstration_moves_a_right_block_first() -> None:
+    demonstration = demos.load("FixColour")[0]
+    right = attributed(played("FixColour", "Demo", demonstration.seed, list(demonstration.actions)))
+    assert right.right_first
+    assert not attributed(played("FixColour", "Demo", 0, [])).right_first
+
+
+def test_the_files_of_test_scenes_are_what_the_scenes_and_a_replay_give() -> None:
+    for pair in (("FixColour", "Colour"), ("MoveToRegion", "Layout")):
+        assert refuting_seeds()[pair] == {seed for seed in range(100) if is_refuted(*pair, seed)}
+    assert not any(is_refuted(task, "All", seed) for task in ("MoveToCorner", "MakeLine") for seed in range(10))
+    task, variant = "FixColour", "Colour"
+    episodes = [
+        episode
+        for episode in read_entry(RESULTS / "replay").counted
+        if (episode.task, episode.variant) == (task, variant)
+        and episode.seed in sorted(refuting_seeds()[task, variant])[:REPLAYED]
+    ]
+    right = [found for found in attribute(episodes, jobs=1) if isinstance(found, Attribution) and found.right_first]
+    counts = [len(episodes), len(right), sum(found.episode.score == 1.0 for found in right)]
+    (row,) = (row for row in first_blocks() if [*row.values()][:3] == ["replay", task, variant])
+    assert [*row.values()][3:] == [*map(str, counts)]
 
 
 def test_remaining_is_the_length_of_the_rest_of_the_plan() -> None:

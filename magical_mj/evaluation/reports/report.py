@@ -153,7 +153,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     of_environments = [table.name for table in tables].index("environments")
     parts = [
         TITLE,
-        *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
+        *(f"**{note}**" for table in tables for note in table.notes if note.startswith(APPROXIMATE)),
         *([f"**{escape.markdown(data.mark)}.**"] if data.mark else []),
         _settings(data),
         "## Variants",

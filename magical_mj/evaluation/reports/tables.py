@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.base import UNOFFICIAL
+from magical_mj.evaluation.reports.floors import floors, new_place_floors, refuting_seeds
+from magical_mj.evaluation.reports.intervals import mean_over
 from magical_mj.evaluation.reports.results import (
     PUBLISHED_EPISODES,
     PUBLISHED_RULES,
@@ -17,7 +19,13 @@ from magical_mj.evaluation.reports.results import (
     counted_tasks,
     expected_environments,
 )
-from magical_mj.evaluation.reports.statistics import LEAST_RUNS, area, curve, half_lost
+from magical_mj.evaluation.reports.statistics import (
+    LEAST_RUNS,
+    area,
+    by_run_and_scene,
+    curve,
+    half_lost,
+)
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.utils import escape
@@ -69,7 +77,10 @@ def csv(frame: pd.DataFrame) -> str:
 
 
 def result_tables(results: Results) -> list[Table]:
-    """The paper's Table 1, means with intervals, all environments, and interquartile means if there are enough runs."""
+    """Scores in new places, the paper's Table 1, means with intervals, interquartile means, and all environments.
+
+    The first table needs test scenes that refute a shortcut, and interquartile means enough runs.
+    """
     tasks = counted_tasks(results.scores["task"].cat.categories)
     over = "all tasks" if len(tasks) > 1 and set(tasks) & set(TASKS) else " and ".join(tasks)
     over = over if len(tasks) <= len(TASKS) else counted(len(tasks), "task")
@@ -100,11 +111,48 @@ def result_tables(results: Results) -> list[Table]:
     by_task = results.environments.groupby("task")
     every = Table(
         "environments",
-        "Mean score in each environment, ± standard deviation of the run means",
+        "Mean score in each environment, ± standard deviation of the run means. Floor: the best mean score of doing "
+        "nothing, random actions and replaying a demonstration, in the 100 test scenes",
         header,
-        tuple((task, _rows(results, by_task.get_group(task), _mean_and_std, task)) for task in results.tasks),
+        tuple(
+            (task, (*_rows(results, by_task.get_group(task), _mean_and_std, task), *_floor_row(results, task)))
+            for task in results.tasks
+        ),
     )
-    return [spread, covered, *([robust] if len(several) else []), every]
+    return [*_new_places(results), spread, covered, *([robust] if len(several) else []), every]
+
+
+def _floor_row(results: Results, task: str) -> Rows:
+    """The row of the floor in a task's environments. None if the task is not the benchmark's."""
+    known = floors(results.scores["rules"].iloc[0])
+    cells = tuple(f"{known[task, name]:.2f}" if (task, name) in known else NONE for name in results.shown_variants)
+    return (("Floor", *cells),) if task in TASKS else ()
+
+
+def _new_places(results: Results) -> Iterator[Table]:
+    """The table of scores in the test scenes that refute a shortcut, if some were played."""
+    seeds = refuting_seeds()
+    played = results.scores[results.scores["shift"] == ""]
+    refuted = [
+        seed in seeds.get((task, variant), ())
+        for task, variant, seed in played[["task", "variant", "seed"]].itertuples(index=False, name=None)
+    ]
+    rows = []
+    for policy, group in played[refuted].groupby("policy", sort=False, observed=True):
+        environments = dict(list(group.groupby(["task", "variant"], observed=True)))
+        found = mean_over((pair[0], pair, by_run_and_scene(rows)) for pair, rows in environments.items())
+        lowest = sum(new_place_floors()[pair] for pair in environments) / len(environments)
+        interval = NONE if math.isnan(found.low) else f"[{found.low:.2f}, {found.high:.2f}]"
+        rows.append((str(policy), f"{found.value:.2f}", interval, f"{lowest:.2f}", f"{len(environments)}/{len(seeds)}"))
+    if rows:
+        yield Table(
+            "new_places",
+            "Mean score in new places: the scenes where it is wrong to move what stands where the demonstrations moved "
+            "something, or to end where they ended. Beside it its 95 % interval, the floor there, and the number of "
+            "environments. MoveToCorner and MakeLine have no such scene",
+            ("Method", "score", "interval", "floor", "environments"),
+            (("", tuple(rows)),),
+        )
 
 
 def control_tables(results: Results) -> Iterator[Table]:
