@@ -66,6 +66,9 @@ CURVES: Final = (2.6, 2.2)  # inches
 BARS_PER_ROW: Final = 7
 MOST_DRAWN: Final = 42
 """The largest number of methods in the figures: with more, nobody can read them, and drawing takes minutes."""
+MOST_TASKS: Final = 60
+"""The largest number of tasks in the table of environments. Sets of intents have more."""
+IN_FILE: Final = "The mean score in each environment is in environments.csv."
 LETTER: Final = 0.065  # inches; the width of a small letter
 DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
@@ -141,7 +144,9 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     controls = [*control_tables(data)]
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
-    draw: dict[str, Callable[[], Figure]] = {"bars": lambda: bars(data), "heat_map": lambda: heat_map(data)}
+    draw: dict[str, Callable[[], Figure]] = {"bars": lambda: bars(data)}
+    if few := len(data.tasks) <= MOST_TASKS:
+        draw["heat_map"] = lambda: heat_map(data)
     if len(shifts) and shifts["strength"].notna().any():
         draw["shifts"] = lambda: shift_curves(shifts, data.mark)
     out.mkdir(parents=True, exist_ok=True)
@@ -160,8 +165,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
         *marked_tables[:of_environments],
         "![Mean scores over tasks](bars.png)",
         "## Environments",
-        "![Mean scores](heat_map.png)",
-        marked_tables[of_environments],
+        *(["![Mean scores](heat_map.png)", marked_tables[of_environments]] if few else [IN_FILE]),
         *(["## Controls", *map(markdown, controls)] if controls else []),
         *(["## Shifts"] if len(shifts) else []),
         *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
