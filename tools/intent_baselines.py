@@ -8,7 +8,8 @@
 
 It needs the packages in methods/goals and methods/intents. Policies for many intents are trained before, with
 python -m magical_intents.train OUT and python -m magical_intents.pictures OUT. Trainings with other seeds, in other
-folders, are further runs. A row has the episodes that were played: the first intents of each set.
+folders, are further runs. All rows have the same episodes: one in each of Layout and All, in the first intents of each
+set.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
 PAGE: Final = ROOT / "docs" / "intents.md"
 SECONDS: Final = 3600.0
 """The time limit of an episode. It includes a training, on a machine that may do other work."""
+INTENTS: Final = 4
+"""The number of intents of each set that are played."""
 SHOWN: Final = 4
 """The number of demonstrations that a policy is given, in any number of scenes."""
 MEASURE: Final = "clean success"
@@ -48,19 +51,12 @@ MEASURE: Final = "clean success"
 
 
 class Baseline(NamedTuple):
-    """A row of the table: a policy, what it is given, the settings of its evaluation, and what it plays.
-
-    Attributes:
-        intents: the number of intents of each set.
-        episodes: the number of scenes of each variant.
-    """
+    """A row of the table: a policy, what it is given, and the settings of its evaluation."""
 
     method: str
     given: str
     policy: Any
     settings: Mapping[str, Any] = {}
-    intents: int = 50
-    episodes: int = 1
 
 
 def shown(scenes: int, *, contrasting: bool = False) -> dict[str, Any]:
@@ -90,7 +86,7 @@ BASELINES: Final = {
     "noop": Baseline("Doing nothing", "nothing", "noop"),
     "random": Baseline("Random actions", "nothing", "random"),
     **{
-        name.replace(" ", "-"): Baseline(f"Shortcut: {name}", "the intent's relations", shortcut, intents=4)
+        name.replace(" ", "-"): Baseline(f"Shortcut: {name}", "the intent's relations", shortcut)
         for name, shortcut in shortcuts.items()
     },
     "circling": Baseline("Shortcut: circling", "nothing", shortcuts["circling"]),
@@ -99,14 +95,14 @@ BASELINES: Final = {
     "sentence-policy": Baseline("Policy for many intents", "the sentence", "sentence"),
     **rows_of("demonstrations-policy", "Policy for many intents", "demonstrations"),
     **rows_of("goals", "Intent inference", "magical_goals.policy:InferredGoal"),
-    "expert": Baseline("Expert", "the intent", "expert", intents=10),
+    "expert": Baseline("Expert", "the intent", "expert"),
 }
 """Name -> row."""
 
 
-def played(intents: int) -> list[str]:
+def played() -> list[str]:
     """The first tasks of each test set."""
-    return [f"{PREFIX}{task}" for name in TESTS for task in tasks_in(name)[:intents]]
+    return [f"{PREFIX}{task}" for name in TESTS for task in tasks_in(name)[:INTENTS]]
 
 
 def play(out: Path, names: Iterable[str]) -> None:
@@ -117,9 +113,9 @@ def play(out: Path, names: Iterable[str]) -> None:
         magical_mj.evaluate(
             policy,
             name=baseline.method,
-            tasks=played(baseline.intents),
+            tasks=played(),
             variants=list(OFFICIAL_VARIANTS),
-            episodes=baseline.episodes,
+            episodes=1,
             jobs=1,
             time_limit=SECONDS,
             out=folder,
@@ -132,9 +128,9 @@ def whole(*runs: Path) -> list[EpisodeResult]:
     """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
     found = []
     for run, out in enumerate(runs):
-        for name, baseline in BASELINES.items():
+        for name in BASELINES:
             every = episodes_of(out / name)
-            if len(every) == baseline.episodes * len(OFFICIAL_VARIANTS) * len(played(baseline.intents)):
+            if len(every) == len(OFFICIAL_VARIANTS) * len(played()):
                 found += [replace(one, policy=name, run=run, seconds=0.0) for one in every]
     return found
 
@@ -197,9 +193,8 @@ def baselines(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> str:
             found = means(own, measure)
             every = "{:.2f} ({:.2f} to {:.2f})".format(*found["mean"])
             parts = (f"{found[name].value:.2f}" for name in TESTS)
-            played = len({(one.task, one.variant, one.seed) for one in own})
-            rows.append((baseline.method, baseline.given, str(played), *parts, every))
-    return table(("Method", "Given", "Episodes", *TESTS, "mean"), rows)
+            rows.append((baseline.method, baseline.given, *parts, every))
+    return table(("Method", "Given", *TESTS, "mean"), rows)
 
 
 def write() -> None:
