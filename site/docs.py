@@ -6,6 +6,7 @@ SITE_REPOSITORY contains the repository's address, pages link to it and to its f
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -29,13 +30,39 @@ ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
 SOURCES: Final = ROOT / "out" / "site-sources"
 FOLDER: Final = ROOT / "out" / "site"
-PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others|home): ?(.*?) -->$", re.MULTILINE)
+PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|home): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
-BELOW: Final = {
-    "demonstrations": ("experts",),
-    "environments": ("pictures",),
+MOVED: Final = {
+    "bodies.html": {"what-transfers-between-bodies": "bodies-transfer.html"},
+    "demonstrations.html": {
+        "set-2": "demonstrations.html#more-varied-demonstrations",
+        "how-they-are-made": "experts.html",
+        "compared-with-people-s-demonstrations": "demonstration-sets.html#ours-and-people-s",
+    },
+    "evaluation.html": {
+        "a-policy-that-reads-instructions": "policies.html#instructions",
+        "a-network-of-pytorch": "policies.html#pytorch-and-onnx",
+        "a-policy-that-was-trained-in-vecnormalize": "policies.html#vecnormalize",
+        "statistics": "statistics.html",
+    },
+    "explain.html": {"what-our-policies-did": "failures.html"},
+    "intents.html": {
+        "the-language": "intents-language.html",
+        "the-official-evaluation": "intents-evaluation.html",
+        "demonstrations-at-test-time": "intents-evaluation.html#demonstrations-at-test-time",
+        "what-demonstrations-leave-open": "rivals.html",
+        "baselines": "intents-evaluation.html#baselines",
+    },
+    "learners.html": {
+        "methods": "methods.html",
+        "choices-that-the-paper-leaves-open": "methods.html#choices-that-the-paper-leaves-open",
+        "learnt-rewards": "learnt-rewards.html",
+        "pretraining": "pretraining.html",
+    },
+    "results.html": {"compared-with-the-paper": "results-paper.html"},
+    "shifts.html": {"what-breaks-behavioural-cloning": "shift-curves.html"},
 }
-"""Pages of docs/ that are below another one in the list of pages."""
+"""Page -> an id that it had once -> the address where its content is now."""
 MISSING: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>No such page · magical_mj</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
 <style>body {{ font: 1.1rem/1.5 system-ui, sans-serif; max-width: 32rem; margin: 12vh auto; padding: 0 1rem }}
@@ -78,14 +105,12 @@ def write_docs(folder: Path) -> None:
             (SOURCES / path.name).write_text(_links(path.read_text(encoding="utf-8")), encoding="utf-8")
         elif path.is_file():
             shutil.copy(path, SOURCES)
-    for parent, pages in BELOW.items():
-        with (SOURCES / f"{parent}.md").open("a", encoding="utf-8") as page:
-            page.write("\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n")
     methods = read_methods()
     (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
     cards = write_task_pages(SOURCES, media, [*methods.values(), *by_released_rules()])
     (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")
-    (SOURCES / "shift-curves.md").write_text(shift_curves(), encoding="utf-8")
+    with (SOURCES / "shift-curves.md").open("a", encoding="utf-8") as page:
+        page.write(shift_curves())
     start = home(methods, cards, media)
     for path in PAGES.iterdir():
         if (ROOT / "docs" / path.name).exists():
@@ -111,6 +136,8 @@ def _finish(folder: Path) -> None:
         text = path.read_text(encoding="utf-8")
         for found, fixed in FIXES.items():
             text = text.replace(found, fixed)
+        if path.name in MOVED:
+            text = text.replace("</head>", f"{_redirect(folder, path.name)}</head>")
         path.write_text(text, encoding="utf-8")
     address = os.environ.get("SITE_URL", "").rstrip("/")
     base = f'<base href="{address}/">' if address else FIND_BASE
@@ -119,6 +146,20 @@ def _finish(folder: Path) -> None:
         pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
         addresses = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
         (folder / "sitemap.txt").write_text(f"{addresses}\n", encoding="utf-8")
+
+
+def _redirect(folder: Path, page: str) -> str:
+    """A script for the links to parts of the page that are elsewhere now.
+
+    Raises:
+        SystemExit: if they are not there.
+    """
+    for address in MOVED[page].values():
+        name, _, place = address.partition("#")
+        if place and f'id="{place}"' not in (folder / name).read_text(encoding="utf-8"):
+            raise SystemExit(f"{page} has parts that moved to {address}, which does not exist")
+    places = json.dumps(MOVED[page])
+    return f"<script>{{ const to = {places}[location.hash.slice(1)]; if (to) location.replace(to); }}</script>"
 
 
 def _filled(found: re.Match[str], start: str) -> str:
@@ -130,10 +171,6 @@ def _filled(found: re.Match[str], start: str) -> str:
         return start
     if kind == "file":
         return _links((ROOT / name).read_text(encoding="utf-8"))
-    if kind == "others":  # pages of docs/ that are not in the index
-        index = (PAGES / "index.md").read_text(encoding="utf-8").split()
-        index += [name for pages in BELOW.values() for name in pages]
-        return "\n".join(path.stem for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in index)
     rows = (
         f"| {number} | {' | '.join(part.name.lower() for part in action)} |" for number, action in enumerate(ACTIONS)
     )

@@ -50,9 +50,10 @@ INTRODUCTION: Final = """An agent learns from demonstrations of one scene (Demo)
 Methods are in the order of their generalisation. Compare them within a block: a block has the same rules, the same
 observations, and the same kind of help. A method's name opens its scores in each environment, how to repeat them, and
 episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
-[statistics](evaluation.md#statistics) how scores and intervals are computed."""
-INTENTS: Final = """What do policies reach that receive an [intent](intents.md#baselines) at test time, by what they are
-given? Clean success in the first test intents of each set in Layout and All, with 95 % intervals over runs and intents.
+[statistics](statistics.md) how scores and intervals are computed."""
+INTENTS: Final = """What do policies reach that receive an [intent](intents-evaluation.md#baselines) at test time, by
+what they are given? Clean success in the first test intents of each set in Layout and All, with 95 % intervals over
+runs and intents.
 Their episodes are in the repository, in `results/intents.jsonl.xz`."""
 USES: Final = "May also use"
 GLOSSARY: Final = {

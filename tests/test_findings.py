@@ -1,4 +1,4 @@
-"""The figures and comparisons in the text of docs/results.md are those of the entries in results/ and of the paper."""
+"""The figures and comparisons in docs/results.md and results-paper.md are those of the entries and of the paper."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def less(first: str, second: str, *variants: str, tasks: Iterable[str] = COMMON)
 
 
 def findings() -> dict[str, list[float | str | Estimate]]:
-    """Paragraph of docs/results.md -> its figures, in their order. Differences are decided, or it says "undecided".
+    """Paragraph of these pages -> its figures, in their order. Differences are decided, or it says "undecided".
 
     Means have two decimals, shares are texts, and differences have a sign and an interval.
     """
@@ -160,9 +160,10 @@ def written(figure: float | str | Estimate) -> str:
 
 
 def paragraphs() -> dict[str, str]:
-    """The bold beginning of each paragraph of docs/results.md -> its text, without links; "" -> all other text."""
+    """The bold beginning of each paragraph of the pages of results -> its text, without links; "" -> all other text."""
     found = {"": ""}
-    for part in re.split(r"\n(?=- )|\n\n", (ROOT / "docs" / "results.md").read_text("utf-8")):
+    pages = "".join((ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in ("results", "results-paper"))
+    for part in re.split(r"\n(?=- )|\n\n", pages):
         text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(part.split()))
         if text.startswith(("|", "#", "![", "<!--")):
             continue
@@ -224,7 +225,7 @@ def test_the_verdicts_on_the_papers_claims_follow_the_rule() -> None:
     rows = {row.claim: row.verdict for row in compared(compared_with_the_paper())}
     assert {said for claim, said in rows.items() if claim.startswith("GAIL > BC (")} == {"Undecided", "Fails"}
     assert sum(said == "Holds" for said in rows.values()) > len(rows) / 2
-    assert f"\n{claims(compared_with_the_paper())}" in (ROOT / "docs" / "results.md").read_text("utf-8")
+    assert f"\n{claims(compared_with_the_paper())}" in (ROOT / "docs" / "results-paper.md").read_text("utf-8")
 
 
 def test_ours_from_pictures_have_the_same_scores_by_both_rules() -> None:
@@ -249,12 +250,12 @@ def test_the_range_of_jitter_is_named_where_one_moves_from_the_original() -> Non
 
 
 def test_the_demonstrations_page_has_the_scores_of_behavioural_cloning() -> None:
-    page = " ".join((ROOT / "docs" / "demonstrations.md").read_text("utf-8").split())
+    page = " ".join((ROOT / "docs" / "demonstration-sets.md").read_text("utf-8").split())
     assert f"scores {mean(STATES, 'Demo'):.2f} in Demo and {mean(STATES, 'Jitter'):.2f} in Jitter with ours" in page
 
 
 def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
-    page = " ".join((ROOT / "docs" / "demonstrations.md").read_text("utf-8").split())
+    page = " ".join((ROOT / "docs" / "demonstration-sets.md").read_text("utf-8").split())
     states, pictures = lost(STATES, TASKS)[1], lost("pixels-bc-quick", TASKS)[1]
     assert f"BC loses {states:.0%} of its score from states and {pictures:.0%} from" in page.replace(" %", "%")
     losses = {task: lost("state-gail", [task])[0] for task in TASKS}
@@ -268,7 +269,7 @@ def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
 
 
 def test_the_demonstrations_page_has_the_statistics_of_the_demonstrations() -> None:
-    page = (ROOT / "docs" / "demonstrations.md").read_text("utf-8")
+    page = (ROOT / "docs" / "demonstration-sets.md").read_text("utf-8")
     table = page.partition("| | set 1 | set 2 | people |")[2].split("\n\n")[0].splitlines()[2:]
     shipped = {number: [demos.load(task, set=number) for task in TASKS] for number in (1, 2)}
     for line, statistic in zip(table, STATISTICS.values(), strict=True):

@@ -1,6 +1,6 @@
 """Measures how ambiguous demonstrations are, for the eight tasks and intents of the test sets.
 
-    python -m tools.ambiguity        writes a table in docs/intents.md and the picture docs/intents-rivals.png
+    python -m tools.ambiguity        writes a table in docs/rivals.md and the picture docs/intents-rivals.png
 
 Plans replace demonstrations after the first scene, since rivals depend on the initial and the final scene only. An
 intent of n bits has the weight 2 to the power of -n. The missing bits are the logarithm to base 2 of the weight of all
@@ -207,6 +207,6 @@ def draw(curves: Sequence[Curves], titles: Sequence[str]) -> None:
 
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    page = ROOT / "docs" / "intents.md"
+    page = ROOT / "docs" / "rivals.md"
     tables = {"known": known()}
     page.write_text(filled(page.read_text("utf-8"), tables, COMMAND), "utf-8")

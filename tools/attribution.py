@@ -3,7 +3,7 @@
 python -m tools.attribution                     # all of them, in an hour on one core
 python -m tools.attribution identifiability     # or some
 
-Those of episodes replay the entries in results/. docs/intents.md, explain.md and benchmark-card.md have the tables.
+Those of episodes replay the entries in results/. docs/rivals.md, failures.md and benchmark-card.md have the tables.
 `endings` is made of docs/endings.csv, which gets a row for each entry and task that it lacks.
 """
 
@@ -201,8 +201,8 @@ def _percent(share: float) -> str:
 
 WRITTEN: Final[dict[str, tuple[str, Callable[[], str]]]] = {
     "identifiability": ("docs/benchmark-card.md", identifiability),
-    "left-open": ("docs/intents.md", left_open),
-    "endings": ("docs/explain.md", endings),
+    "left-open": ("docs/rivals.md", left_open),
+    "endings": ("docs/failures.md", endings),
 }
 """Table -> its page, and the function that makes it."""
 

@@ -1,6 +1,6 @@
 """The paper's claims about its methods, compared with the same figures of ours, by the same rules.
 
-    python -m tools.claims    # the table of docs/results.md
+    python -m tools.claims    # the table of docs/results-paper.md
 
 One rule decides: a claim holds if the 95 % interval of the difference lies on the claimed side of 0, and fails if it
 lies on the other side. Otherwise it is undecided. "Equal" fails if the interval excludes 0, and holds if it lies within

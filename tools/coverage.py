@@ -1,6 +1,6 @@
 """How often 95 % intervals contain the true value, in simulated evaluations like those in results/.
 
-    python -m tools.coverage                # the table of docs/evaluation.md, in two minutes
+    python -m tools.coverage                # the figures of docs/statistics.md, in two minutes
 
 Each simulated method has the scores of a method in results/ with five runs: in each task the same distribution of
 scores, and the same variance between runs and between scenes (a Gaussian copula). Its true mean is known. With one run,

@@ -1,4 +1,4 @@
-"""What policies learn from each set of the package's demonstrations: the table of docs/demonstrations.md.
+"""What policies learn from each set of the package's demonstrations: the table of docs/demonstration-sets.md.
 
     for entry in state-bc pixels-bc-quick state-gail; do
         magical-mj experiment tools/research/set-2-$entry.toml --out runs/$entry

@@ -22,9 +22,15 @@ from magical_mj.web.page_data import EXPERT, SCENES
 INTRODUCTION: Final = """\
 The scripted expert knows the true state and plans with the task's own subgoals and score: it tries manoeuvres on a
 copy of the simulation and keeps the best. Use it as `--policy expert`, or as `magical_mj.experts.Expert(engine, task,
-seed)`; with other seeds it acts differently ([how it drives](demonstrations.md#how-they-are-made)).
+seed)`; with other seeds it acts differently.
 
 ![The expert in seven demonstrations, from left to right](experts.png)
+
+It drives as people do at a keyboard, so that its actions follow from what learners see: the same target in the
+robot's frame leads to the same action. It waits up to three steps before a manoeuvre, and one time in four changes its
+action a step late. Steering corrects these errors, so its [demonstrations](demonstrations.md) show how to recover. Its
+plans vary little, because ten demonstrators with ten plans are hard to imitate. At the end it keeps its fingers closed
+for about ten steps, and then does nothing, at most 80 steps.
 
 `magical-mj evaluate --policy expert --episodes 20 --out out/experts` played"""
 PAGE: Final = Path(__file__).parent.parent / "docs" / "experts.md"

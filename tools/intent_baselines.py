@@ -1,4 +1,4 @@
-"""Plays the test sets of intents with baselines, and writes their table into docs/intents.md.
+"""Plays the test sets of intents with baselines, and writes their table into docs/intents-evaluation.md.
 
     python -m tools.intent_baselines play OUT            plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT expert     or some
@@ -39,7 +39,7 @@ from tools.tables import ROOT, filled, table
 
 KEPT: Final = ROOT / "results" / "intents.jsonl.xz"
 """The file of the episodes: lines as of an evaluation, with the name of the baseline as policy."""
-PAGE: Final = ROOT / "docs" / "intents.md"
+PAGE: Final = ROOT / "docs" / "intents-evaluation.md"
 SECONDS: Final = 3600.0
 """The time limit of an episode. It includes a training, on a machine that may do other work."""
 INTENTS: Final = 4

@@ -1,7 +1,7 @@
 """Measures shortcuts on the test sets of intents, makes the demonstrations that the package ships, and a picture.
 
-python -m tools.intents floors JOBS      writes magical_mj/intents/floors.json and the table in docs/intents.md
-python -m tools.intents picture          draws docs/intents.png
+python -m tools.intents floors JOBS    writes magical_mj/intents/floors.json and a table in docs/intents-evaluation.md
+python -m tools.intents picture        draws docs/intents.png
 python -m tools.intents demonstrations 1000 JOBS
 makes the first 1,000 of those of the test sets, and writes the file that
 the package ships; called again, it continues. Two seconds of a core each
@@ -94,8 +94,8 @@ def floors_table() -> str:
 
 
 def write_tables() -> None:
-    """Writes the table of floors into docs/intents.md."""
-    page = ROOT / "docs" / "intents.md"
+    """Writes the table of floors into docs/intents-evaluation.md."""
+    page = ROOT / "docs" / "intents-evaluation.md"
     text = filled(page.read_text("utf-8"), {"floors": floors_table()}, "python -m tools.intents floors")
     page.write_text(text, "utf-8")
 

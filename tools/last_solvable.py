@@ -1,4 +1,4 @@
-"""Finds the last solvable steps of failed episodes in results/, and writes a table into docs/explain.md.
+"""Finds the last solvable steps of failed episodes in results/, and writes a table into docs/failures.md.
 
     python -m tools.last_solvable measure   adds to docs/last-solvable.csv; called again, it continues
     python -m tools.last_solvable write     writes the table
@@ -25,7 +25,7 @@ from tools.attribution import LONG, RESULTS, entries, replayed
 from tools.pages import ROOT, filled, table
 
 DATA: Final = ROOT / "docs" / "last-solvable.csv"
-PAGE: Final = ROOT / "docs" / "explain.md"
+PAGE: Final = ROOT / "docs" / "failures.md"
 COMMAND: Final = "python -m tools.last_solvable"
 VARIANTS: Final = ("All", "Layout")
 ORDER: Final = ("MoveToRegion", "FixColour", "FindDupe", "MoveToCorner", "MatchRegions", "MakeLine", *LONG)

@@ -1,4 +1,4 @@
-"""How well learnt rewards agree with the score, and what policies learn from them: two tables of docs/learners.md.
+"""How well learnt rewards agree with the score, and what policies learn from them: docs/learnt-rewards.md.
 
     magical-mj evaluate-reward runs/gail-FindDupe runs/airl-FindDupe ... --out FindDupe.csv    (for each task)
     python -m tools.learnt_rewards *.csv

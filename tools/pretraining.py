@@ -1,4 +1,4 @@
-"""What policies of one task learn from others: the table of docs/learners.md.
+"""What policies of one task learn from others: the table of docs/pretraining.md.
 
     python -m tools.research.pretraining --out runs/states
     python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1

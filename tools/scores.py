@@ -42,7 +42,7 @@ HEADLINES: Final = (
     "GAIL (ST, State)",
     "Goals and planning (ST, State)",
 )
-"""The learners in the tables of docs/results.md."""
+"""The learners in the tables of docs/results.md and results-paper.md."""
 PUBLISHED: Final = ("BC (ST)", "GAIL (ST)")
 """The paper's methods in the table of scores in each variant."""
 SATURATED: Final = 0.95
@@ -114,13 +114,19 @@ def _named(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def results() -> dict[str, str]:
-    """The tables of docs/results.md by name."""
+    """The table of docs/results.md by name."""
     chosen = {*HEADLINES, *AGENTS}
-    own = {name: method for name, method in own_methods().items() if method.name in chosen and method.everywhere}
+    return {
+        "methods": groups({name: one for name, one in own_methods().items() if one.name in chosen and one.everywhere})
+    }
+
+
+def comparisons() -> dict[str, str]:
+    """The tables of docs/results-paper.md by name."""
+    chosen = {*HEADLINES, *AGENTS}
     rescored = by_released_rules()
     in_paper = [method for method in published() if method.name in PUBLISHED]
     return {
-        "methods": groups(own),
         "compared": compared([*(method for method in rescored if method.name in chosen), *in_paper]),
         "claims": claims(compared_with_the_paper()),
     }

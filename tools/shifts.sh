@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Learners' scores under shifts in docs/shifts.md and methods/relational/TRIED.md: tools/shifts.sh. About eight hours of one core; run again, it goes on.
+# Learners' scores under shifts in docs/shift-curves.md and methods/relational/TRIED.md: tools/shifts.sh. About eight hours of one core; run again, it goes on.
 set -euo pipefail
 export MAGICAL_MJ_RENDERER=software
 

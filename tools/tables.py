@@ -82,10 +82,12 @@ def readme() -> dict[str, str]:
 PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "README.md": readme,
     "docs/benchmark-card.md": scores.card,
-    "docs/demonstrations.md": demonstration_sets.tables,
+    "docs/demonstration-sets.md": demonstration_sets.tables,
     "docs/environments.md": lambda: {"presets": presets()},
-    "docs/learners.md": lambda: learnt_rewards.tables() | pretraining.tables(),
+    "docs/learnt-rewards.md": learnt_rewards.tables,
+    "docs/pretraining.md": pretraining.tables,
     "docs/results.md": scores.results,
+    "docs/results-paper.md": scores.comparisons,
     "docs/shifts.md": shifts,
 }
 """Page -> the function that makes its tables."""

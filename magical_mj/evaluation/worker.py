@@ -81,7 +81,7 @@ def _doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Ite
     if statistics := statistics_of(source.origin):
         yield (
             f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
-            "lack the normalization; docs/evaluation.md shows how to evaluate such a policy"
+            "lack the normalization; docs/policies.md shows how to evaluate such a policy"
         )
 
 

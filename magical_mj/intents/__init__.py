@@ -1,7 +1,7 @@
 """Intents: a language of goals over scenes.
 
 An intent is one to three relations, joined by ``&``. A relation says what must hold for some blocks in the final scene.
-The blocks are selected in the initial scene. docs/intents.md describes the language.
+The blocks are selected in the initial scene. docs/intents-language.md describes the language.
 
 Every intent is a task: its name is ``"intent:"`` and the text, or ``"intent:combined/17"`` for an intent of `SETS`.
 

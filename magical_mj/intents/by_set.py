@@ -142,7 +142,7 @@ def write_rows(every: Sequence[Row], out: Path, _: Mapping[Key, str]) -> Path:
     notes = (
         "Success: the share of solved episodes. Clean success: no block moved that the intent does not name. Intervals "
         "(95 %) cover intents, their scenes and runs. The best shortcut is the one that solves most scenes of Layout "
-        "and All; see docs/intents.md of magical_mj."
+        "and All; see docs/intents-evaluation.md of magical_mj."
     )
     files.write(out / PAGE, f"# Intents by set\n\n{notes}\n\n{markdown(table(every))}", overwrite=True)
     frame = pd.DataFrame(
@@ -170,7 +170,8 @@ class IntentsSection(ReportSection):
     option = "intents"
 
     intents: Annotated[
-        bool, Meta(description="Rows by set of intents: success, clean success and score; see docs/intents.md.")
+        bool,
+        Meta(description="Rows by set of intents: success, clean success and score; see docs/intents-evaluation.md."),
     ] = False
 
     def prepare(

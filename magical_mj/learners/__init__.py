@@ -1,6 +1,6 @@
 """The paper's learners, trained on our demonstrations: BC, GAIL, WGAIL-GP and apprenticeship learning.
 
-They need the extra `il`. No other part of the package imports them. docs/learners.md describes each learner.
+They need the extra `il`. No other part of the package imports them. docs/methods.md describes each learner.
 
 Example:
     >>> from magical_mj.learners import load_settings, train

@@ -58,7 +58,7 @@ TORCH: Final = (
     "To evaluate a PyTorch network, give --policy mine:Policy, where mine.py contains a class Policy. Its "
     "__init__(self) loads the network, and its __call__(self, observation) returns an action, such as "
     "int(network(torch.as_tensor(observation)[None]).argmax()). Or export it with torch.onnx.export, and give the file "
-    "to --policy. docs/evaluation.md shows both"
+    "to --policy. docs/policies.md shows both"
 )
 FOLDER_GROUP: Final = "magical_mj.policy_folders"
 """The entry-point group of functions that load the policy in a folder.

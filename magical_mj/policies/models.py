@@ -37,7 +37,7 @@ from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
-    "function that converts them with magical_mj.actions.to_discrete (docs/evaluation.md)"
+    "function that converts them with magical_mj.actions.to_discrete (docs/policies.md)"
 )
 MOST_OF_POLICY: Final = 1_000_000_000
 """The maximum size of a model's file, in bytes; also of its weights after unpacking."""
@@ -338,7 +338,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     if isinstance(most, int) and most != 1:
         raise SettingsError(
             f"{path} has an input of shape {entry.shape}. The first axis must be a batch of any size: export it "
-            'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/evaluation.md'
+            'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/policies.md'
         )
     if len(output.shape) == 2 and isinstance(output.shape[1], int):
         _check_output(path, output.shape[1:])

@@ -243,7 +243,7 @@ UNNOTICED: Final[Mapping[Effect, str]] = MappingProxyType(
     {
         "pictures": "it changes pictures, and the observations have none: leave it out, or choose another preset",
         "instruction": "it changes the sentence that describes the task, and only policies with the attribute "
-        "uses_instruction = True read it (docs/evaluation.md): leave it out",
+        "uses_instruction = True read it (docs/policies.md): leave it out",
     }
 )
 """Why a policy does not notice a shift, and what to do."""

@@ -1,4 +1,4 @@
-"""How ambiguous demonstrations are: the measures, and what docs/intents.md says about them."""
+"""How ambiguous demonstrations are: the measures, and what docs/rivals.md says about them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tools.tables import ROOT
 
 pytestmark = pytest.mark.xdist_group("ambiguity")  # measured with the same lists of intents
 
-PAGE = (ROOT / "docs" / "intents.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "rivals.md").read_text("utf-8")
 
 
 def rows_of(name: str) -> dict[str, list[str]]:

@@ -251,7 +251,7 @@ def test_the_file_of_all_entries_is_what_a_replay_gives() -> None:
 
 def test_the_page_says_what_learners_without_success_did() -> None:
     """In the tasks where wrong blocks can be moved, without policies that do not look or plan in a simulator."""
-    page = " ".join((ROOT / "docs" / "explain.md").read_text("utf-8").split())
+    page = " ".join((ROOT / "docs" / "failures.md").read_text("utf-8").split())
     rows = pd.read_csv(ENDED, dtype=str, keep_default_na=False)
     learners = rows[~rows["entry"].isin(["noop", "random", "replay", "state-goals"])]
     tasks = [learners[learners["task"] == task].to_dict("records") for task in CHOICES]

@@ -58,7 +58,7 @@ def test_the_experiment_can_be_read(tmp_path: Path) -> None:
 
 
 def test_statements_about_learnt_rewards_agree_with_the_figures() -> None:
-    text = " ".join((DOCS / "learners.md").read_text().split())
+    text = " ".join((DOCS / "learnt-rewards.md").read_text().split())
     found = learnt_rewards.means()
     assert found[["Layout", "All"]].to_numpy().max() < found[["Demo", "Colour"]].to_numpy().min()
     rows = pd.read_csv(learnt_rewards.FILE).set_index(["method", "task", "variant"])
@@ -73,7 +73,7 @@ def test_statements_about_learnt_rewards_agree_with_the_figures() -> None:
 
 
 def test_statements_about_pretraining_agree_with_the_figures() -> None:
-    text = " ".join((DOCS / "learners.md").read_text().split())
+    text = " ".join((DOCS / "pretraining.md").read_text().split())
     starts = pretraining.stored()
     # As many batches on the held-out task as those of both steps together.
     control = {

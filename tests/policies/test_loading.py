@@ -22,7 +22,7 @@ from tests.helpers.commands import Shell
 from tests.helpers.learners import tiny
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "evaluation.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "policies.md").read_text("utf-8")
 EXAMPLES = {name: code for code, name in re.findall(r"```python\n(# (\w+)\.py.*?)```", PAGE, re.DOTALL)}
 STATE = "magical_mj/MoveToRegion-Demo-State-v0"
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 2, "jobs": 1}
@@ -56,7 +56,7 @@ def test_a_network_is_evaluated_as_the_page_says(example: Callable[[str], None])
     network = Network()
     torch.save(network.state_dict(), "bc.pt")
     for policy in (network, Network, "network:Network", {"BC": network}):
-        with pytest.raises(SettingsError, match=r"is a network, .*mine:Policy.*torch.onnx.export.*docs/evaluation.md"):
+        with pytest.raises(SettingsError, match=r"is a network, .*mine:Policy.*torch.onnx.export.*docs/policies.md"):
             magical_mj.evaluate(policy, **SMALL)
     with pytest.raises(SettingsError, match=r"bc.pt contains the weights of a network.*mine:Policy.*torch.onnx.export"):
         magical_mj.evaluate("bc.pt", **SMALL)
@@ -107,7 +107,7 @@ def test_a_policy_of_vecnormalize_is_evaluated_as_the_page_says(example: Callabl
     model.learn(128)
     model.save("model.zip")
     env.save("vecnormalize.pkl")
-    with pytest.warns(UserWarning, match=r"model.zip is played without vecnormalize.pkl.* docs/evaluation.md shows"):
+    with pytest.warns(UserWarning, match=r"model.zip is played without vecnormalize.pkl.* docs/policies.md shows"):
         without = magical_mj.evaluate("model.zip", **SMALL)
     played = magical_mj.evaluate("normalised:Policy", **SMALL)
     assert set(played["preset"]) == set(without["preset"]) == {"State"}

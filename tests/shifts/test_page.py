@@ -1,11 +1,11 @@
-"""What docs/shifts.md says about its tables of behavioural cloning follows from them."""
+"""What docs/shift-curves.md says about its tables of behavioural cloning follows from them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 NEVER = "\N{EN DASH}"
-PAGE = (Path(__file__).parents[2] / "docs" / "shifts.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "shift-curves.md").read_text("utf-8")
 
 
 def rows(heading: str) -> dict[str, list[str]]:

@@ -1,4 +1,4 @@
-"""Behavioural cloning from states with each body, tested on all bodies: the tables in docs/bodies.md.
+"""Behavioural cloning from states with each body, tested on all bodies: the tables in docs/bodies-transfer.md.
 
     python -m tools.research.bc_bodies [--tasks SweepToTop,MoveToRegion] [--updates 3000] [--episodes 50]
 

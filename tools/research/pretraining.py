@@ -3,7 +3,7 @@
     python -m tools.research.pretraining --out runs/states [--held-out FindDupe,...] [--tasks 0,1,3,7] [--seeds 2]
     python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1
     python -m tools.research.pretraining --out runs/pictures --preset LoRes4E --seeds 1 --encoder runs/next.safetensors
-    python -m tools.pretraining runs/states runs/pictures    # stores the scores for the table of docs/learners.md
+    python -m tools.pretraining runs/states runs/pictures    # stores the scores for the table of docs/pretraining.md
 
 For each held-out task, number k of other tasks and seed:
 

@@ -1,4 +1,4 @@
-"""SAC of Stable-Baselines3 on x-magical's SweepToTop from states: the curves in docs/bodies.md.
+"""SAC of Stable-Baselines3 on x-magical's SweepToTop from states: the curves in docs/bodies-transfer.md.
 
     python -m tools.research.sac_xmagical --body longstick --reward sparse --out FOLDER/longstick-sparse [--steps 75000]
     python -m tools.research.sac_xmagical --plot docs/bodies-sac.png --out FOLDER    draws the curves of its runs
