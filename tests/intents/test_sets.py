@@ -61,6 +61,16 @@ def test_each_differs_from_the_training_set_in_one_respect() -> None:
     assert all(len(intent.conjuncts) == 3 and words.issuperset(intent.conjuncts) for intent in SETS["long"])
 
 
+def test_selector_and_relation_have_words_that_no_training_sentence_has() -> None:
+    def words(name: str) -> set[str]:
+        return {word.strip(",.") for intent in SETS[name] for word in intent.sentence.lower().split()}
+
+    new = {name: words(name) - words("train") for name in TESTS}
+    assert {name for name in TESTS if new[name]} == {"selector", "relation"}
+    assert new["selector"] >= {"farthest", "differs"}
+    assert new["relation"] >= {"corner", "apart"}
+
+
 def test_matched_sets_take_the_same_effort() -> None:
     for value in ("cost", "moves"):
         medians = [np.median([getattr(one, value) for one in in_sets() if one.set == name]) for name in MATCHED]
