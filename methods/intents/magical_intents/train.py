@@ -3,7 +3,7 @@
 python -m magical_intents.train OUT
 
 It writes OUT/skill, OUT/sentence and OUT/demonstrations. The last two are folders of policies. A second call with
-the same folder continues the training. The expert makes the demonstrations that do not exist yet.
+the same folder continues the training.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from magical_intents.plans import SCENES, planned
 from magical_intents.policy import KINDS, POLICY
 from magical_intents.subgoals import DONE, Labels, Shown, labels_of
 from magical_intents.symmetries import MIRRORED, Symmetry, changed, drawn, moved, renamed, words_of
+from magical_mj import demos
 from magical_mj.demos import Transitions
-from magical_mj.intents import SETS, Intent, dataset
+from magical_mj.demos.learning import stream
+from magical_mj.intents import EIGHT, SETS, Intent, dataset
 from magical_mj.intents.expert_data import Example
 from magical_mj.learners import checkpoint
 from magical_mj.learners.learner import seeded
@@ -38,8 +40,6 @@ VARIANTS: Final = ("Demo", "Layout", "All")
 """Each intent has one demonstration in each of these variants, so that its demonstrations differ."""
 INTENTS: Final = 1000
 """The number of intents of the plans."""
-SIMULATED_INTENTS: Final = 200
-"""The number of intents of the demonstrations."""
 UPDATES: Final = {"skill": 8000, "sentence": 3000, "demonstrations": 3000}
 LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
@@ -50,8 +50,6 @@ GROUPS: Final = 48
 """The number of contexts in a planner's batch."""
 STEPS: Final = 4
 """The number of steps for each context, from demonstrations that are not part of it."""
-SIMULATED: Final = 0.3
-"""The share of contexts with steps from simulated demonstrations. The steps of the others are from plans."""
 ALIKE: Final = 0.3
 """The share of contexts that repeat one demonstration, as if all were in one scene."""
 DECISIVE: Final = 0.5
@@ -106,10 +104,9 @@ def demonstrated(
             warnings.warn(f"left out: {error}", stacklevel=2)
 
 
-def lessons(intents: Iterable[Intent], folder: Path | None = None) -> list[Lesson]:
-    """The intents with their demonstrations from states. Intents with fewer than two usable ones are left out."""
-    every = [lesson(intent, examples) for intent, examples in demonstrated(intents, STATE, folder)]
-    return [one for one in every if len(one.shown) > 1]
+def shipped_lessons() -> list[Lesson]:
+    """The intents of the benchmark's eight tasks, with the demonstrations that come with the package."""
+    return [lesson(intent, stream(demos.load(task), STATE, drop_noop=False)) for task, intent in EIGHT.items()]
 
 
 def lesson(intent: Intent, examples: Iterable[Example | Transitions]) -> Lesson:
@@ -144,7 +141,6 @@ def train(
     out: Path,
     kind: str,
     *,
-    plans: Sequence[Lesson] = (),
     skill: Path | None = None,
     updates: int | None = None,
     saved: int = SAVED,
@@ -153,13 +149,15 @@ def train(
 ) -> None:
     """Trains one of `KINDS`, and writes it into `out`. A planner's folder also gets the skill, and is a policy.
 
+    The skill learns from demonstrations, the planners from plans.
+
     After each writing of the network, `watch` is called with the number of updates and the mean loss.
 
     Raises:
         TrainingError: if the folder holds another training.
     """
     updates = updates or UPDATES[kind]
-    path, training = out / POLICY, {"kind": kind, "updates": updates, "intents": [len(data), len(plans)], "seed": seed}
+    path, training = out / POLICY, {"kind": kind, "updates": updates, "intents": len(data), "seed": seed}
     with seeded(seed):
         network: Any = Skill() if kind == "skill" else Planner(reads=kind == "sentence")
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
@@ -177,7 +175,7 @@ def train(
     out.mkdir(parents=True, exist_ok=True)
     for update in range(done, updates):
         rng = np.random.default_rng([seed, update])
-        loss = skill_loss(network, data, rng) if kind == "skill" else planner_loss(network, data, plans, rng)
+        loss = skill_loss(network, data, rng) if kind == "skill" else planner_loss(network, data, rng)
         optimizer.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), LARGEST)
@@ -229,14 +227,12 @@ def batch(
     rng: np.random.Generator,
     *,
     reads: bool,
-    plans: Sequence[Lesson] = (),
     symmetries: bool = True,
 ) -> Batch:
     """A batch. The context is a sentence, or demonstrations, and the steps are from other demonstrations."""
     initial, now, given, objects, places = [], [], [], [], []
     for _ in range(GROUPS):
-        source = plans if plans and rng.random() > SIMULATED else data
-        lesson = source[int(rng.integers(len(source)))]
+        lesson = data[int(rng.integers(len(data)))]
         order = rng.permutation(len(lesson.shown))
         number = min(int(rng.integers(1, MOST_SHOWN + 1)), len(order) - 1)
         context, others = order[:number], order[number:]
@@ -277,9 +273,9 @@ def _changed_ends(ends: NDArray[np.float32], by: Symmetry) -> Tensor:
     return changed(torch.from_numpy(ends).flatten(1, 2), by).unflatten(1, ends.shape[1:3])
 
 
-def planner_loss(network: Planner, data: Sequence[Lesson], plans: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
+def planner_loss(network: Planner, data: Sequence[Lesson], rng: np.random.Generator) -> Tensor:
     """The negative log-likelihood of objects and targets, averaged over the batch."""
-    seen = batch(data, rng, reads=network.reads, plans=plans)
+    seen = batch(data, rng, reads=network.reads)
     objects, places = network(seen.initial, seen.now, network.context(seen.given)).likelihood(seen.objects, seen.places)
     return -(objects + WEIGHT * places).mean()
 
@@ -303,18 +299,15 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--intents", type=int, default=INTENTS, help="the number of intents of the plans")
-    parser.add_argument("--folder", type=Path, help="folder of the demonstrations; by default in the user's cache")
     parser.add_argument("--seed", type=int, default=0, help="of the networks and the batches")
     chosen = parser.parse_args()
     with torch_settings(1):
-        data = lessons(trained_intents(SIMULATED_INTENTS), chosen.folder)
-        plans = planned_lessons(trained_intents(chosen.intents))
+        skills, plans = shipped_lessons(), planned_lessons(trained_intents(chosen.intents))
         for kind in KINDS:
             train(
-                data,
+                skills if kind == "skill" else plans,
                 chosen.out / kind,
                 kind,
-                plans=plans,
                 skill=None if kind == "skill" else chosen.out / "skill",
                 seed=chosen.seed,
                 watch=lambda updates, loss, kind=kind: sys.stdout.write(f"{kind} {updates} {loss:.4f}\n"),

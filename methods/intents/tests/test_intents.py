@@ -16,7 +16,7 @@ from magical_intents.plans import planned
 from magical_intents.policy import KINDS, POLICY, load_policy
 from magical_intents.subgoals import DONE, ROBOT, labels_of
 from magical_intents.symmetries import changed, drawn, renamed, words_of
-from magical_intents.train import Lesson, batch, lesson, lessons, quality, train, trained_intents
+from magical_intents.train import Lesson, batch, lesson, quality, train, trained_intents
 
 import magical_mj
 from magical_mj import demos
@@ -184,10 +184,3 @@ def test_pictures_are_cloned_with_the_sentence(tmp_path: Path) -> None:
     checkpoint.write(tmp_path / pictures.POLICY, {"weights": {}})
     with pytest.raises(TrainingError, match="does not contain a policy"):
         pictures.load_policy(tmp_path)
-
-
-@pytest.mark.slow
-def test_demonstrations_are_made_by_the_expert(tmp_path: Path) -> None:
-    (only,) = lessons([parse("robot in()")], tmp_path)
-    assert len(only.shown) == 3
-    assert all(len(shown.states) == len(shown.actions) > 10 for shown in only.shown)
