@@ -18,6 +18,7 @@ from typing import Any, Final
 from conf import REPOSITORY
 from gallery import gallery
 from home import home
+from moved import MOVED
 from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
@@ -32,37 +33,6 @@ SOURCES: Final = ROOT / "out" / "site-sources"
 FOLDER: Final = ROOT / "out" / "site"
 PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|home): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
-MOVED: Final = {
-    "bodies.html": {"what-transfers-between-bodies": "bodies-transfer.html"},
-    "demonstrations.html": {
-        "set-2": "demonstrations.html#more-varied-demonstrations",
-        "how-they-are-made": "experts.html",
-        "compared-with-people-s-demonstrations": "demonstration-sets.html#ours-and-people-s",
-    },
-    "evaluation.html": {
-        "a-policy-that-reads-instructions": "policies.html#instructions",
-        "a-network-of-pytorch": "policies.html#pytorch-and-onnx",
-        "a-policy-that-was-trained-in-vecnormalize": "policies.html#vecnormalize",
-        "statistics": "statistics.html",
-    },
-    "explain.html": {"what-our-policies-did": "failures.html"},
-    "intents.html": {
-        "the-language": "intents-language.html",
-        "the-official-evaluation": "intents-evaluation.html",
-        "demonstrations-at-test-time": "intents-evaluation.html#demonstrations-at-test-time",
-        "what-demonstrations-leave-open": "rivals.html",
-        "baselines": "intents-evaluation.html#baselines",
-    },
-    "learners.html": {
-        "methods": "methods.html",
-        "choices-that-the-paper-leaves-open": "methods.html#choices-that-the-paper-leaves-open",
-        "learnt-rewards": "learnt-rewards.html",
-        "pretraining": "pretraining.html",
-    },
-    "results.html": {"compared-with-the-paper": "results-paper.html"},
-    "shifts.html": {"what-breaks-behavioural-cloning": "shift-curves.html"},
-}
-"""Page -> an id that it had once -> the address where its content is now."""
 MISSING: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>No such page · magical_mj</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
 <style>body {{ font: 1.1rem/1.5 system-ui, sans-serif; max-width: 32rem; margin: 12vh auto; padding: 0 1rem }}
@@ -111,6 +81,9 @@ def write_docs(folder: Path) -> None:
     (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")
     with (SOURCES / "shift-curves.md").open("a", encoding="utf-8") as page:
         page.write(shift_curves())
+    command_line = [sys.executable, "-m", "typer", "magical_mj.cli.app", "utils", "docs", "--name", "magical-mj"]
+    command_line += ["--title", "Command line", "--output", str(SOURCES / "command-line.md")]
+    subprocess.run(command_line, check=True, stdout=subprocess.DEVNULL)
     start = home(methods, cards, media)
     for path in PAGES.iterdir():
         if (ROOT / "docs" / path.name).exists():

@@ -161,7 +161,7 @@ def _row(name: str, method: Standing) -> str:
 def _cell(method: Standing, column: str) -> str:
     lacks = method.lacks(column)
     score = None if lacks and column not in VARIANTS else method.scores.get(column)
-    if score is None:
+    if score is None or np.isnan(score.value):
         return "<td></td>"
     below = lacks or ("" if np.isnan(score.low) else f"{score.low:.2f} to {score.high:.2f}".replace("-0.00", "0.00"))
     shown = f"{score.value:.2f}".replace("-0.00", "0.00")

@@ -138,6 +138,7 @@ class Group(TyperGroup):
                 if group == cmd_name and inner:
                     command.command(inner)(resolve_installed(reference))
             self.commands[cmd_name] = plain(get_command(command))
+            self.commands[cmd_name].name = cmd_name
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
