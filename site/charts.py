@@ -27,11 +27,11 @@ COLOURS: Final = (
 FIXED: Final = {
     "Goals and planning": 0,
     "BC from states": 1,
-    "BC from pictures": 2,
+    "BC from images": 2,
     "GAIL from states": 3,
     "Random actions": 4,
     "Relational from states": 6,
-    "Redraw from pictures": 7,
+    "Redraw from images": 7,
     "Goals and planning (ST, State)": 0,
     "BC (ST, State)": 1,
     "BC (ST, quick)": 2,

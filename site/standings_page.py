@@ -37,9 +37,9 @@ ROOT: Final = Path(__file__).parent.parent
 HEADLINE: Final = {
     "state-goals": "Goals and planning",
     "state-relational": "Relational from states",
-    "pixels-redraw-quick": "Redraw from pictures",
+    "pixels-redraw-quick": "Redraw from images",
     "state-bc": "BC from states",
-    "pixels-bc-quick": "BC from pictures",
+    "pixels-bc-quick": "BC from images",
     "state-gail": "GAIL from states",
     "random": "Random actions",
 }
@@ -118,7 +118,7 @@ def _filter() -> str:
         choices = "".join(f'<option value="{value}">{shown}</option>' for value, shown in options.items())
         return f'<label>{title} <select name="{name}"><option value="">all</option>{choices}</select></label>'
 
-    sees = {"pictures": "pictures", "states": "states", "nothing": "nothing"}
+    sees = {"pictures": "images", "states": "states", "nothing": "nothing"}
     uses = {"usual": "no more than the paper's setting", "more": "more than that"}
     by = {"own": "this project", "published": "the paper"}
     fields = select("sees", "Sees", sees) + select("uses", "May use", uses) + select("by", "Run by", by)

@@ -115,7 +115,7 @@ def findings() -> dict[str, list[float | str | Estimate]]:
             less("pixels-bc", PIXELS, *VARIANTS, tasks=TASKS),
             less("pixels-bc", PIXELS, "Layout", tasks=TASKS),
         ],
-        "Short trainings of GAIL from pictures learn little.": [
+        "Short trainings of GAIL from images learn little.": [
             mean("pixels-gail-quick", "Demo"),
             mean("pixels-gail-multi-quick", "Demo"),
         ],
@@ -131,7 +131,7 @@ def findings() -> dict[str, list[float | str | Estimate]]:
         "All is not just Layout.": [
             mean(PIXELS, variant, tasks=tasks) for tasks in (COMMON, ["MakeLine"]) for variant in ("Layout", "All")
         ],
-        "BC generalises better from pictures than from coordinates.": [
+        "BC generalises better from images than from coordinates.": [
             less(PIXELS, STATES, "Layout", tasks=WITH_LAYOUT),
             mean("diffusion", "Layout", tasks=REGION),
             mean("diffusion-state", "Layout", tasks=REGION),

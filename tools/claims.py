@@ -40,11 +40,11 @@ OURS: Final = {
 """The paper's methods -> ours that are compared with its claims: five or three runs in all environments, by the same
 rules."""
 FROM_PICTURES: Final = {
-    "GAIL (ST), from pictures": "GAIL (ST, quick)",
+    "GAIL (ST), from images": "GAIL (ST, quick)",
     "GAIL (ST, allo.)": "GAIL (ST, quick, allo.)",
     "GAIL (ST, no aug.)": "GAIL (ST, quick, no aug.)",
 }
-"""The same for GAIL from pictures, which played few tasks. These have the same scores by both rules."""
+"""The same for GAIL from images, which played few tasks. These have the same scores by both rules."""
 FEW: Final = ("MoveToRegion", "FindDupe", "FixColour")
 """The tasks that all of `FROM_PICTURES` played."""
 MARGIN: Final = 0.05
@@ -142,7 +142,7 @@ def listed(best: str) -> list[Claim]:
         ),
         pair("GAIL > BC", gail, cloned, "Demo"),
         pair("GAIL > BC", gail, cloned, "Layout"),
-        pair("GAIL > BC, from pictures", pictures, bc, "Layout", ("MoveToRegion",)),
+        pair("GAIL > BC, from images", pictures, bc, "Layout", ("MoveToRegion",)),
         pair("BC > GAIL", cloned, gail, "Colour"),
         pair("GAIL > WGAIL-GP", gail, wgail, "Demo"),
         only("MoveToCorner", "MoveToRegion"),

@@ -117,7 +117,7 @@ def tables() -> dict[str, str]:
         for variant in variants:
             mean, low, high = estimate(cells(scores, start, variant))
             figures.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]")
-        observations = "states" if start.preset == STATE else "pictures"
+        observations = "states" if start.preset == STATE else "images"
         rows.append((observations, NAMES[start.start].format(start.tasks), f"{start.batches:,}", *figures))
     return {"pretraining": table(("From", "Start", "Batches", *variants), rows)}
 

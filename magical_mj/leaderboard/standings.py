@@ -25,8 +25,8 @@ from magical_mj.utils.errors import counted
 
 Kind = Literal["official", "partial", "published"]
 BLOCKS: Final[Mapping[str, str]] = {
-    "pictures": "From pictures",
-    "pictures and more": "From pictures, with more than the paper's setting in training",
+    "pictures": "From images",
+    "pictures and more": "From images, with more than the paper's setting in training",
     "states": "From states",
     "states and more": "From states, with more than the paper's setting in training",
     "simulator": "With a simulator at test",

@@ -33,7 +33,7 @@ _SHORT: Final[Mapping[str, Any]] = {
     "features.batches": 1_000,
     "features.learning_rate": 1e-3,
 }
-"""The changes for trainings that are short enough for two cores, from pictures or states."""
+"""The changes for trainings that are short enough for two cores, from images or states."""
 
 QUICK: Final[Mapping[str, Any]] = {
     **_SHORT,

@@ -69,7 +69,7 @@ class Method(ABC):
         """Raises a `SettingsError` if the method does not support these settings, or a file in them."""
         cls.check_values(settings)
         if settings.states and cls.observes == "pictures":
-            raise SettingsError(f"{settings.method} learns from pictures: give a preset other than {STATE}")
+            raise SettingsError(f"{settings.method} learns from images: give a preset other than {STATE}")
         if not settings.states and cls.observes == "states":
             raise SettingsError(f"{settings.method} learns from states: give the preset {STATE}")
 

@@ -246,7 +246,7 @@ def looks() -> Iterator[dict[str, Any]]:
 
 
 def looking(folder: Path) -> Iterator[dict[str, Any]]:
-    """The outputs of policies from pictures along a demonstration. The policies are written to the folder."""
+    """The outputs of policies from images along a demonstration. The policies are written to the folder."""
     for preset, task in LOOKING.items():
         demo, count = magical_mj.demos.load(task)[0], -(-LOOKED // len(LOOKING))
         env = Engine(task, scene=demo.scene)

@@ -281,7 +281,7 @@ test("a policy acts, and its scores are shown", async () => {
   await untilStatus("Watching your policy");
   await untilStatus("Over");
   await page.evaluate(() => { location.hash = "#FindDupe-Demo-1?shifts=clutter:2@own"; });
-  await untilStatus("The policy cannot act here: it acts from pictures, and these cannot show stains here");
+  await untilStatus("The policy cannot act here: it acts from images, and these cannot show stains here");
   assert.deepEqual(complaints, []);
 });
 

@@ -111,7 +111,7 @@ test("pictures equal those of Python's software renderer, byte for byte", async 
   console.log(`${count} pictures of ${cases.length} scenes are equal; one takes ${(taken / count).toFixed(1)} ms`);
 });
 
-test("policies from pictures choose the same actions as in Python", async () => {
+test("policies from images choose the same actions as in Python", async () => {
   const [mujoco, cases] = await Promise.all([loadMujoco(), read("looking")]);
   ort.env.wasm.numThreads = 1;
   let count = 0;

@@ -96,7 +96,7 @@ def test_statements_about_pretraining_agree_with_the_figures() -> None:
         for start in (Start("State", "cloning", 7, 3_000), Start("LoRes4E", "cloning", 7, 1_000))
     ]
     assert f"from states by {found[0][0]} in Demo and {found[0][1]} in Colour" in text
-    assert f"from pictures by {found[1][0]} and {found[1][1]}" in text
+    assert f"from images by {found[1][0]} and {found[1][1]}" in text
     inverse, explained = (pretraining.learnt(f"{objective}-random") for objective in ("inverse", "next"))
     assert f"inverse dynamics recognises {inverse:.0%} of the actions".replace("%", " %") in text
     assert f"predicts {explained:.0%} of the next frame's change".replace("%", " %") in text

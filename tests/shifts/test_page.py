@@ -21,7 +21,7 @@ def halved(scores: list[float]) -> int | None:
 
 
 def test_the_page_names_the_shifts_that_break_cloning_from_pictures() -> None:
-    table = rows("From pictures, BC, five runs")
+    table = rows("From images, BC, five runs")
     first = {name: halved([float(cell) for cell in cells[:6]]) for name, cells in table.items()}
     assert {name: cells[6].replace(NEVER, "None") for name, cells in table.items()} == {
         n: str(f) for n, f in first.items()

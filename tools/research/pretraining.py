@@ -13,7 +13,7 @@ For each held-out task, number k of other tasks and seed:
 3. it plays the test scenes of the held-out task.
 
 With k = 0, step 1 is left out, and there is a control with as many batches on the held-out task as both steps have
-together. With an encoder of tools.research.encoders, only step 2 is made, on its frozen convolutions. From pictures,
+together. With an encoder of tools.research.encoders, only step 2 is made, on its frozen convolutions. From images,
 networks are those of `--quick`. Each result is a line of OUT/scores.jsonl. Called again, the command continues, and
 prints the means so far.
 """
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scenes", type=int, default=4, help="demonstrations of each variant of the other tasks")
     parser.add_argument("--pretraining", type=int, help="batches on the other tasks; by default twice --batches")
     parser.add_argument(
-        "--batches", type=int, help="batches on the held-out task; by default 3,000 from states, 1,000 from pictures"
+        "--batches", type=int, help="batches on the held-out task; by default 3,000 from states, 1,000 from images"
     )
     parser.add_argument("--variants", default="Demo,Layout,Colour,All", help="variants of the held-out task")
     parser.add_argument("--episodes", type=int, default=30)

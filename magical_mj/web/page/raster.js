@@ -20,7 +20,7 @@ export class Raster {
    * @param {import("./scene.js").Scene} scene
    */
   constructor(mujoco, model, mjcf, scene) {
-    if (scene.stains?.length) throw new Error("it acts from pictures, and these cannot show stains here: choose a scene without clutter");
+    if (scene.stains?.length) throw new Error("it acts from images, and these cannot show stains here: choose a scene without clutter");
     this.mujoco = mujoco;
     this.model = model;
     this.polygons = polygonsOf(model, mjcf, scene);

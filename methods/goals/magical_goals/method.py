@@ -66,4 +66,4 @@ class GoalInference(Method):
 
 def _check_states(settings: TrainingSettings) -> None:
     if not settings.states:
-        raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
+        raise SettingsError(f"goals are inferred from states, not from images: give --preset {STATE}")

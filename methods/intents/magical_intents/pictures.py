@@ -1,4 +1,4 @@
-"""Behavioural cloning on many intents from pictures, with the sentence: one network from pictures and words to actions.
+"""Behavioural cloning on many intents from images, with the sentence: one network from images and words to actions.
 
 python -m magical_intents.pictures OUT
 

@@ -1,4 +1,4 @@
-"""`redraw`: cloning from pictures of scenes that are changed under `relational`'s assumptions.
+"""`redraw`: cloning from images of scenes that are changed under `relational`'s assumptions.
 
 Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:1912.12294). The first is that of
 `relational`. It learns from states, and the demo score decides which assumptions are kept. The second observes only
