@@ -180,7 +180,7 @@ class Engine(Simulation):
             seed = check_seed(seed)
         elif scene is None:
             scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
-        start = self.setup.scene_and_shifts(self.shifts, seed, scene, draws)
+        start = self.setup.scene_and_shifts(self._shifts, seed, scene, draws)
         self._broken = True  # until the start has succeeded
         self.start(*start)
         self._seed, self._broken = seed, False

@@ -134,9 +134,9 @@ class Setup:
         Raises:
             InvalidSceneError: if an episode cannot start in the scene.
         """
-        if draws is None:
+        if draws is None and shifts:
             draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
-        episode = EpisodeShifts(draws)
+        episode = EpisodeShifts(draws or {})
         if scene is not None or seed is None:
             return self.check(scene), episode
         return episode.scene(self.sample(seed), str(self.task)), episode

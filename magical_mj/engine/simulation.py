@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from copy import copy
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from magical_mj.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls, speed_signal
-from magical_mj.assets.scene_model import SceneModel, compiled_model
+from magical_mj.assets.scene_model import SceneModel, compiled_model, new_model
 from magical_mj.engine.episode import PLAIN, Setup, State
 from magical_mj.observations import VIEWS, StateEncoder
 from magical_mj.rendering.picture import Picture
@@ -59,7 +58,7 @@ class Simulation:
         cameras: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self._setup, self.scene_model = setup, scene_model
-        self._model = copy(compiled_model(scene_model.structure)) if model is None else model
+        self._model = new_model(scene_model.structure) if model is None else model
         self._data = mujoco.MjData(self._model) if data is None else data
         self.renderer, self._cameras = renderer, cameras
         self.episode_shifts = EpisodeShifts()
@@ -125,7 +124,7 @@ class Simulation:
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
-            self._model = copy(compiled_model(self.scene_model.structure))
+            self._model = new_model(self.scene_model.structure)
             self._data = mujoco.MjData(self._model)
             self._renderers = {}
         elif changed:

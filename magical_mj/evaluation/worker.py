@@ -98,10 +98,14 @@ def plan(
             every = Unit(source.name, source.run, task, variant, tuple(settings.seeds), shift)
             together = settings.batched or (source.batches and not settings.wrap)
             size = settings.side_by_side if together else 1
-            left = [(key, seed) for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done]
-            new = tuple(seed for key, seed in left if key not in failed)
-            units += [replace(every, seeds=new[first : first + size]) for first in range(0, len(new), size)]
-            units += [replace(every, seeds=(seed,), retry=failed[key]) for key, seed in left if key in failed]
+            new, again = list[int](), list[Unit]()
+            for key, seed in zip(every.keys, every.seeds, strict=True):
+                if key in failed:
+                    again.append(replace(every, seeds=(seed,), retry=failed[key]))
+                elif key not in done:
+                    new.append(seed)
+            units += [replace(every, seeds=tuple(new[first : first + size])) for first in range(0, len(new), size)]
+            units += again
     return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
 
 

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Final, TypeVar
 
 from magical_mj.scene import constants as c
@@ -276,12 +277,20 @@ def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
     if not dataclasses.is_dataclass(value):
         return value
     plain = {}
-    for entry in dataclasses.fields(value):
-        default = entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
-        own = getattr(value, entry.name)
-        if own != default or (left_out is not None and entry.name not in left_out):
-            plain[entry.name] = _plain(own, left_out)
+    for name, default in _defaults(type(value)).items():
+        own = getattr(value, name)
+        if own != default or (left_out is not None and name not in left_out):
+            plain[name] = _plain(own, left_out)
     return plain
+
+
+@cache
+def _defaults(kind: type) -> dict[str, Any]:
+    """The fields of a part of scenes, with their default values; MISSING for those without."""
+    return {
+        entry.name: entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
+        for entry in dataclasses.fields(kind)
+    }
 
 
 def check_scene_type(scene: object) -> Scene:
@@ -311,15 +320,10 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_fields(kind: type, data: dict[str, Any]) -> None:
-    entries = dataclasses.fields(kind)
-    names = [entry.name for entry in entries]
-    required = [
-        entry.name
-        for entry in entries
-        if entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
-    ]
-    for name in sorted(data.keys() - set(names)):
-        raise InvalidSceneError(f"{kind.__name__} has no field {short_repr(name)}; it has {', '.join(names)}")
+    known = _defaults(kind)
+    required = [name for name, default in known.items() if default is dataclasses.MISSING]
+    for name in sorted(data.keys() - known.keys()):
+        raise InvalidSceneError(f"{kind.__name__} has no field {short_repr(name)}; it has {', '.join(known)}")
     for name in sorted(set(required) - data.keys()):
         raise InvalidSceneError(f"{kind.__name__} lacks the field {name!r}; it needs {', '.join(required)}")
 

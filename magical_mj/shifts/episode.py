@@ -49,11 +49,10 @@ class EpisodeShifts:
 
     def __init__(self, draws: Draws = MappingProxyType({})) -> None:
         self.draws: Draws = frozen(draws)
-        self._shifts = {name: shift_class(name)(values) for name, values in self.draws.items()}
-        self._with = {
-            method: [name for name, shift in self._shifts.items() if overrides(type(shift), method)]
-            for method in METHODS
-        }
+        self._shifts = dict[str, Shift]()
+        for name, values in self.draws.items():
+            self._shifts[name] = shift_class(name)(values)
+        self._with = _overriding(tuple(self._shifts), tuple(map(type, self._shifts.values())))
         self._ground: tuple[float, Picture] | None = None
         self.changes_ground = bool(self._with["ground"])
         self.filters = bool(self._with["picture"])
@@ -175,6 +174,13 @@ class EpisodeShifts:
         """Restores the number of steps and the commands so far."""
         self.steps = steps
         self.commands = {name: list(commands.get(name, ())) for name in self._with["action"]}
+
+
+@lru_cache(64)
+def _overriding(names: tuple[str, ...], kinds: tuple[type[Shift], ...]) -> Mapping[str, list[str]]:
+    """Method of shifts -> the names of those that override it."""
+    shifts = list(zip(names, kinds, strict=True))
+    return {method: [name for name, kind in shifts if overrides(kind, method)] for method in METHODS}
 
 
 @lru_cache(4)

@@ -183,8 +183,7 @@ def contact(scene: Scene, regions: bool = True) -> str | None:
         if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"
     pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]
-    for item, body in zip((scene.robot, *scene.blocks), bodies.items(), strict=True):
-        home = _home(item, scene.regions)
+    for home, body in zip(_homes(scene), bodies.items(), strict=True):
         pairs += [(body, area) for number, area in enumerate(areas.items()) if number != home]
     return next((f"{name} touches {other}" for (name, a), (other, b) in pairs if touch(a, b)), None)
 
@@ -232,30 +231,28 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
-    items = (scene.robot, *scene.blocks)
-    homes = _homes(scene)
-    poses = [item.pose for item in items]
-    placed: list[Solid] = []
-    outer = [index for index in range(1, len(items)) if homes[index] is None]
-    inner = [index for index in range(1, len(items)) if homes[index] is not None]
-    for index in (0, *outer, *inner):  # the robot has index 0
+    items, homes = (scene.robot, *scene.blocks), _homes(scene)
+    poses, placed = dict[int, Pose](), list[Solid]()
+    for index in sorted(range(len(items)), key=lambda index: index > 0 and homes[index] is not None):  # the robot is 0
         item, home = items[index], homes[index]
         own_region = None if home is None else placed_regions[home]
-        obstacles = placed + [area for number, area in enumerate(areas) if number != home]
+        obstacles = placed + areas if home is None else placed + areas[:home] + areas[home + 1 :]
         poses[index], solid = _find(item, ranges(item, own_region), obstacles, scene.half_width, rng)
         placed.append(solid)
-
-    return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
+    robot, *blocks = map(poses.__getitem__, range(len(items)))
+    return replace(scene.moved(robot, blocks), regions=tuple(placed_regions))
 
 
 def _homes(scene: Scene) -> list[int | None]:
-    """The index of the region that the robot belongs in, then that of each block; see `_home`."""
-    return [_home(item, scene.regions) for item in (scene.robot, *scene.blocks)]
+    """For the robot, then each block: the index of the region that it belongs in, or None.
 
-
-def _home(item: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
-    """The index of the region that an object belongs in, because it contains the object's centre. None if none does."""
-    return next((number for number, region in enumerate(regions) if region.contains(item)), None)
+    It belongs in the first region that contains its centre.
+    """
+    homes: list[int | None] = []
+    for item in (scene.robot, *scene.blocks):
+        inside = (number for number, region in enumerate(scene.regions) if region.contains(item))
+        homes.append(next(inside, None))
+    return homes
 
 
 def _at(region: GoalRegion, pose: Pose) -> GoalRegion:

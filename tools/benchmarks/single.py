@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from copy import copy
 from dataclasses import dataclass
 from functools import cache
 from time import perf_counter, process_time
@@ -22,7 +21,7 @@ import magical_mj
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import SceneModel, compiled_model
+from magical_mj.assets.scene_model import SceneModel, new_model
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import Preset, preset_named
 from magical_mj.rendering.renderer import new_renderer
@@ -193,7 +192,7 @@ class BareLoop:
 
     def __init__(self, scene: Scene, preset: Preset, renderer: str | None = None) -> None:
         world = SceneModel(scene)
-        self.model = copy(compiled_model(world.structure))
+        self.model = new_model(world.structure)
         self.data = mujoco.MjData(self.model)
         world.rewrite(self.model, self.data)
         mujoco.mj_resetData(self.model, self.data)  # puts the bodies at the scene's poses
