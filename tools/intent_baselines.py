@@ -126,11 +126,11 @@ def play(out: Path, names: Iterable[str]) -> None:
 
 def whole(*runs: Path) -> list[EpisodeResult]:
     """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
-    found = []
+    found, tasks = [], set(played())
     for run, out in enumerate(runs):
         for name in BASELINES:
-            every = episodes_of(out / name)
-            if len(every) == len(OFFICIAL_VARIANTS) * len(played()):
+            every = [one for one in episodes_of(out / name) if one.task in tasks]
+            if len(every) == len(OFFICIAL_VARIANTS) * len(tasks):
                 found += [replace(one, policy=name, run=run, seconds=0.0) for one in every]
     return found
 
