@@ -41,7 +41,7 @@ ROUNDS, CORRECTIONS = 3, 20
 class Replay:
     """Plays one of a task's 25 demonstrations without looking, and then does nothing. The seed chooses which one."""
 
-    uses_simulation = True
+    uses_observations = False
 
     def reset(self, episode: Episode) -> None:
         """Chooses the episode's demonstration."""

@@ -39,7 +39,7 @@ from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Se
 if TYPE_CHECKING:
     from magical_mj.policies.loading import Source
 
-Split = Literal["test", "dev"]
+Split = Literal["test", "dev", "fresh"]
 """See `magical_mj.tasks.registry.SPLITS`."""
 UNOFFICIAL: Final = (
     "official scores come from MuJoCo in double precision, where replays are exact; batched environments use single "
@@ -67,7 +67,10 @@ class BaseSettings(Settings):
     ] = 100
     split: Annotated[
         Split,
-        Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: other scenes, to inspect and tune."),
+        Meta(
+            description="test: the scenes of seeds 0, 1, ..., for results. dev: other scenes, to inspect and tune. "
+            "fresh: scenes that nobody has played before, to confirm a score."
+        ),
     ] = "test"
     first_seed: Annotated[Natural, Meta(description="The number of the first scene in its split.")] = 0
     preset: Annotated[
@@ -146,7 +149,7 @@ class BaseSettings(Settings):
 
     def check_policies(self, policies: Sequence[Source]) -> None:
         """Raises a `SettingsError` unless the settings fit the policies."""
-        if receive := [policy.name for policy in policies if policy.uses_demonstrations]:
+        if receive := [policy.name for policy in policies if "demonstrations" in policy.uses]:
             raise SettingsError(
                 f"{receive[0]} receives demonstrations, and none can be given: magical_mj.intents is missing"
             )

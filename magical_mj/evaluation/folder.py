@@ -31,6 +31,8 @@ FORMAT_GROUP: Final = "magical_mj.result_formats"
 """The entry-point group of other formats, such as ``leaderboard = "magical_mj.leaderboard.entry:ENTRIES"``."""
 MOST_SETTINGS: Final = 10_000_000
 """The largest size of a settings file in bytes."""
+RECORDED: Final = ("uses", "loaded")
+"""Fields of a policy that older versions did not write, and that need not be the same when an evaluation is resumed."""
 CODE: Final = "code of "
 """The beginning of the names of settings with hashes of code."""
 EXTENDABLE: Final = ("policies", "environments", "shifts")
@@ -83,6 +85,8 @@ class PlayedPolicy(Struct):
     played_in: str = "Demo"
     other_tasks: list[str] = []
     unfinished: str = ""
+    uses: list[str] = []
+    loaded: str = ""
 
 
 class Played(Struct):
@@ -182,8 +186,11 @@ def _named(item: Any) -> str:
 
 
 def _identity(item: Any) -> Any:
-    """The item, without its path if it is a policy with a hash: its folder may have been moved."""
-    return {**item, "origin": None} if isinstance(item, dict) and "sha256" in item else item
+    """The item. A policy has no facts of `RECORDED` here, and with a hash no path: its folder may have been moved."""
+    if not isinstance(item, dict):
+        return item
+    known = {name: value for name, value in item.items() if name not in RECORDED}
+    return {**known, "origin": None} if "sha256" in item else known
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
@@ -236,7 +243,8 @@ def check_trainings(folders: Iterable[Path], name: str | None = None) -> None:
         if (recorded_method(policy, settings), policy.run) != (recorded_method(same, others), same.run):
             continue
         common = {*settings["environments"]} & {*others["environments"]}
-        facts = {field: (getattr(policy, field), getattr(same, field)) for field in PlayedPolicy.__struct_fields__}
+        fields = [field for field in PlayedPolicy.__struct_fields__ if field not in RECORDED]
+        facts = {field: (getattr(policy, field), getattr(same, field)) for field in fields}
         facts |= {key: (settings[key], others[key]) for key in settings.keys() & others.keys() if key.startswith(CODE)}
         if common and (differing := [field for field, pair in facts.items() if pair[0] != pair[1]]):
             raise EvaluationError(

@@ -30,7 +30,7 @@ def check_repeatable(settings: EvaluationSettings, sources: Sequence[Source]) ->
     Raises:
         SettingsError: if the two differ. Errors of the shifts are left to the evaluation.
     """
-    drawn = any(not source.uses_simulation and "pictures" not in source.unnoticed for source in sources)
+    drawn = any("observations" in source.uses and "pictures" not in source.unnoticed for source in sources)
     played: dict[tuple[str, ...], tuple[str, str, str]] = {}  # the greatest strength of each
     for task, variant in settings.environments:
         for label in settings.shift_labels(task, sources):

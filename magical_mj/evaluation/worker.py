@@ -22,7 +22,7 @@ from magical_mj.evaluation.playing import Env, late, play_episode, play_side_by_
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.policies.interface import Act, Episode, policy_task, uses_simulation
+from magical_mj.policies.interface import Act, Episode, policy_task, uses_observations
 from magical_mj.policies.loading import Source, also_fitting, check_fit, common_preset, sources, statistics_of
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -54,7 +54,7 @@ def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], E
     preset = common_preset(act for _, act in loaded) if settings.preset is None else settings.preset
     for source, act in loaded:
         check_fit(act, settings.environments, preset, settings.like)
-        if settings.batched and uses_simulation(act):
+        if settings.batched and not uses_observations(act):
             raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
         for doubt in _doubts(source, act, preset, is_chosen=settings.preset is None):
             warnings.warn(doubt, stacklevel=4)  # the call of `evaluate`
@@ -178,7 +178,7 @@ class Player:
                 (*key, size),
                 lambda: settings.vector_env(unit.task, unit.variant, size, unit.shift, instruction),
             )
-        observed = bool(settings.wrap) or not source.uses_simulation
+        observed = bool(settings.wrap) or "observations" in source.uses
         return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, instruction))
 
     def _recorders(
@@ -189,7 +189,7 @@ class Player:
         facts: dict[str, Any] = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": unit.policy,
-            "preset": getattr(policy, "preset", None) if source.uses_simulation else settings.observed,
+            "preset": settings.observed if "observations" in source.uses else getattr(policy, "preset", None),
             "worlds": settings.worlds,
             "gl": drawn_by(settings.renderer),
             "shift": unit.shift,

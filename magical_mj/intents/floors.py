@@ -211,7 +211,7 @@ class Shortcut:
 class Circling:
     """Drives in a circle: always the same action."""
 
-    uses_simulation = True
+    uses_observations = False
 
     def end(self, intent: Intent, demo: Scene, initial: Scene) -> Scene:
         """The initial scene: without simulation, the robot touches no block."""

@@ -102,7 +102,7 @@ class GivenSettings(BaseSettings):
         parts = super().descriptions(policy)
         if self.control == "wrong-instruction":
             parts = [f"another task's {part}" for part in parts]
-        if not policy.uses_demonstrations:
+        if "demonstrations" not in policy.uses:
             return parts
         kind = "contrasting scene" if self.contrasting else "scene"
         where = ""
@@ -115,7 +115,7 @@ class GivenSettings(BaseSettings):
 
     def check_policies(self, policies: Sequence[Source]) -> None:
         """Raises a `SettingsError` if no policy receives the demonstrations, or one does not fit the control."""
-        receive = any(policy.uses_demonstrations for policy in policies)
+        receive = any("demonstrations" in policy.uses for policy in policies)
         if not receive and (self.demonstrations or self.scenes or self.contrasting):
             raise SettingsError(
                 "demonstrations, scenes and contrasting are for policies with uses_demonstrations = True, and none of "
@@ -128,7 +128,7 @@ class GivenSettings(BaseSettings):
 
     def starts(self, policies: Sequence[Source], watch: Watch) -> Starts:
         """The starts with demonstrations or instructions, if a policy receives any."""
-        if not self.control and not any(policy.uses_demonstrations for policy in policies):
+        if not self.control and not any("demonstrations" in policy.uses for policy in policies):
             return super().starts(policies, watch)
         return GivenStarts(self, policies, watch)
 
@@ -264,7 +264,7 @@ class GivenStarts(Starts):
     def __init__(self, settings: GivenSettings, policies: Sequence[Source], watch: Watch) -> None:
         """Gets the demonstrations, if a policy uses some, with `watch` and the errors of `demonstrations_given`."""
         self.settings = settings
-        receive = any(policy.uses_demonstrations for policy in policies)
+        receive = any("demonstrations" in policy.uses for policy in policies)
         self.demonstrations = demonstrations_given(settings, watch) if receive else {}
         self._last: tuple[tuple[str, str], tuple[Any, ...]] = ("", ""), ()
 
@@ -276,7 +276,7 @@ class GivenStarts(Starts):
     def of(self, unit: Unit, source: Source, task: str) -> list[tuple[Episode, dict[str, Any]]]:
         """The demonstrations in the form that the policy uses; in a control, also the other task and its sentence."""
         received, digest = (), ""
-        if source.uses_demonstrations:
+        if "demonstrations" in source.uses:
             received = self._received(unit.task, source)
             digest = digest_of(self.demonstrations[unit.task])[:16]
         misled, starts = self.settings.control == "wrong-instruction", []
@@ -290,10 +290,10 @@ class GivenStarts(Starts):
 
     def _received(self, task: str, source: Source) -> tuple[Any, ...]:
         """The demonstrations of a task for a policy. The last ones are kept."""
-        preset = "" if source.uses_simulation else self.settings.observed
+        preset = "" if "simulation" in source.uses else self.settings.observed
         if self._last[0] != (task, preset):
             demos = with_states(self.demonstrations[task])
-            received = demos if source.uses_simulation else observed(demos, preset, self.settings.renderer)
+            received = demos if "simulation" in source.uses else observed(demos, preset, self.settings.renderer)
             self._last = (task, preset), received
         return self._last[1]
 

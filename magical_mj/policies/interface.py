@@ -32,6 +32,8 @@ LETTERS: Final = "abcdefghijklmnopqr"
 """One letter for each of the 18 actions. The actions of an episode are stored as a string."""
 HISTORY: Final = 4
 """The number of state vectors in an observation. The paper's pictures contain the same number of frames."""
+USES: Final = ("observations", "simulation", "demonstrations", "instruction", "memory")
+"""What a policy may use during an episode."""
 NEUTRAL: Final = "intent"
 """The task name that policies receive if demonstrations or a sentence describe the task."""
 
@@ -104,8 +106,9 @@ class Policy(Protocol):
     """An agent. A plain function from observation to action is also accepted.
 
     Optional attributes:
-        uses_simulation: True if the policy does not use observations. Then none are rendered, which is much faster, and
-            the episode passed to `reset` contains the engine.
+        uses_simulation: True if the policy uses the engine instead of observations, which are not rendered then. The
+            episode passed to `reset` contains the engine.
+        uses_observations: False if the policy uses neither.
         uses_instruction: True if the policy reads the sentence that describes the task. Then dict observations contain
             it as "instruction", and the policy can be evaluated with the shift "words".
         uses_demonstrations: True if demonstrations describe the task, which the episode passed to `reset` contains.
@@ -187,6 +190,11 @@ def uses_simulation(policy: object) -> bool:
     return bool(getattr(policy, "uses_simulation", False))
 
 
+def uses_observations(policy: object) -> bool:
+    """Whether the policy uses observations."""
+    return bool(getattr(policy, "uses_observations", True)) and not uses_simulation(policy)
+
+
 def uses_instruction(policy: object) -> bool:
     """Whether the policy reads the sentence that describes the task."""
     return bool(getattr(policy, "uses_instruction", False))
@@ -195,6 +203,18 @@ def uses_instruction(policy: object) -> bool:
 def uses_demonstrations(policy: object) -> bool:
     """Whether demonstrations describe the task for the policy."""
     return bool(getattr(policy, "uses_demonstrations", False))
+
+
+def uses_of(policy: object) -> frozenset[str]:
+    """What a policy uses, of `USES`. It has a memory if it can be reset."""
+    known = {
+        "observations": uses_observations(policy),
+        "simulation": uses_simulation(policy),
+        "demonstrations": uses_demonstrations(policy),
+        "instruction": uses_instruction(policy),
+        "memory": any(hasattr(policy, name) for name in ("reset", "reset_batch")),
+    }
+    return frozenset(name for name in USES if known[name])
 
 
 def policy_name(policy: object) -> str:
@@ -278,7 +298,7 @@ class History:
 class NoopAgent:
     """Does nothing."""
 
-    uses_simulation = True
+    uses_observations = False
 
     def __call__(self, _: Any) -> int:
         """The action that does nothing."""
@@ -288,7 +308,7 @@ class NoopAgent:
 class RandomAgent:
     """Draws each action independently and uniformly."""
 
-    uses_simulation = True
+    uses_observations = False
 
     def reset(self, episode: Episode) -> None:
         """Creates the episode's random generator."""

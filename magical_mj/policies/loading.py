@@ -24,9 +24,9 @@ from magical_mj.policies.interface import (
     policy_name,
     policy_task,
     reason,
-    uses_demonstrations,
     uses_instruction,
-    uses_simulation,
+    uses_observations,
+    uses_of,
 )
 from magical_mj.policies.models import LOADERS, Shape, check_set, check_tasks, check_variants
 from magical_mj.shifts.registry import Effect
@@ -104,8 +104,7 @@ class Source:
         batches: whether it acts in batches of observations. Set by `checked`, like the attributes below.
         preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
-        uses_simulation: whether it uses the simulation instead of observations.
-        uses_demonstrations: whether it receives demonstrations.
+        uses: what it uses in episodes, of `magical_mj.policies.interface.USES`.
         learnt: what its training used.
         needs_plan: whether it is an expert, which follows the task's plan.
         unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
@@ -119,8 +118,7 @@ class Source:
     batches: bool = False
     preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
-    uses_simulation: bool = False
-    uses_demonstrations: bool = False
+    uses: frozenset[str] = frozenset(("observations",))
     learnt: Learnt = field(default_factory=Learnt)
     needs_plan: bool = False
     unfinished: str = ""
@@ -130,11 +128,10 @@ class Source:
         return replace(
             self,
             digest=self._hash(),
-            batches=isinstance(policy, BatchPolicy) and not uses_simulation(policy),
+            batches=isinstance(policy, BatchPolicy) and uses_observations(policy),
             preset=preset,
             unnoticed=_unnoticed(policy, preset),
-            uses_simulation=uses_simulation(policy),
-            uses_demonstrations=uses_demonstrations(policy),
+            uses=uses_of(policy),
             needs_plan=getattr(policy, "needs_plan", False),
             learnt=learnt_from(self.origin, policy),
             unfinished=getattr(policy, "unfinished", ""),
@@ -187,7 +184,18 @@ class Source:
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
         stopped = {"unfinished": self.unfinished} if self.unfinished else {}
         known = {**self.digest, **self.learnt.unusual(), **stopped}
-        return {"name": self.name, "run": self.run, "origin": origin, **known}
+        facts = {"uses": sorted(self.uses), "loaded": self.loaded}
+        return {"name": self.name, "run": self.run, "origin": origin, **known, **facts}
+
+    @property
+    def loaded(self) -> str:
+        """What the policy was made of: built in, an object, code, a folder, or a kind of file, such as onnx."""
+        if not isinstance(self.origin, str):
+            return "object"
+        if self.origin in AGENTS:
+            return "built in"
+        path = Path(self.origin)
+        return path.suffix[1:] if path.suffix in LOADERS else "folder" if path.is_dir() else "code"
 
     def _hash(self) -> dict[str, str]:
         """The hash of the policy's file or module. Empty without a file."""
@@ -262,7 +270,7 @@ def common_preset(policies: Iterable[object]) -> str:
     """
     known = set[str]()
     for policy in policies:
-        if hasattr(policy, "preset") or not uses_simulation(policy):
+        if hasattr(policy, "preset") or uses_observations(policy):
             shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
             fitting = [] if shapes is None else _fitting(list(shapes))
             known.add(getattr(policy, "preset", fitting[0] if len(fitting) == 1 else DEFAULT_PRESET))
@@ -280,7 +288,7 @@ def also_fitting(policy: object, preset: str) -> list[str]:
 def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
     """The effects of shifts that a policy cannot notice. Pictures do not count as unnoticed if it uses the engine."""
     missing: dict[Effect, bool] = {
-        "pictures": preset_named(preset).layout == "state" and not uses_simulation(policy),
+        "pictures": preset_named(preset).layout == "state" and uses_observations(policy),
         "instruction": not uses_instruction(policy),
     }
     return frozenset(effect for effect, is_missing in missing.items() if is_missing)
@@ -396,7 +404,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
     _check_tasks(policy, pairs, like)
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    if shapes is not None and not uses_simulation(policy):
+    if shapes is not None and uses_observations(policy):
         _check_shape(list(shapes), preset)
 
 

@@ -59,9 +59,9 @@ ENVIRONMENTS: Final[tuple[Pair, ...]] = tuple(
 """All (task, variant) pairs of the benchmark. They follow from the axes that each task supports."""
 
 
-SPLITS: Final = {"test": 0, "dev": 10_000_000}
+SPLITS: Final = {"test": 0, "dev": 10_000_000, "fresh": 20_000_000}
 """Split -> the seed of its first scene. Scores are reported on "test", from seed 0 on. "dev" is for inspection and
-tuning.
+tuning. "fresh" is to confirm a score in scenes that nobody knew: none of them was played before 28 November 2026.
 
 Poses, counts and dynamics of dev scenes never equal those of test scenes. Variants with few different scenes, such as
 the four of MoveToCorner-Colour, have the same scenes in both."""
