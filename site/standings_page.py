@@ -62,7 +62,7 @@ GLOSSARY: Final = {
     "allo.": "sees the arena from above instead of from the robot",
     "State": "observes a vector of positions instead of pictures",
     "no aug., no trans./rot. aug.": "without augmentations of pictures, without translations and rotations",
-    "★": "official: all 60 environments, 100 episodes in each, five runs or more",
+    "★": "official: all 60 environments, 100 episodes in each, five runs or more, and re-run",
     "†": "published: the paper's results, in the original simulator",
     "Memory": "mean score in Demo, Jitter and Dynamics, which hardly change the scene",
     "Distraction": "mean score in Colour and Shape, which change how objects look",

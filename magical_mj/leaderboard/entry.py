@@ -40,6 +40,10 @@ MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 GIVEN: Final = "demonstrations at test"
 """The privilege of methods whose policies receive demonstrations."""
+SIMULATOR: Final = "simulator at test"
+"""The privilege of methods whose policies use the simulation."""
+NEEDED: Final = {"simulation": SIMULATOR, "demonstrations": GIVEN}
+"""What a policy uses -> the privilege that its card must declare."""
 OTHER_SCENES: Final = "other scenes"
 """The privilege of methods that learn in other scenes than the demo scene."""
 MOST_OF_ENTRY: Final = 20_000_000
@@ -138,6 +142,18 @@ class Columns(Struct, forbid_unknown_fields=True):
     failure: dict[str, list[Annotated[str, Meta(max_length=300)] | None]]
 
 
+class Recorded(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the evaluations recorded about the policies. Empty in entries of older versions.
+
+    `uses` lists what they used in episodes (`magical_mj.policies.interface.USES`), and `loaded` what they were made of,
+    such as "onnx". `milliseconds` is the mean time of a step, with the simulation and the pictures.
+    """
+
+    uses: Annotated[list[Name], Meta(max_length=10)] = []
+    loaded: Annotated[list[Name], Meta(max_length=10)] = []
+    milliseconds: Annotated[float, Meta(ge=0)] | None = None
+
+
 class EntryFields(Struct, frozen=True):
     """The fields that `Entry` and `Content` share.
 
@@ -163,6 +179,7 @@ class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
     sha256: str
     played_in: Annotated[list[Annotated[str, Meta(pattern=r"^\w{1,80}$(?!\n)")]], Meta(max_length=20)] = []
     other_tasks: Annotated[list[Line], Meta(max_length=1_000)] = []
+    recorded: Recorded = Recorded()
 
 
 class Entry(EntryFields, frozen=True):
@@ -175,6 +192,7 @@ class Entry(EntryFields, frozen=True):
     episodes: list[EpisodeResult]
     played_in: list[str] = []
     other_tasks: list[str] = []
+    recorded: Recorded = Recorded()
 
     @property
     def method(self) -> str:
@@ -189,7 +207,7 @@ class Entry(EntryFields, frozen=True):
     @property
     def undeclared(self) -> str:
         """The reason why its card is incomplete. Empty if nothing is known to be missing."""
-        return undeclared(self.card, self.played_in, self.other_tasks)
+        return undeclared(self.card, self.played_in, self.other_tasks, self.recorded.uses)
 
     @property
     def counted(self) -> list[EpisodeResult]:
@@ -213,8 +231,11 @@ def has_place(task: str, variant: str, shift: str) -> bool:
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
-def undeclared(card: Card, played_in: Sequence[str], other_tasks: Sequence[str]) -> str:
-    """The reason why a card does not declare learning in these variants and tasks. Empty if it does."""
+def undeclared(card: Card, played_in: Sequence[str], other_tasks: Sequence[str], uses: Sequence[str] = ()) -> str:
+    """The reason why a card does not declare learning in these variants and tasks, or these uses. Empty if it does."""
+    for use, privilege in NEEDED.items():
+        if use in uses and card.privileges is not None and privilege not in card.privileges:
+            return f'uses the {use} during tests: add "{privilege}" to the card\'s privileges'
     if played_in and OTHER_SCENES not in (card.privileges or ()):
         return f'learnt in scenes of {", ".join(played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
     stated = card.demonstrations.other or ""
@@ -252,8 +273,9 @@ def packed(entry: Entry) -> bytes:
             environment = f"{episode.task}-{episode.variant} {episode.shift}".rstrip()
             column[environment].append(getattr(episode, field))
     fields = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
-    for name in ("played_in", "other_tasks"):
-        if not fields[name]:  # older versions did not write them
+    usual = {"played_in": [], "other_tasks": [], "recorded": msgspec.to_builtins(Recorded())}
+    for name, value in usual.items():
+        if fields[name] == value:  # older versions did not write them
             del fields[name]
     content = {**fields, "format": FORMAT, "runs": entry.runs, "episodes": columns}
     text = _text({**content, "sha256": hashlib.sha256(_text(content)).hexdigest()})
@@ -297,7 +319,17 @@ def read_entry(path: Path | str) -> Entry:
     episodes = [row for entry in parts.values() for row in entry.episodes]
     played_in = sorted({name for entry in parts.values() for name in entry.played_in})
     other_tasks = sorted({task for entry in parts.values() for task in entry.other_tasks})
-    return Entry(card, observations, rules, protocol, versions, episodes, played_in, other_tasks)
+    recorded = _joined([entry.recorded for entry in parts.values()])
+    return Entry(card, observations, rules, protocol, versions, episodes, played_in, other_tasks, recorded)
+
+
+def _joined(parts: Sequence[Recorded]) -> Recorded:
+    times = [part.milliseconds for part in parts if part.milliseconds is not None]
+    return Recorded(
+        sorted({use for part in parts for use in part.uses}),
+        sorted({kind for part in parts for kind in part.loaded}),
+        sum(times) / len(times) if times else None,
+    )
 
 
 def _content(path: Path, most: int) -> bytes:
@@ -334,7 +366,8 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} lists the runs {content.runs}, but its episodes belong to other runs")
     shared = {name: getattr(content, name) for name in EntryFields.__struct_fields__}
-    return Entry(**shared, episodes=episodes, played_in=content.played_in, other_tasks=content.other_tasks)
+    facts = {name: getattr(content, name) for name in ("played_in", "other_tasks", "recorded")}
+    return Entry(**shared, episodes=episodes, **facts)
 
 
 def _decompressed(data: bytes, name: object) -> bytes:

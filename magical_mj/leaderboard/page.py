@@ -42,7 +42,9 @@ INTRODUCTION: Final = (
     "poses, colours, shapes, numbers or dynamics. Compare methods within a block, which have the same rules, observe "
     "the same and may use the same kind of help. Methods are in the order of their generalisation, those without "
     f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs "
-    f"or more; {DAGGER}: published, the paper's in the original simulator; all others are partial."
+    f"or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in the original simulator; all "
+    "others are partial. Replayed: the actions lead to the scores, but anybody can tape an expert. Re-run: the entry's "
+    "policies scored the same in fresh scenes on this machine."
 )
 USES: Final = "may also use"
 HEADINGS: Final = {
@@ -146,8 +148,13 @@ def _card(method: Standing) -> str:
     """The declarations of an entry's card."""
     entry, card = method.entry, method.entry.card
     links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
+    recorded = entry.recorded
     facts = {
         "by": card.authors,
+        "checked": method.level,
+        "uses": ", ".join(recorded.uses),
+        "loaded from": ", ".join(recorded.loaded),
+        "a step takes": None if recorded.milliseconds is None else f"{recorded.milliseconds:g} ms",
         "other data": card.demonstrations.other,
         "runs": ", ".join(map(str, entry.runs)),
         "episodes": len(entry.episodes),
@@ -213,7 +220,7 @@ def label(method: Standing) -> str:
 def _scores(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
         runs = "" if method.kind == "published" else str(len(method.entry.runs))
-        return ", ".join(method.privileges), runs, *(shown(method, column) for column in COLUMNS)
+        return ", ".join(method.privileges), method.level, runs, *(shown(method, column) for column in COLUMNS)
 
     return Table(
         "scores",
@@ -225,8 +232,8 @@ def _scores(methods: Sequence[Standing]) -> Table:
         "variants. Columns of variants are over the tasks that have the variant, with their number if some are "
         "missing. In brackets, 95 % intervals over scenes and runs; where an environment has one run, over its scenes "
         "only",
-        ("Method", USES, "runs", *COLUMNS),
-        (*_grouped(methods, cells), ("", (("Floor", "", "", *(f"{floor(column):.2f}" for column in COLUMNS)),))),
+        ("Method", USES, "checked", "runs", *COLUMNS),
+        (*_grouped(methods, cells), ("", (("Floor", "", "", "", *(f"{floor(column):.2f}" for column in COLUMNS)),))),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
     )
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from magical_mj.evaluation.reports.floors import floors, new_place_floors, refut
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, Floats, estimate
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results, published_table_1
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
-from magical_mj.leaderboard.entry import GIVEN, SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
+from magical_mj.leaderboard.entry import GIVEN, SEEDS, SIMULATOR, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.protocol import PROTOCOL
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
@@ -77,6 +78,8 @@ class Standing:
         episodes: environment -> run -> the scores of its episodes by seed, NaN for missing ones; empty for published
             methods.
         new_places: the same, of the scenes that refute the shortcut.
+        rerun: how much higher the entry's policies scored in fresh scenes, see `magical_mj.leaderboard.rerun`. None if
+            they were not played.
         printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
 
@@ -86,12 +89,20 @@ class Standing:
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
     new_places: Mapping[Pair, Mapping[int, Floats]] = field(default_factory=dict)
+    rerun: Estimate | None = None
     printed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """The method's name."""
         return self.entry.method
+
+    @property
+    def level(self) -> str:
+        """How it was checked: "replayed", or also "re-run"; empty for published methods."""
+        if self.kind == "published":
+            return ""
+        return "replayed" if self.rerun is None else "re-run"
 
     @property
     def privileges(self) -> tuple[str, ...]:
@@ -111,7 +122,7 @@ class Standing:
             return "released"
         if self.entry.card.privileges is None:
             return "undeclared"
-        if "simulator at test" in self.privileges:
+        if SIMULATOR in self.privileges:
             return "simulator"
         if GIVEN in self.privileges:
             return "given"
@@ -218,16 +229,17 @@ def _cells(episodes: Mapping[Pair, Mapping[int, Floats]], weights: Mapping[Pair,
     ]
 
 
-def standing(entry: Entry) -> Standing:
-    """The standing of an entry."""
+def standing(entry: Entry, rerun: Estimate | None = None) -> Standing:
+    """The standing of an entry, with the result of its re-run, if its policies were played again."""
     episodes = _by_environment(entry.counted)
     refuting = refuting_seeds()
     new = (row for row in entry.counted if row.seed in refuting.get((row.task, row.variant), ()))
     means: dict[Pair, Floats] = {
         pair: np.array([float(np.nanmean(row)) for row in runs.values()]) for pair, runs in episodes.items()
     }
-    missing = tuple(gaps(entry))
-    return Standing("partial" if missing else "official", entry, missing, means, episodes, _by_environment(new))
+    missing = tuple(gaps(entry, rerun is not None))
+    kind: Kind = "partial" if missing else "official"
+    return Standing(kind, entry, missing, means, episodes, _by_environment(new), rerun)
 
 
 def _by_environment(rows: Iterable[EpisodeResult]) -> dict[Pair, dict[int, Floats]]:
@@ -247,8 +259,8 @@ def own_standings(folder: Path) -> dict[str, Standing]:
     return {path.name.removesuffix(SUFFIX): standing(read_entry(path)) for path in entry_files(folder)}
 
 
-def gaps(entry: Entry) -> list[str]:
-    """The reasons why an entry is not official. Empty if it is."""
+def gaps(entry: Entry, was_rerun: bool = False) -> list[str]:
+    """The reasons why an entry is not official. Empty if it is. Official entries were re-run."""
     lacks = []
     if len(entry.runs) < LEAST_RUNS:
         lacks.append(f"{len(entry.runs)} of {counted(LEAST_RUNS, 'run')}")
@@ -263,6 +275,9 @@ def gaps(entry: Entry) -> list[str]:
         lacks.append(f"it learnt from demonstrations of set {number}, and protocol {PROTOCOL} uses set 1")
     if entry.card.privileges is None:
         lacks.append("its privileges are not declared")
+    lacks += [f"its card lacks {name}" for name in ("authors", "commands") if not getattr(entry.card, name)]
+    if not was_rerun:
+        lacks.append("its policies were not re-run")
     return lacks
 
 
@@ -313,9 +328,8 @@ def floor(column: str) -> float:
     return 0.0 if column == ABOVE else float(np.mean([known[pair] for pair in COLUMNS[column]]))
 
 
-def standings(entries: Sequence[Entry]) -> list[Standing]:
-    """All methods, by block and by `Standing.rank`."""
+def standings(entries: Mapping[str, Entry], reruns: Mapping[str, Estimate] = MappingProxyType({})) -> list[Standing]:
+    """All methods, by block and by `Standing.rank`. Entries and their re-runs are given by name."""
     blocks = tuple(BLOCKS)
-    return sorted(
-        [*map(standing, entries), *published()], key=lambda method: (blocks.index(method.block), *method.rank)
-    )
+    own = [standing(entry, reruns.get(name)) for name, entry in entries.items()]
+    return sorted([*own, *published()], key=lambda method: (blocks.index(method.block), *method.rank))

@@ -16,6 +16,7 @@ from magical_mj.leaderboard.entry import (
     SUFFIX,
     Card,
     Entry,
+    Recorded,
     Versions,
     common,
     has_place,
@@ -87,10 +88,15 @@ def submit(
         )
     played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
     other_tasks = sorted({task for row in learnt for task in row.other_tasks})
-    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in, other_tasks)
+    uses = sorted({use for row in learnt for use in row.uses})
+    loaded = sorted({row.loaded for row in learnt} - {""})
+    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in, other_tasks, uses)
     protocol = common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items()))
     own = [source for source in sources if source[0].policy == name]
-    entry = _combined(new_card, own, protocol, played_in, other_tasks)
+    steps = sum(episode.steps for episode, _ in own)
+    seconds = sum(episode.seconds for episode, _ in own)
+    recorded = Recorded(uses, loaded, round(1000 * seconds / steps, 2) if uses and steps else None)
+    entry = msgspec.structs.replace(_combined(new_card, own, protocol, played_in, other_tasks), recorded=recorded)
     content = packed(entry)
     unpacked(content, "the choice of folders")
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -99,13 +105,18 @@ def submit(
 
 
 def _check_declared(
-    card: Card, method: str, sets: set[int], played_in: Sequence[str], other_tasks: Sequence[str]
+    card: Card,
+    method: str,
+    sets: set[int],
+    played_in: Sequence[str],
+    other_tasks: Sequence[str],
+    uses: Sequence[str],
 ) -> None:
-    """Raises a `SettingsError` if the card does not declare the training data.
+    """Raises a `SettingsError` if the card does not declare the training data, or what the policies used in tests.
 
-    These are the set of demonstrations, scenes of test variants that were played in training, and other tasks. They are
-    known only for trainings of this package. For other policies, evaluations record set 1 and no play, so a card may
-    declare another set.
+    The data are the set of demonstrations, scenes of test variants that were played in training, and other tasks. They
+    are known only for trainings of this package. For other policies, evaluations record set 1 and no play, so a card
+    may declare another set.
     """
     if len(sets) > 1 or sets - {1, card.demonstrations.loaded_set}:
         raise SettingsError(
@@ -113,7 +124,7 @@ def _check_declared(
             f"[demonstrations] loaded_set = {card.demonstrations.loaded_set}: declare the set, and submit policies of "
             "one set only"
         )
-    if problem := undeclared(card, played_in, other_tasks):
+    if problem := undeclared(card, played_in, other_tasks, uses):
         raise SettingsError(f"{method} {problem}")
 
 

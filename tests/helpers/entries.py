@@ -79,7 +79,12 @@ def whole(runs: int = 5) -> Entry:
         for seed in range(100)
     ]
     return Entry(
-        Card("Nobody", privileges=[]), "LoRes4E", "paper", 1, Versions(["0.1.0"], ["3.17.0"], ["egl"]), episodes
+        Card("Nobody", privileges=[], authors="A. Person", commands=["make"]),
+        "LoRes4E",
+        "paper",
+        1,
+        Versions(["0.1.0"], ["3.17.0"], ["egl"]),
+        episodes,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import hashlib
 import json
@@ -20,8 +21,10 @@ import magical_mj
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
 from magical_mj.leaderboard.entry import MOST_UNPACKED, Card, Demonstrations, Training, entry_files, packed, unpacked
+from magical_mj.leaderboard.rerun import POLICIES, rerun, stored_policies
 from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
+from tests.helpers.agents import Slow
 from tests.helpers.entries import EPISODES, check, recorded, rewrite, whole
 
 CARD = """
@@ -189,6 +192,49 @@ def test_bad_submissions_are_explained(folder: Path, tmp_path: Path) -> None:
         (tmp_path / "card.toml").write_text(card)
         with pytest.raises((SettingsError, UnknownNameError), match=problem):
             submit(**{**defaults, **arguments})
+
+
+def test_a_card_declares_what_its_policy_used(tmp_path: Path) -> None:
+    """An agent that uses the simulation, but names a preset of pictures, as those do that look."""
+    magical_mj.evaluate(
+        Slow(), tasks="MoveToRegion", variants="Demo", episodes=1, preset="LoRes4E", jobs=1, out=tmp_path / "scores"
+    )
+    card = tmp_path / "card.toml"
+    card.write_text("privileges = []")
+    with pytest.raises(SettingsError, match='Slow uses the simulation during tests: add "simulator at test"'):
+        submit([tmp_path / "scores"], tmp_path / "slow.json.xz", card=card)
+    card.write_text('privileges = ["simulator at test"]')
+    entry = submit([tmp_path / "scores"], tmp_path / "slow.json.xz", card=card)
+    assert read_entry(tmp_path / "slow.json.xz").recorded == entry.recorded
+    assert (entry.recorded.uses, entry.recorded.loaded) == (["simulation"], ["object"])
+    assert entry.recorded.milliseconds
+    assert entry.recorded.milliseconds > 1  # it sleeps as long
+    altered = replace(entry, card=replace(entry.card, privileges=[]))
+    assert "uses the simulation" in altered.undeclared
+
+
+def test_policies_in_an_entry_play_fresh_scenes(tmp_path: Path) -> None:
+    """A network from the site, in MoveToRegion: it scores as recorded. A record of full scores is not its own."""
+    network, entry = Path(__file__).parents[2] / "site" / "policies" / "MoveToRegion.onnx", tmp_path / "entry"
+    played = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "preset": "State", "jobs": 1}
+    magical_mj.evaluate({"BC": network}, episodes=20, **played, out=tmp_path / "scores")
+    submit([tmp_path / "scores"], entry / "0.json.xz")
+    (entry / "card.toml").write_text('method = "BC"\nprivileges = ["states"]')
+    own = read_entry(entry)
+    assert (own.recorded.uses, own.recorded.loaded) == (["memory", "observations"], ["onnx"])
+    assert stored_policies(entry) == []
+    (entry / POLICIES).mkdir()
+    shutil.copy(network, entry / POLICIES / "0-MoveToRegion.onnx")
+    policies = stored_policies(entry)
+    assert [(policy.run, policy.task) for policy in policies] == [(0, "MoveToRegion")]
+    assert not rerun(own, policies, first_seed=7, scenes=20, jobs=1).decided
+    taped = replace(own, episodes=[dataclasses.replace(episode, score=1.0) for episode in own.episodes])
+    assert rerun(taped, policies, first_seed=7, scenes=20, jobs=1).high < 0
+    with pytest.raises(EvaluationError, match="no policy for FixColour"):
+        rerun(replace(own, episodes=[recorded(0, "FixColour", "Demo", 0, 1.0, "a")]), policies, first_seed=0)
+    (entry / POLICIES / "best.onnx").touch()
+    with pytest.raises(EvaluationError, match=r"best.onnx must be named RUN or RUN-TASK"):
+        stored_policies(entry)
 
 
 def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path) -> None:

@@ -12,13 +12,15 @@ from typer import Argument, Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, complain, console, counting, make_writable_folder
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.entry import entry_files
 from magical_mj.leaderboard.names import appearance
 from magical_mj.leaderboard.page import check_free, write_pages
+from magical_mj.leaderboard.rerun import LARGEST_SEED, SCENES, rerun, stored_policies
 from magical_mj.leaderboard.standings import gaps, standings
-from magical_mj.utils.errors import EvaluationError, counted
+from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError, counted
 from magical_mj.utils.extras import check_extra
 
 SHOWN: Final = 20
@@ -68,12 +70,18 @@ def make_leaderboard(
     everything: Annotated[
         bool, Option("--all", help="Replay all episodes of each entry, not only a random sample.")
     ] = False,
-    seed: Annotated[int | None, Option(min=0, help="The seed of the sample.", show_default="random")] = None,
+    again: Annotated[
+        bool, Option("--rerun", help="Play the policies that entries hold in fresh scenes, and compare the scores.")
+    ] = False,
+    scenes: Annotated[int, Option(min=2, help="With --rerun: fresh scenes in each environment.")] = SCENES,
+    seed: Annotated[int | None, Option(min=0, help="The seed of the samples.", show_default="random")] = None,
     jobs: option.Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_extra("leaderboards", "eval")
-    check_fits(context, not everything, "without --all", "seed", "replay")
+    check_fits(context, not everything, "without --all", "replay")
+    check_fits(context, again, "with --rerun", "scenes")
+    check_fits(context, again or not everything, "without --all, or with --rerun", "seed")
     paths = entry_files(folder)
     check_free(make_writable_folder(out))
     screen = console()
@@ -92,6 +100,7 @@ def make_leaderboard(
     with counting(screen, "replaying episodes") as watch:
         findings = check_entries(entries, most=None if everything else replay, seed=seed, jobs=jobs, watch=watch)
     good: dict[str, Entry] = {}
+    reruns: dict[str, Estimate] = {}
     for name, entry in entries.items():
         replayed = counted(findings[name].episodes, "episode")
         screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
@@ -101,10 +110,34 @@ def make_leaderboard(
             complain(f"{name} is not shown: {owner} has a method whose name reads the same, {entry.method}")
         elif not _printed_problems(name, findings[name]):
             good[name] = entry
-    for page in write_pages(standings(list(good.values())), out):
+    for path in paths if again else ():
+        if path.name in good and (found := _rerun(path, good[path.name], scenes, seed % LARGEST_SEED, jobs)):
+            reruns[path.name] = found
+            if found.decided:
+                complain(f"{path.name} differs: its policies do not score as the entry says")
+                del good[path.name]
+    for page in write_pages(standings(good, reruns), out):
         screen.print(page, soft_wrap=True)
     if bad := len(paths) - len(good):
         raise EvaluationError(f"entries that failed the checks and are not on the page: {bad}")
+
+
+def _rerun(path: Path, entry: Entry, scenes: int, first_seed: int, jobs: int | None) -> Estimate | None:
+    """The result of the policies in an entry's folder. None if there are none, or they cannot be played."""
+    screen = console()
+    try:
+        policies = stored_policies(path)
+        if not policies:
+            screen.print(f"{path.name}: no policies to re-run", soft_wrap=True)
+            return None
+        with counting(screen, f"re-running {path.name}") as watch:
+            found = rerun(entry, policies, first_seed=first_seed, scenes=scenes, jobs=jobs, watch=watch)
+    except (EvaluationError, SettingsError, MissingExtraError) as error:
+        complain(f"{path.name} cannot be re-run: {error}")
+        return None
+    interval = "{:+.2f} [{:+.2f}, {:+.2f}]".format(*found)
+    screen.print(f"{path.name}: re-run in fresh scenes from {first_seed} on: {interval}", soft_wrap=True)
+    return found
 
 
 def _printed_problems(name: str, findings: Findings) -> bool:
