@@ -47,8 +47,9 @@ def test_commands_in_the_text_lack_nothing() -> None:
     texts = [re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL) for page in pages]
     found = [shlex.split(command) for text in texts for command in re.findall(r"`magical-mj\s([^`]+)`", text)]
     assert len(found) > 20
+    root = get_command(app)
     for words in found:
-        command, name, rest = get_command(app), "magical-mj", words
+        command, name, rest = root, "magical-mj", words
         while isinstance(command, TyperGroup) and rest:
             name, command, rest = command.resolve_command(Context(command), rest)
         assert command is not None

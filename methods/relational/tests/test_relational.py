@@ -40,7 +40,6 @@ from tests.helpers.learners import (
     check_own_demonstrations,
     check_readers,
     check_resumes,
-    check_seeds,
     compare_exported,
 )
 
@@ -499,12 +498,6 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(
 @pytest.mark.parametrize(("method", "changes"), TRAININGS)
 def test_ones_own_demonstrations_are_learnt_from(method: str, changes: dict[str, Any], tmp_path: Path) -> None:
     check_own_demonstrations(method, {**RELATIONAL, **changes}, tmp_path)
-
-
-@pytest.mark.usefixtures("small_pools")
-@pytest.mark.parametrize(("method", "changes"), TRAININGS)
-def test_equal_seeds_give_equal_weights(method: str, changes: dict[str, Any]) -> None:
-    check_seeds(method, {**RELATIONAL, **changes})
 
 
 @pytest.mark.usefixtures("small_pools")
