@@ -117,6 +117,11 @@ class Demonstration:
         model = SceneModel(self.scene)
         return [model.read(qpos) for qpos in self.qpos]
 
+    def ends(self) -> tuple[Scene, Scene]:
+        """The scenes before the first and after the last action."""
+        model = SceneModel(self.scene)
+        return model.read(self.qpos[0]), model.read(self.qpos[-1])
+
     def rescored(self, step: int | None = None) -> float:
         """The score after this number of steps, computed from the states. None: at the end."""
         model, last = SceneModel(self.scene), len(self.actions) if step is None else step

@@ -92,8 +92,7 @@ def task_ends(task: str) -> tuple[Ends, ...]:
     if in_language(task):
         intent = task_intent(task)
         return tuple(planned(intent, demo) for demo in task_spec(task).demos)
-    scenes = [demonstration.scenes() for demonstration in demos.load(task)]
-    return tuple((shown[0], shown[-1]) for shown in scenes)
+    return tuple(demonstration.ends() for demonstration in demos.load(task))
 
 
 @lru_cache(maxsize=RECENT)

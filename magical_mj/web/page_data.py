@@ -20,6 +20,7 @@ from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine.export import mjcf_text
+from magical_mj.intents.names import EIGHT
 from magical_mj.policies.interface import letters_of
 from magical_mj.protocol import PROTOCOL
 from magical_mj.rendering.picture import drawn
@@ -29,6 +30,7 @@ from magical_mj.scene.bodies import BODIES, GRIPPER, Body, body_named
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks import KNOWN, SPECS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
+from magical_mj.web.pursued import demonstrated_data
 
 Simulation = Literal["browser", "server"]
 
@@ -96,7 +98,7 @@ def catalogue(
                 "summary": task_spec(task).summary,
                 "hint": HINTS[task],
                 "speeds": task_spec(task).speeds,
-                "solved": scene_data(demos.load(task)[0].scenes()[-1]),
+                "solved": scene_data(demos.load(task)[0].ends()[1]),
             }
             for task in dict.fromkeys(task for task, _ in environments)
         },
@@ -104,6 +106,7 @@ def catalogue(
             {"task": task, "variant": variant, "shifts": shifts.get((task, variant), {})}
             for task, variant in environments
         ],
+        "demonstrated": {task: demonstrated_data(task) for task in dict(environments) if task in EIGHT},
         "puzzles": [{"task": name, "variant": variant, "shifts": {}} for name, variant in puzzles],
     }
 

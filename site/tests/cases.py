@@ -41,6 +41,7 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidSceneError, MagicalError
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import HINTS, drawing_style, sample_models, scene_data, solid_shapes
+from magical_mj.web.pursued import demonstrated_data, pursued
 from magical_mj.web.puzzles import goal_data
 
 ROUGH: Final = 60
@@ -50,6 +51,7 @@ GLANCES: Final = (1, 20, 100)  # numbers of steps before states are compared. Th
 SCORED: Final = 10  # one of this number of demonstration states is scored
 GATHERED: Final = 30  # scored states of each environment
 INTENTS: Final = 25  # of each kind, scored in each state
+PURSUITS: Final = 8  # last scenes of each environment, for comparing what was pursued
 SEEN: Final = 25  # states of each task for comparing state vectors and policies
 POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
@@ -190,6 +192,22 @@ def _gathered(scene: Scene, rng: np.random.Generator) -> Scene:
 def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
     score = magical_mj.score(task, initial, final)
     return {"task": task, "initial": scene_data(initial), "final": scene_data(final), "score": score}
+
+
+def pursuits() -> Iterator[dict[str, Any]]:
+    """First and last scenes of each environment, in which up to three blocks moved, and what was pursued."""
+    rng = np.random.default_rng(3)
+    for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS * PURSUITS):
+        initial = magical_mj.sample_scene(task, variant, number)
+        regions = (*initial.regions, *task_spec(task).demo.regions)
+        places = [*(region.centre for region in regions), *rng.uniform(-1, 1, (2, 2))]
+        poses = [block.pose for block in initial.blocks]
+        for index in rng.permutation(len(poses))[: rng.integers(4)]:
+            poses[index] = (*(places[rng.integers(len(places))] + rng.normal(0, 0.05, 2)), 0.0)
+        robot = [initial.robot.pose, (*places[rng.integers(len(places))], 0.0)][rng.integers(2)]
+        final = initial.moved(robot, poses)
+        scored = _scored(task, initial, final)
+        yield {**scored, "pursued": dataclasses.asdict(pursued(task, initial, final, scored["score"]))}
 
 
 def pictures() -> Iterator[dict[str, Any]]:
@@ -407,12 +425,14 @@ if __name__ == "__main__":
         "policies": list(policies()),
         "scores": list(scores()),
         "goals": list(goals()),
+        "pursuits": list(pursuits()),
         "combined": list(combined()),
         "pictures": list(pictures()),
         "looks": list(looks()),
         "looking": list(looking(folder)),
         "edits": list(edits()),
     }
-    fixed = {"texts": texts(), "look": drawing_style(), "solids": solid_shapes(), "samples": sample_models()}
+    fixed = {"demonstrated": {task: demonstrated_data(task) for task in magical_mj.TASKS}}
+    fixed |= {"texts": texts(), "look": drawing_style(), "solids": solid_shapes(), "samples": sample_models()}
     for name, content in {**cases, **fixed}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

@@ -10,6 +10,7 @@ import { taking } from "../../magical_mj/web/page/actions.js";
 import { faults, label } from "../../magical_mj/web/page/legal.js";
 import { mjcfOf } from "../../magical_mj/web/page/mjcf.js";
 import { Policy } from "../../magical_mj/web/page/policy.js";
+import { pursued } from "../../magical_mj/web/page/pursued.js";
 import { poses } from "../../magical_mj/web/page/scene.js";
 import { readScene, writeScene } from "../../magical_mj/web/page/scenefile.js";
 import { lack, score } from "../../magical_mj/web/page/score.js";
@@ -19,6 +20,10 @@ import { Simulation } from "../../magical_mj/web/page/simulation.js";
 const MODEL = ["nq", "nbody", "ngeom", "nmesh", "nmat", "npair", "ntendon", "nsensor", "names", "body_pos", "body_quat", "body_mass", "body_inertia", "jnt_type", "jnt_axis",
   "qpos0", "dof_frictionloss", "geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rgba", "geom_matid", "geom_dataid", "geom_contype", "geom_friction", "mat_rgba",
   "mesh_vert", "mesh_face", "pair_friction", "pair_solref", "tendon_frictionloss", "key_qpos", "key_ctrl", "numeric_data", "sensor_objid"];
+
+/** Parts of the sentences about what an episode pursued. */
+const KINDS = ["It did what was intended.", "as intended, but", "It also moved", "It moved no block", "began where the", "began where a block", "colour of", "shape of", "the colour and the shape",
+  "nearest to the robot", "resembles", "stayed where it began", "where the demonstrations' region was", "drove elsewhere", "Intended: the goal region", "Intended: a ", "two "];
 
 /** @param {string} name */
 const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));
@@ -40,6 +45,16 @@ test("scores equal Python's", async () => {
   }
   console.log(`${cases.length} states: scores differ from Python's by at most ${worst}, from the reference's by ${worstOfReference}`);
   assert.ok(worst < 1e-12 && worstOfReference < 1e-8);
+});
+
+test("what an episode pursued equals Python's", async () => {
+  const [cases, demonstrated] = await Promise.all([read("pursuits"), read("demonstrated")]), kinds = new Set();
+  for (const { task, initial, final, score: points, pursued: right } of cases) {
+    assert.deepEqual(pursued(task, demonstrated[task], initial, final, points), right, task);
+    for (const part of KINDS) if (right.sentence.includes(part)) kinds.add(part);
+  }
+  console.log(`${cases.length} episodes, ${new Set(cases.map((/** @type {any} */ one) => one.pursued.sentence)).size} different sentences`);
+  assert.deepEqual([...kinds].sort(), [...KINDS].sort());
 });
 
 test("episodes equal Python's", async () => {

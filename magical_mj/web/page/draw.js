@@ -46,6 +46,28 @@ export function draw(canvas, look, scene, view) {
 }
 
 /**
+ * Outlines blocks in a view from above: a solid ring around those that moved, a dashed one around those that had to.
+ * @param {HTMLCanvasElement} canvas @param {Look} look @param {Scene} scene @param {{moved: number[], intended: number[]}} which
+ */
+export function outline(canvas, { visible }, { blocks, half_width: half = 1 }, { moved, intended }) {
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d")), size = canvas.width, scale = size / (visible * half);
+  context.setTransform(scale, 0, 0, -scale, size / 2, size / 2);
+  for (const [chosen, radius, dash] of /** @type {[number[], number, number[]][]} */ ([[moved, 0.18, []], [intended, 0.22, [0.07, 0.05]]])) {
+    context.setLineDash(dash);
+    for (const [colour, width] of /** @type {[string, number][]} */ ([["#ffffff", 0.036], ["#1b1b1f", 0.018]])) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      for (const i of chosen) {
+        context.beginPath();
+        context.arc(blocks[i].x, blocks[i].y, radius, 0, 2 * Math.PI);
+        context.stroke();
+      }
+    }
+  }
+  context.setLineDash([]);
+}
+
+/**
  * Transforms the canvas to the frame of an object.
  * @param {CanvasRenderingContext2D} context
  * @param {{x: number, y: number, angle: number}} pose

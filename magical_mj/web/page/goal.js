@@ -9,7 +9,8 @@
  */
 import { contains, longestLine, rightBlocks } from "./score.js";
 
-const NEAR = 0.45, APART = 0.7, AT_WALL = 0.25, ROBOT_AT_WALL = 0.3, STAYED = 0.15, IN_CORNER = 0.6, NEAR_CORNER = Math.SQRT2 / 2;  // world units
+export const STAYED = 0.15;  // world units, as are these
+const NEAR = 0.45, APART = 0.7, AT_WALL = 0.25, ROBOT_AT_WALL = 0.3, IN_CORNER = 0.6, NEAR_CORNER = Math.SQRT2 / 2;
 /** @type {Record<string, number[]>} */
 const WALLS = { left: [-1, 0], right: [1, 0], bottom: [0, -1], top: [0, 1] };
 /** @type {Record<string, number[]>} */
@@ -17,7 +18,7 @@ const CORNERS = { "top left": [-1, 1], "top right": [1, 1], "bottom left": [-1, 
 
 /** @typedef {{x: number, y: number}} Point */
 /** @param {Point} one @param {Point} other */
-const distance = (one, other) => Math.hypot(one.x - other.x, one.y - other.y);
+export const distance = (one, other) => Math.hypot(one.x - other.x, one.y - other.y);
 /** The chosen direction, or all of them. @param {Record<string, number[]>} all @param {string | number} name */
 const directions = (all, name) => name === "any" ? Object.values(all) : [all[name]];
 /** The distance from a wall, or from the nearest. @param {Point} body @param {string | number} wall @param {Scene} scene */
@@ -50,6 +51,16 @@ const RELATIONS = {
   "robot near": ({ argument }, _, { robot, blocks }) => [distance(robot, blocks[Number(argument)]) <= NEAR],
   "robot wall": ({ argument }, _, final) => [fromWall(final.robot, argument, final) <= ROBOT_AT_WALL],
 };
+
+/** The relations that judge each block by itself. */
+const SINGLE = ["in", "out", "wall", "corner", "near corner", "near", "untouched"];
+
+/** The blocks of a relation that still have to move in a scene, one or all of them. @param {Conjunct} conjunct @param {Scene} scene */
+export function unmet(conjunct, scene) {
+  const { relation, blocks, some } = conjunct, parts = RELATIONS[relation](conjunct, scene, scene);
+  if (some ? parts.includes(true) : parts.every(Boolean)) return [];
+  return SINGLE.includes(relation) ? blocks.filter((_, i) => !parts[i]) : blocks;
+}
 
 /** The mean over the relations of the share of objects for which each holds. @param {Goal} goal @param {Scene} initial @param {Scene} final */
 function share(goal, initial, final) {

@@ -4,12 +4,13 @@ import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress, shiftsOf } from "./address.js";
 import { showAddress } from "./choice.js";
 import { Controls } from "./controls.js";
-import { draw, fitToScreen } from "./draw.js";
+import { draw, fitToScreen, outline } from "./draw.js";
 import { Game } from "./game.js";
 import { goalScore } from "./goal.js";
 import { onProgress } from "./mujoco.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
+import { pursued } from "./pursued.js";
 import { described, drawn, isSecret, outcome } from "./puzzles.js";
 import { recording, save } from "./recording.js";
 import { edit, editedModel, environmentOf, linkedScene } from "./edited.js";
@@ -319,6 +320,7 @@ function show(initial, scene) {
     if (canvas.ariaLabel !== words) canvas.ariaLabel = words;
     draw(canvas, catalogue.look, scene, view);
   }
+  showPursued(game?.over && isScored ? pursuedIn(initial, final, points) : null);
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
   if (puzzle && game?.over && !watching && shown.told !== game) {
@@ -334,6 +336,19 @@ function show(initial, scene) {
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now}`
     : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
+}
+
+/** What an episode pursued. Not of puzzles, which have their own sentences, and not for participants of studies. @param {import("./scene.js").Scene} initial @param {import("./scene.js").Scene} final @param {number} points */
+const pursuedIn = (initial, final, points) => shown.environment.puzzle || catalogue.collects ? null
+  : pursued(shown.task, catalogue.demonstrated[shown.task], initial, final, points);
+
+/** Shows what the finished episode pursued, and outlines the blocks. @param {import("./pursued.js").Pursued | null} what */
+function showPursued(what) {
+  const words = what?.sentence ?? "", scene = shown.game?.now;
+  element("pursued").hidden = !what;
+  if (element("pursued-words").textContent !== words) element("pursued-words").textContent = words;
+  element("outlines").hidden = !what?.moved.length && !what?.intended.length;
+  if (what && scene) outline(element("allo"), catalogue.look, scene, what);
 }
 
 /** What is watched. A policy of the page with its mean scores. */

@@ -10,10 +10,10 @@
 export const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
 
 /** Indices of the blocks in a region. @param {Region} region @param {Block[]} blocks */
-const inside = (region, blocks) => [...blocks.keys()].filter((i) => contains(region, blocks[i]));
+export const inside = (region, blocks) => [...blocks.keys()].filter((i) => contains(region, blocks[i]));
 
 /** @param {Block} one @param {Block} other */
-const alike = (one, other) => one.shape === other.shape && one.colour === other.colour;
+export const alike = (one, other) => one.shape === other.shape && one.colour === other.colour;
 
 /** @type {Record<string, (initial: Scene, final: Scene) => number>} */
 const RULES = {
