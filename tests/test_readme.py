@@ -10,13 +10,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer import Context
 from typer.core import TyperGroup
 from typer.main import get_command
 
 import magical_mj
-from magical_mj.cli.app import app
+from magical_mj.cli.app import app, run
+from magical_mj.evaluation.scores import read
 from magical_mj.protocol import SEEDS
 from tools import tables
 from tools.pages import filled
@@ -26,7 +28,7 @@ ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
 PAGES = "".join(
     (ROOT / "docs" / f"{name}.md").read_text("utf-8")
-    for name in ("environments", "demonstrations", "learners", "rewards", "shifts")
+    for name in ("first-episode", "environments", "demonstrations", "learners", "rewards", "shifts")
 )
 PYTHON = re.findall(r"```python\n(.*?)```", PAGES, re.DOTALL)
 
@@ -39,6 +41,20 @@ def test_python_block_runs(code: str, tmp_path: Path, monkeypatch: pytest.Monkey
         subprocess.run([sys.executable, "script.py"], check=True)
     else:
         exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+
+
+def test_the_tutorial_trains_and_evaluates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its commands run in their order, and BC has the scores that it shows, up to rounding on other processors."""
+    page = (ROOT / "docs" / "train-and-evaluate.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^\$ magical-mj (.*)$", page, re.MULTILINE)
+    assert [command.split()[0] for command in commands] == ["train", "evaluate", "report"]
+    for command in commands:
+        assert run(shlex.split(command)) == 0
+    means = pd.DataFrame(read(Path("scores/bc"))).groupby(["policy", "variant"])["score"].mean()
+    for policy, *shown in re.findall(r"^ +(BC|random) +(0\.\d+) +(0\.\d+)$", page, re.MULTILINE):
+        assert means[policy].tolist() == pytest.approx([float(score) for score in shown], abs=0.15)
+    assert "| BC |" in Path("report/report.md").read_text("utf-8")
 
 
 def test_commands_in_the_text_lack_nothing() -> None:
