@@ -9,7 +9,14 @@ import pytest
 
 import magical_mj
 
-MODULES = ("engine.engine", "envs.gymnasium_env", "envs.composer.environment", "envs.vector", "wrappers")
+MODULES = (
+    "engine.engine",
+    "envs.gymnasium_env",
+    "envs.composer.environment",
+    "envs.vector",
+    "evaluation.run",
+    "wrappers",
+)
 
 
 @pytest.mark.parametrize("module", MODULES)

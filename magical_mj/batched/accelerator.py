@@ -271,7 +271,7 @@ def _launch_shape(size: int, used: int, scratch: int) -> tuple[int, int]:
     return threads, used + threads * (scratch + _APART)
 
 
-class Canvas:
+class Launcher:
     """Draws the environments of a batch on one of PyTorch's accelerators. See `launch`."""
 
     def __init__(self, tables: Tables, faults: Faults | None, corner_capacity: int) -> None:

@@ -48,11 +48,11 @@ class Painter:
         self._steps = torch.zeros_like(self._all)
         self._tables = Tables(*(self._named[name] for name in Tables._fields))
         self._faults = Faults(*(self._named[name] for name in Faults._fields)) if "noises" in episodes else None
-        self._canvas: Any = None
+        self._launcher: Any = None
         if self._all.is_cuda:
-            from magical_mj.batched.accelerator import Canvas  # numba-cuda is needed for accelerators only
+            from magical_mj.batched.accelerator import Launcher  # numba-cuda is needed for accelerators only
 
-            self._canvas = Canvas(self._tables, self._faults, most_corners(scenes))
+            self._launcher = Launcher(self._tables, self._faults, most_corners(scenes))
 
     def set_episodes(self, episodes: EpisodeArrays, envs: Tensor) -> None:
         """Starts these episodes in some environments."""
@@ -79,8 +79,8 @@ class Painter:
             envs: the numbers of the environments to draw, int64; None: all.
         """
         envs = self._all if envs is None else envs
-        if self._canvas is not None:
-            self._canvas.draw((poses, fingers, self._steps), view, envs, out)
+        if self._launcher is not None:
+            self._launcher.draw((poses, fingers, self._steps), view, envs, out)
             return
         exact_poses, exact_fingers, pictures = poses.double().numpy(), fingers.double().numpy(), out.numpy()
         tables = Tables(*(tensor.numpy() for tensor in self._tables))

@@ -40,7 +40,7 @@ from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit
 from magical_mj.evaluation.worker import Player, prepared
 from magical_mj.policies.loading import sources
-from magical_mj.shifts.registry import parse_shifts, shift_label
+from magical_mj.shifts.registry import axis_and_level, parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, counted
@@ -186,9 +186,8 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
     """Prints the mean scores over tasks: by variant, and by strength of each shift. Then prints the failures."""
     rows = frame(scores).assign(method=[score.method for score in scores])
-    axis, strength = (rows["shift"].str.rpartition(":")[part] for part in (0, 2))
-    rows["heading"] = axis.mask(axis.str.contains("+", regex=False), "several shifts").mask(axis == "", "mean score")
-    rows["column"] = strength.mask(rows["heading"] == "several shifts", rows["shift"]).mask(axis == "", rows["variant"])
+    places = [_heading_and_column(score) for score in scores]
+    rows["heading"], rows["column"] = [heading for heading, _ in places], [column for _, column in places]
     environments = rows.groupby(["heading", "method", "column", "task", "variant"])["score"].mean()
     means = environments.groupby(["heading", "method", "column"]).mean()
     for heading in rows["heading"].unique():
@@ -203,6 +202,12 @@ def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
     for method, reasons in rows.groupby("method", sort=False)["failure"]:
         if count := reasons.count():
             screen.print(f"{method}: {counted(count, 'episode')} failed: {reasons.dropna().iloc[0]}", soft_wrap=True)
+
+
+def _heading_and_column(score: EpisodeResult) -> tuple[str, str]:
+    if not score.shift:
+        return "mean score", score.variant
+    return ("several shifts", score.shift) if "+" in score.shift else axis_and_level(score.shift)
 
 
 def demo(

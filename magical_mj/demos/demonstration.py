@@ -31,7 +31,7 @@ from magical_mj.assets.robot import joints
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import GRIPPER, body_named
-from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
+from magical_mj.shifts.registry import PHYSICAL, axis_and_level, parse_shifts, shift_label
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import (
     announced_name,
@@ -299,7 +299,7 @@ def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
 def check_physical(shifts: str) -> None:
     """Raises a `DemonstrationError` for shifts of pictures and instructions, which demonstrations do not contain."""
     parts = filter(None, re.split("[,+]", shifts))
-    if others := [part for part in parts if named_in(part) not in PHYSICAL]:
+    if others := [part for part in parts if axis_and_level(part)[0] not in PHYSICAL]:
         raise DemonstrationError(
             f"a demonstration can have the shifts {', '.join(PHYSICAL)}, not {others[0]}: it contains states, and its "
             "pictures and instructions are made when it is used"

@@ -19,7 +19,7 @@ from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene.bodies import check_body_name
-from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, code_digests, named_in, shift_label, split_body
+from magical_mj.shifts.registry import BODY, SHIFT_PROTOCOL, code_digests, names_in, shift_label, split_body
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import check_rules, code_digest, task_spec
 from magical_mj.tasks.spec import Rules
@@ -62,7 +62,7 @@ def obstacle(
     for name, number in {"protocol": PROTOCOL, "shift_protocol": SHIFT_PROTOCOL}.items():
         if recorded.get(name) not in (None, number) and (name == "protocol" or episode.shift):
             return f"it follows {name.replace('_', ' ')} {recorded[name]}, but this version plays {number}"
-    for name in (episode.task, episode.body, *map(named_in, episode.shift.split("+"))):
+    for name in (episode.task, episode.body, *names_in(episode.shift)):
         check_named(name, "an episode", trusted)
     try:
         check_rules(episode.rules)

@@ -41,6 +41,11 @@ def evaluate(
 ) -> pd.DataFrame:
     """Plays a policy's episodes in the test scenes of some environments, and returns all scores.
 
+    Example:
+        >>> scores = magical_mj.evaluate("noop", tasks="MoveToRegion", variants="Demo", episodes=2, jobs=1)
+        >>> scores["score"].tolist()  # doing nothing does not reach the region
+        [0.0, 0.0]
+
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
             stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several policies, as a

@@ -32,7 +32,7 @@ from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed, map_here
 
 T = TypeVar("T")
-Played = tuple[list[EpisodeResult], Exception | None]
+Finished = tuple[list[EpisodeResult], Exception | None]
 """The results of a unit, and the error that the policy raised in it."""
 
 GRACE: Final = 1.0
@@ -128,7 +128,7 @@ class Player:
         self.starts = settings.starts(policies, watch)
         self._kept: dict[str, tuple[Any, Any]] = {}
 
-    def __call__(self, unit: Unit) -> Timed[Played | Split[Unit]]:
+    def __call__(self, unit: Unit) -> Timed[Finished | Split[Unit]]:
         """Loads the policy and makes the environment. Returns the work that remains, with its time limit.
 
         That work plays the episodes, so the limit does not include loading. If one of several episodes fails, the unit
@@ -146,7 +146,7 @@ class Player:
         if len(unit.seeds) > 1:
             split = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
 
-        def play() -> Played | Split[Unit]:
+        def play() -> Finished | Split[Unit]:
             episodes = [episode for episode, _ in starts]
             if isinstance(env, VectorEnv):
                 outcomes = play_side_by_side(env, policy, episodes, seconds)

@@ -38,7 +38,7 @@ STARTING: Final = RLock()
 """Held while OpenGL starts: drivers have crashed when two threads drew their first frames at once."""
 
 
-class Backend(NamedTuple):
+class OpenGL(NamedTuple):
     """An OpenGL backend: its name ("" for mujoco's default outside Linux), and why it does not work, or ""."""
 
     name: str
@@ -79,7 +79,7 @@ def has_display() -> bool:
 
 
 @cache
-def opengl() -> Backend:
+def opengl() -> OpenGL:
     """The backend of our pictures: the one that MUJOCO_GL names, by default mujoco's choice for the system.
 
     The default on Linux is EGL, or GLFW if EGL does not start because other code has loaded PyOpenGL for windows.
@@ -91,15 +91,15 @@ def opengl() -> Backend:
     return _tried("glfw") if egl.problem and has_display() else egl
 
 
-def _tried(name: str) -> Backend:
+def _tried(name: str) -> OpenGL:
     try:
         with STARTING, ThreadPoolExecutor(1) as thread:
             thread.submit(_start, name).result()
-        return Backend(name)
+        return OpenGL(name)
     except Exception as error:  # noqa: BLE001 - each backend has its own exceptions
         variables = [variable for variable in ("MUJOCO_GL", "MUJOCO_EGL_DEVICE_ID") if variable in os.environ]
         cause = ", ".join([name, *(f"{variable} is {os.environ[variable]!r}" for variable in variables)])
-        return Backend(name, f"{cause}: {' '.join(str(error).split()).rstrip('.')}")
+        return OpenGL(name, f"{cause}: {' '.join(str(error).split()).rstrip('.')}")
 
 
 def _start(name: str) -> None:

@@ -171,7 +171,7 @@ def arms(shifts: Shifts, *, control: bool) -> dict[str, Shifts]:
     return {"": shifts, "-unshifted": None} if control else {"": shifts}
 
 
-def _split(text: str) -> tuple[str, str]:
+def axis_and_level(text: str) -> tuple[str, str]:
     """Name and level in text such as "camera:3". The level is empty if there is none, as in "camera" and "fog:Fog"."""
     axis, _, level = text.partition(":")
     if axis == BODY:
@@ -182,7 +182,7 @@ def _split(text: str) -> tuple[str, str]:
 
 def _pair(text: str) -> tuple[str, int | str]:
     """Name and level in text such as "camera:3"."""
-    name, level = _split(text)
+    name, level = axis_and_level(text)
     if name == BODY:
         return name, level
     if name == text:
@@ -258,17 +258,21 @@ def check_noticed(shifts: Iterable[str], policy: str, unnoticed: frozenset[Effec
             raise SettingsError(f"{policy} does not notice the shift {name}: {why}")
 
 
-def named_in(part: str) -> str:
-    """The name of the body or shift in one part of a label, such as "camera:3"."""
-    name, level = _split(part)
-    return level if name == BODY else name
+def axis_and_strength(label: str) -> tuple[str, int] | None:
+    """Name and strength in the label of one shift. None for bodies, and for shifts that are combined."""
+    name, level = axis_and_level(label)
+    return (name, int(level)) if "+" not in label and level.isdigit() and name != BODY else None
+
+
+def names_in(label: str) -> list[str]:
+    """The names of the body and the shifts in a label, such as "camera:3+latency:1"."""
+    parts = map(axis_and_level, filter(None, label.split("+")))
+    return [level if name == BODY else name for name, level in parts]
 
 
 def code_digests(label: str) -> dict[str, str]:
     """Name -> hash of its module, for the shifts and bodies in a label that do not belong to the benchmark."""
-    names = [
-        name for name in map(named_in, filter(None, label.split("+"))) if name not in SHIFTS and name not in BODIES
-    ]
+    names = [name for name in names_in(label) if name not in SHIFTS and name not in BODIES]
     for name in filter(is_reference, names):
         resolve(name)  # imports its module
     return {name: source_digest(name if is_reference(name) else shift_class(name).__module__) for name in names}
@@ -276,7 +280,7 @@ def code_digests(label: str) -> dict[str, str]:
 
 def _range(part: str) -> tuple[str, int, int]:
     """The name of a shift, and its lowest and highest strength."""
-    name, strengths = _split(part)
+    name, strengths = axis_and_level(part)
     if name == part:
         return name, 1, STRENGTHS
     low, dash, high = strengths.partition("-")

@@ -40,13 +40,6 @@ class Lane(NamedTuple):
     """The x of the robot's centre in the lane."""
 
 
-class Sweep(NamedTuple):
-    """An attempt: its actions, and the share of the debris that reached the goal zone."""
-
-    actions: list[Action]
-    score: float
-
-
 class Sweeper:
     """The expert for an engine of SweepToTop, which may be reset. `seed` determines its random choices.
 
@@ -62,19 +55,22 @@ class Sweeper:
         """The action for the current state."""
         engine = self._env
         if engine.steps == 0 or not self._actions:
-            self._actions = plan(engine, np.random.default_rng(self._seed)).actions
+            self._actions = plan(engine, np.random.default_rng(self._seed))
             self._first = engine.steps
         step = engine.steps - self._first
         size = 3 if engine.scene_model.has_fingers else 2
         return self._actions[step] if step < len(self._actions) else np.zeros(size, np.float32)
 
 
-def plan(engine: Engine, rng: np.random.Generator) -> Sweep:
-    """The first sweep that brings all debris into the goal zone, or the best of all attempts."""
-    best = Sweep([], -1.0)
+def plan(engine: Engine, rng: np.random.Generator) -> list[Action]:
+    """The actions of the first sweep that brings all debris into the goal zone, or of the best of all attempts."""
+    best: list[Action] = []
+    most = -1.0
     for number in range(SWEEPS):
-        best = max(best, _Attempt(engine, rng, steady=number == 0).sweep(), key=lambda sweep: sweep.score)
-        if best.score == 1.0:
+        attempt = _Attempt(engine, rng, steady=number == 0)
+        if (score := attempt.sweep()) > most:
+            best, most = attempt.actions, score
+        if score == 1.0:
             break
     return best
 
@@ -89,18 +85,18 @@ class _Attempt:
         body = body_named(engine.setup.body)
         self._fingers, self._front = body.fingers, 0.38 if body.fingers else 0.05  # the front's distance ahead
         self._half = GRIPPER_HALF if body.fingers or not body.outline else float(body.corners[:, 0].max())
-        self._actions: list[Action] = []
+        self.actions: list[Action] = []
         often = not steady and rng.random() < (0.8 if self._half > 0.5 else 0.4)
         self._wiggle, self._period = float(rng.uniform(0.15, 0.9)) if often else 0.0, int(rng.integers(3, 10))
 
-    def sweep(self) -> Sweep:
-        """Drives one lane after another, while steps and debris are left."""
+    def sweep(self) -> float:
+        """Drives one lane after another, while steps and debris are left. Returns the share in the goal zone."""
         while self._left > 0:
             lanes = self._lanes()
             if not lanes:
                 break
             self._drive_lane(lanes[0])
-        return Sweep(self._actions, float(arrived(self._simulation.scene).mean()))
+        return float(arrived(self._simulation.scene).mean())
 
     def _lanes(self) -> list[Lane]:
         """The lanes for debris outside the goal zone, in driving order."""
@@ -199,5 +195,5 @@ class _Attempt:
             return
         action = np.array([speed, turn, 1.0][: 3 if self._fingers else 2], np.float32)
         self._simulation.act(action)
-        self._actions.append(action)
+        self.actions.append(action)
         self._left -= 1

@@ -21,7 +21,7 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, restored
 from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, different_numbers
-from magical_mj.envs.composer.task import SceneTask, Settings
+from magical_mj.envs.composer.task import LoadSettings, SceneTask
 from magical_mj.envs.old_names import with_old_names
 from magical_mj.observations import CAMERAS, VIEWS
 from magical_mj.rendering.backend import check_renderer
@@ -409,7 +409,7 @@ def load(
     task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
     strengths, body = split_body(shifts, task, body)
     setup, renderer = Setup(task, variant, rules, body), check_renderer(renderer)
-    settings = Settings(setup, strengths, observations, check_size(image_size), reward, renderer)
+    settings = LoadSettings(setup, strengths, observations, check_size(image_size), reward, renderer)
     return _loaded(settings, seed, scene, recompile=recompile_mjcf_every_episode)
 
 
@@ -436,11 +436,11 @@ def load_scene(
 
     For the arguments and errors, see `load`.
     """
-    settings = Settings(Setup(None), {}, observations, check_size(image_size), "none", check_renderer(renderer))
+    settings = LoadSettings(Setup(None), {}, observations, check_size(image_size), "none", check_renderer(renderer))
     return _loaded(settings, seed, check_scene_type(scene), recompile=recompile_mjcf_every_episode)
 
 
-def _loaded(settings: Settings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
+def _loaded(settings: LoadSettings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
     seed = None if seed is None else check_seed(seed)
     first = settings.setup.scene_and_shifts(settings.strengths, seed or 0, scene)
     return Environment(SceneTask(settings, *first), seed, fixed=scene is not None, recompile=recompile)

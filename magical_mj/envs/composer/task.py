@@ -43,7 +43,7 @@ FIXED_TIMESTEPS: Final = (
 
 
 @dataclass(frozen=True)
-class Settings:
+class LoadSettings:
     """The arguments of `load` or `load_scene`, checked."""
 
     setup: Setup
@@ -81,7 +81,7 @@ class SceneTask(composer.Task):
         substeps_hooked: whether users have added hooks to substeps.
     """
 
-    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts) -> None:
+    def __init__(self, settings: LoadSettings, scene: Scene, shifts: EpisodeShifts) -> None:
         self.settings, self.setup, self.horizon = settings, settings.setup, settings.setup.horizon
         self._remaining = 0.0  # before the last step, for dense rewards
         self._simulation: Simulation | None = None

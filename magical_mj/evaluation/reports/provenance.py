@@ -17,7 +17,7 @@ from magical_mj.evaluation.folder import other_format, recorded_method, recorded
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.protocol import SEEDS, SHIFT_SEEDS
 from magical_mj.scene.bodies import BODIES, GRIPPER
-from magical_mj.shifts.registry import BODY, SHIFTS, named_in, parse_shifts
+from magical_mj.shifts.registry import BODY, SHIFTS, axis_and_strength, names_in, parse_shifts
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import SPLITS, TASKS
@@ -91,7 +91,7 @@ def _can_have(task: str, shift: str) -> bool:
     """Whether a task supports a shift. False for tasks and shifts of users, since their code is not run here."""
     if not shift:
         return True
-    if task not in KNOWN or not all(named_in(part) in (*SHIFTS, *BODIES) for part in shift.split("+")):
+    if task not in KNOWN or not all(name in (*SHIFTS, *BODIES) for name in names_in(shift)):
         return False
     try:
         parse_shifts(shift, task)
@@ -184,9 +184,8 @@ def played_shifts(scores: pd.DataFrame) -> str:
     strengths: dict[str, list[int]] = defaultdict(list)
     names: list[str] = []
     for label in filter(None, map(str, scores["shift"].cat.categories)):
-        axis, _, level = label.rpartition(":")
-        if "+" not in label and level.isdigit():
-            strengths[axis].append(int(level))
+        if one := axis_and_strength(label):
+            strengths[one[0]].append(one[1])
         else:
             names.append(label)
     for axis, levels in strengths.items():

@@ -22,6 +22,7 @@ import numpy as np
 from magical_mj.evaluation.reports.intervals import Cell, Floats, estimate, mean_over
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.registry import axis_and_strength
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.utils.errors import EvaluationError
 
@@ -181,15 +182,14 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
         both = group[episode].merge(without[episode])
         if both.empty:
             continue
-        axis, _, strength = str(shift).rpartition(":")
-        graded = "+" not in str(shift) and strength.isdigit()
+        axis, strength = axis_and_strength(str(shift)) or (shift, math.nan)
         compared = difference(group.merge(both), without.merge(both), same_runs=True)
         rows.append(
             {
                 "policy": policy,
                 "shift": shift,
-                "axis": axis if graded else shift,
-                "strength": int(strength) if graded else math.nan,
+                "axis": axis,
+                "strength": strength,
                 "without": compared.pop("second"),
                 "mean": compared.pop("first"),
                 **compared,
