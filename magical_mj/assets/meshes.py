@@ -47,6 +47,7 @@ def inset(outline: Points, depth: float) -> Points:
         np.stack([-e[:, 1], e[:, 0]], axis=1) / np.linalg.norm(e, axis=1, keepdims=True) for e in (before, after)
     ]
     bisector = normals[0] + normals[1]
+    # a corner moves along its bisector, farther than `depth`: its distance from both edges changes by `depth`
     return outline + depth * bisector / np.sum(bisector * normals[0], axis=1, keepdims=True)
 
 
@@ -98,7 +99,7 @@ def together(parts: Iterable[Mesh]) -> Mesh:
     vertices, faces, count = [], [], 0
     for points, triangles in parts:
         vertices.append(points)
-        faces.append(triangles + count)
+        faces.append(triangles + count)  # numbers of vertices, which follow those of earlier parts
         count += len(points)
     return np.vstack(vertices), np.vstack(faces)
 

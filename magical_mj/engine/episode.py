@@ -16,10 +16,11 @@ from magical_mj.scene import Robot, Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
-from magical_mj.tasks.registry import check_rules, drawn_scene, environment_axes, task_spec, variant_name
+from magical_mj.tasks.registry import check_rules, drawn_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules, TaskSpec
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, StateError, as_integer, short_repr
 from magical_mj.utils.frozen import FrozenDict, frozen
+from magical_mj.variants.rules import varied_axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Setup:
         """Checks the names."""
         if self.task is not None:
             object.__setattr__(self, "variant", variant_name(self.variant))
-            environment_axes(self.task, self.variant)
+            varied_axes(self.spec, self.variant)  # an error if the task does not have the variant
             check_body_name(self.body)
         object.__setattr__(self, "speeds", self.speeds or self.spec.speeds)
         check_rules(self.rules)

@@ -108,13 +108,14 @@ class Planner:
     def _attempt(self, steps: int, noise: Noise, execution: HumanExecution) -> Plan:
         lookahead, todo = self._lookahead, ()
         states = list(lookahead.pending)
-        lookahead.restore(states[-1])
+        lookahead.restore(states[-1])  # with a delay, the first states follow from commands that are given already
         failures: Counter[int | None] = Counter()
         stuck: set[int] = set()
         waited, settling = 0, SETTLING + execution.pause()
         while (left := steps + 1 - len(states)) > 0:
             scene, here = lookahead.scene(), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
+            # a manoeuvre can push other blocks away, and then the rest of the plan does not lead to the full score
             if not todo or self._score(scene_after(scene, todo)) < 1.0:
                 try:
                     todo = self._subgoals(scene, noise, stuck)
@@ -147,6 +148,7 @@ class Planner:
             return None
         lookahead = self._lookahead
         options: list[Manoeuvre] = []
+        # a stick is wide, so paths with room for its whole outline are options as well
         for discs in (EMPTY,) if lookahead.body.fingers else (EMPTY, footprint(lookahead.body)):
             costs = cell_costs(obstacles(scene), discs)
             tree = explore(scene.robot.pose, costs, min(left, REACH))
@@ -157,6 +159,7 @@ class Planner:
         for option in options[: self._tries]:
             handicap = noise(COST_NOISE)
             lookahead.restore(here)
+            # stops where it costs as much as the best manoeuvre so far
             perform(lookahead, option, int(min(left, best_cost - handicap)))
             failed = option.subgoal.left(lookahead.scene()) > 0
             cost = handicap + len(lookahead.trace) + self._rest(todo) + FAILURE * failed
