@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -52,21 +52,21 @@ class Option(NamedTuple):
     reading: str
 
 
-def allowed_readings(demonstrations: Sequence[Ends]) -> list[Intent]:
+@lru_cache(maxsize=8)  # the two questions of an intent have the same demonstrations
+def allowed_readings(demonstrations: tuple[Ends, ...]) -> tuple[Intent, ...]:
     """The simplest intents that all demonstrations allow."""
-    return rivals(demonstrations, READING_BITS)[:MOST_READINGS]
+    return tuple(rivals(demonstrations, READING_BITS)[:MOST_READINGS])
 
 
-def doubtful_readings(intent: Intent, demonstrations: Sequence[Ends], rng: np.random.Generator) -> list[Intent]:
+def doubtful_readings(intent: Intent, demonstrations: tuple[Ends, ...], rng: np.random.Generator) -> list[Intent]:
     """Intents that at least half of the demonstrations allow, and at least one refutes, in random order.
 
     Half of them are simple, the others are the intent with one or two relations replaced by others of the same kind.
     """
-    simple = _doubtful(rivals(demonstrations[:1], READING_BITS)[:MOST_READINGS], demonstrations)
-    kinds = {one.relation for one in intent.conjuncts}
-    parts = [Intent((one,)) for one in all_conjuncts() if one.relation in kinds]
+    simple = _doubtful(Judge(allowed_readings(demonstrations[:1])), demonstrations)
+    parts = _judge_of_parts(frozenset(one.relation for one in intent.conjuncts))
     replacements = [one.conjuncts[0] for one in _doubtful(parts, demonstrations, at_start=True)]
-    changed = _doubtful(list(dict.fromkeys(_with_replacements(intent, replacements, rng))), demonstrations)
+    changed = _doubtful(Judge(list(dict.fromkeys(_with_replacements(intent, replacements, rng)))), demonstrations)
     drawn = [simple[place] for place in rng.permutation(len(simple)).tolist()]
     return [one for pair in itertools.zip_longest(changed, drawn) for one in pair if one is not None]
 
@@ -160,13 +160,21 @@ def weights(readings: Sequence[Intent]) -> NDArray[np.float64]:
     return np.exp2([-reading.bits for reading in readings])
 
 
-def _doubtful(intents: Sequence[Intent], demonstrations: Sequence[Ends], *, at_start: bool = False) -> list[Intent]:
-    """The intents that at least half of the demonstrations allow, but not all. `at_start`: they may hold there."""
-    judge = Judge(intents)
+@lru_cache(maxsize=64)
+def _judge_of_parts(relations: frozenset[str]) -> Judge:
+    """The judge of all intents with one of these relations."""
+    return Judge([Intent((one,)) for one in all_conjuncts() if one.relation in relations])
+
+
+def _doubtful(judge: Judge, demonstrations: Sequence[Ends], *, at_start: bool = False) -> list[Intent]:
+    """The judge's intents that at least half of the demonstrations allow, but not all.
+
+    `at_start`: they may hold there.
+    """
     allows = judge.holds if at_start else judge.reached
     counts = np.sum([allows(*ends) for ends in demonstrations], axis=0)
     number = len(demonstrations)
-    return [one for one, count in zip(intents, counts, strict=True) if number / 2 <= count < number]
+    return [one for one, count in zip(judge.intents, counts, strict=True) if number / 2 <= count < number]
 
 
 def _with_replacements(intent: Intent, parts: Sequence[Conjunct], rng: np.random.Generator) -> Iterator[Intent]:

@@ -120,7 +120,7 @@ class Question:
     own: tuple[tuple[Scene, ...], ...] = ()
 
     @property
-    def watched(self) -> list[Ends]:
+    def watched(self) -> tuple[Ends, ...]:
         """The first and the last scene of each of the intent's own demonstrations."""
         return _ends(self.own)
 
@@ -345,8 +345,8 @@ def _task_of(intent: Intent, settings: Settings) -> Task:
     return Task(intent, settings.seed, settings.scenes, settings.contrasting)
 
 
-def _ends(demonstrations: Sequence[Sequence[Scene]]) -> list[Ends]:
-    return [(shown[0], shown[-1]) for shown in demonstrations]
+def _ends(demonstrations: Sequence[Sequence[Scene]]) -> tuple[Ends, ...]:
+    return tuple((shown[0], shown[-1]) for shown in demonstrations)
 
 
 @lru_cache(maxsize=64)  # the two questions of an intent, and the next intent's, if demonstrations are wrong
@@ -381,7 +381,7 @@ def _new_scene(
 
 
 def _chosen(
-    intent: Intent, ends: Sequence[Ends], kind: str, rng: np.random.Generator
+    intent: Intent, ends: tuple[Ends, ...], kind: str, rng: np.random.Generator
 ) -> tuple[Scene, Scene, list[Option]] | None:
     """A new scene, the right end, and the wrong options."""
     allowed = allowed_readings(ends)
