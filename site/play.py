@@ -19,6 +19,7 @@ from standings_page import read_methods, write_replays
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
+from magical_mj.web.asking import ASKED, asked, question_data
 from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, sample_models
 from magical_mj.web.puzzles import VARIANTS, puzzle_scenes, puzzles
@@ -53,9 +54,10 @@ def write_play(folder: Path) -> int:
     write_replays(read_methods(), folder / "replays")
     pairs = (*magical_mj.ENVIRONMENTS, *SUITE)
     write_puzzles(folder / "puzzles")
+    _write(folder / "questions.json", [question_data(question, answers=True) for question in asked()])
     drawn = [pair for puzzle in puzzles() for pair in puzzle.environments]
     known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs}, drawn)
-    _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE})
+    _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE, "questions": ASKED})
     libraries = library_files(CACHE)
     samples = {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
     for name, content in (libraries | samples).items():
@@ -121,7 +123,7 @@ def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
     return {**data, "scenes": scenes, "elements": list(numbers)}
 
 
-def _write(path: Path, data: dict[Any, Any]) -> None:
+def _write(path: Path, data: Any) -> None:
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(data, separators=(",", ":")), encoding="utf-8")
 

@@ -1,8 +1,8 @@
 """Studies: a study offers scenes to participants, checks the recordings, and stores them in one folder.
 
 The folder contains a subfolder with the demonstrations of each participant, named by a random id; `study.jsonl`, with
-a line for each offer, consent, and accepted or rejected recording; and the secret parts of two addresses, `token` for
-participants and `operator` for the person who runs the study.
+a line for each offer, consent, answer to a question, and accepted or rejected recording; and the secret parts of two
+addresses, `token` for participants and `operator` for the person who runs the study.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError, short_repr
 from magical_mj.utils.lines import appending, read_lines
+from magical_mj.web.asking import asked
 
 _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
@@ -60,6 +61,7 @@ class Study(Struct, forbid_unknown_fields=True):
         completion_code: shown to participants at the end.
         episodes: the number of episodes of each participant; None: until the study has enough.
         practice: the number of practice episodes at the start, which are not stored.
+        questions: the number of questions that participants may answer on the page choose.html.
         least_score: recordings with a lower score are rejected, and must be repeated. By default every complete episode
             counts.
         shows: the features that participants may use: the expert, other speeds, scenes other than the offered one.
@@ -76,6 +78,7 @@ class Study(Struct, forbid_unknown_fields=True):
     completion_code: str = ""
     episodes: Annotated[int, Meta(ge=1)] | None = None
     practice: Annotated[int, Meta(ge=0, le=20)] = 0
+    questions: Annotated[int, Meta(ge=0, le=100)] = 0
     least_score: Annotated[float, Meta(ge=0, le=1)] = 0.0
     shows: list[Literal["expert", "speed", "scenes"]] = []
     lease_minutes: Annotated[float, Meta(gt=0)] = 30.0
@@ -141,6 +144,8 @@ class Collection:
         self._offers: dict[str, Offer] = {}
         self._addresses: dict[str, str] = {}
         self._consents: set[str] = set()
+        self.questions = {question.id: question for question in asked(study.questions)} if study.questions else {}
+        self._answered: defaultdict[str, set[str]] = defaultdict(set)
         self._practised: Counter[str] = Counter()
         self._accepted: dict[Pair, dict[int, float]] = {pair: {} for pair in self._quotas}
         self._counts: Counter[str] = Counter()
@@ -288,6 +293,33 @@ class Collection:
                 self._count(participant, demo)
             return demo.score
 
+    def answered(self, participant: str) -> dict[str, list[str]]:
+        """The ids of the questions that a participant has answered, as data for the page."""
+        return {"answered": sorted(self._answered[participant])}
+
+    def answer(self, participant: str, question: str, letter: str, seconds: Any) -> dict[str, list[str]]:
+        """Records a participant's answer to a question. Only the first answer to each counts.
+
+        Returns:
+            The value of `answered`.
+
+        Raises:
+            MagicalError: if there is no such question or option, or the study is closed to the participant.
+            OSError: if the answer cannot be saved.
+        """
+        with self._lock:
+            asked = self.questions.get(question)
+            if asked is None:
+                raise SettingsError(f"this study does not ask {short_repr(question)}")
+            verdict = asked.check(letter)
+            if self.paused or (self.study.consent and participant not in self._consents):
+                raise SettingsError("answers count only after consent, and while the study is not paused")
+            if question not in self._answered[participant]:
+                facts = {"set": asked.set, "kind": asked.kind, "intent": str(asked.intent), "answer": letter}
+                facts |= {"right": verdict.right, "misread": verdict.misread, "seconds": _number(seconds)}
+                self._note({"event": "answered", "participant": participant, "question": question, **facts})
+            return self.answered(participant)
+
     def status(self) -> dict[str, Any]:
         """The study's progress, for its operator, as JSON data."""
         with self._lock:
@@ -430,6 +462,8 @@ class Collection:
             case {"event": "practised", "participant": str(participant)}:
                 self._practised[participant] += 1
                 self._offers.pop(participant, None)
+            case {"event": "answered", "participant": str(participant), "question": str(question)}:
+                self._answered[participant].add(question)
             case {"event": "paused" | "resumed"}:
                 self.paused = event["event"] == "paused"
 

@@ -11,9 +11,11 @@ message is a JSON object, and the answer is another one:
 | `{"arrive": id or null}`, with `"agree": true` after consent | `{"participant": id, "next": ...}` |
 | `{"return": id}`, after a connection broke | `{"participant": id}` |
 | `{"keep": recording, "about": {"speed": ..., "watched": ...}}` | `{"score": ..., "next": ...}`, after saving |
+| `{"answer": "A", "question": id, "seconds": 3.2}` | `{"answered": ids}`, those that the participant has answered |
+| `{"answered": true}` | the same |
 | other messages, and invalid ones | `{"error": "the reason"}` |
 
-`arrive`, `return` and `keep` need a study. `Collection.next` describes the values of `next`, and
+All but `open` and `act` need a study. `Collection.next` describes the values of `next`, and
 `magical_mj.demos.recording` describes recordings. Under another secret token, the operator of a study sees its progress
 (`operator.html`), with the messages `{"status": true}` and `{"pause": true or false}`, and downloads its demonstrations
 (`demonstrations.zip`).
@@ -43,6 +45,7 @@ from magical_mj.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import MagicalError
+from magical_mj.web.asking import question_data
 from magical_mj.web.collection import Collection
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data
 from magical_mj.web.puzzles import VARIANTS, Puzzle, goal_data, puzzle_scenes
@@ -88,6 +91,12 @@ class PlayServer:
         self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
         self._files["catalogue.json"] = json.dumps(self._catalogue()).encode()
         self._files[""] = self._files["index.html"]
+        asked = {} if self.collection is None else self.collection.questions
+        if asked:
+            data = [question_data(question, answers=False) for question in asked.values()]
+            self._files["questions.json"] = json.dumps(data, separators=(",", ":")).encode()
+        else:
+            del self._files["choose.html"]
 
     def _catalogue(self) -> dict[str, Any]:
         pairs = [pair for puzzle in self.puzzles for pair in puzzle.environments]
@@ -95,6 +104,7 @@ class PlayServer:
         if self.collection is not None:
             study = self.collection.study
             known |= {"shows": study.shows, "title": study.title, "instructions": study.instructions}
+            known |= {"questions": study.questions}
         return known
 
     async def start(self) -> Server:
@@ -280,6 +290,12 @@ class PlayerSession:
                 about = message.get("about") if isinstance(message.get("about"), dict) else {}
                 score = self._collection.keep(json.dumps(recording), self._participant, about)
                 return {"score": score, **self._collection.next(self._participant, self._address)}
+            case {"answer": str(letter), "question": str(question)} if (
+                self._collection is not None and self._participant is not None
+            ):
+                return self._collection.answer(self._participant, question, letter, message.get("seconds"))
+            case {"answered": True} if self._collection is not None and self._participant is not None:
+                return self._collection.answered(self._participant)
             case {"status": True} if self._runs and self._collection is not None:
                 return self._collection.status()
             case {"pause": bool(paused)} if self._runs and self._collection is not None:
@@ -288,7 +304,7 @@ class PlayerSession:
             case _:
                 raise MagicalError(
                     "a message must be one of open, with a task, a variant and a seed; act, after open; and, if "
-                    "demonstrations are collected here, arrive or return, and after one of them keep"
+                    "demonstrations are collected here, arrive or return, and after them keep, answer or answered"
                 )
 
     def _identified(self, name: Any, collection: Collection) -> str:

@@ -93,3 +93,18 @@ test("a puzzle is drawn, watched, played and explained", async () => {
   assert.deepEqual(complaints, []);
   assert.deepEqual(await barriers(page), []);
 });
+
+test("questions are answered by keys and clicks, explained and saved", async () => {
+  await page.goto(`${site.address}play/choose.html`);
+  await page.waitForSelector("#options canvas");
+  assert.deepEqual(await barriers(page), []);
+  await page.keyboard.press("a");
+  const wrong = /^(Yes|No, it is [B-D]): .+\./;
+  assert.match(await page.textContent("#status") ?? "", wrong);
+  await page.keyboard.press("n");
+  assert.match(await page.textContent("#count") ?? "", /^Question 2 of/);
+  await page.click("#options button:nth-child(4)");
+  await page.keyboard.press("b");  // an answer counts once
+  const answers = JSON.parse((await downloaded(page, "#save")).text);
+  assert.deepEqual(answers.map((/** @type {{answer: string}} */ one) => one.answer), ["A", "D"]);
+});

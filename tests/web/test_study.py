@@ -17,6 +17,7 @@ from tests.helpers.limits import full_disk
 
 pytest.importorskip("websockets")
 
+from magical_mj.web.asking import question_data
 from magical_mj.web.collection import ROOM, Collection, Study
 from magical_mj.web.server import PlayerSession, poses
 
@@ -176,3 +177,30 @@ def test_a_connection_belongs_to_one_participant(tmp_path: Path) -> None:
     assert "poses" in json.loads(session.answer('{"act": 1}'))
     assert collection.status()["environments"][0]["leased"] == 1
     session.close()
+
+
+def test_answers_to_questions_count_once_after_consent_and_without_the_solution(tmp_path: Path) -> None:
+    study = Study({"MoveToRegion-Layout": QUOTA}, consent="Your answers are kept.", questions=1)
+    collection = Collection(tmp_path, study)
+    (asked,) = collection.questions.values()
+    seat = PlayerSession([], collection)
+
+    def ask(**message: Any) -> dict[str, Any]:
+        return json.loads(seat.answer(json.dumps(message)))
+
+    ask(arrive=None)
+    given = {"answer": asked.answer, "question": asked.id, "seconds": 2.5}
+    assert "consent" in ask(**given)["error"]
+    ask(arrive=None, agree=True)
+    assert ask(**given) == ask(answered=True) == {"answered": [asked.id]}
+    assert ask(**given | {"answer": "B" if asked.answer == "A" else "A"}) == {"answered": [asked.id]}
+    assert "letters" in ask(**given | {"answer": "E"})["error"]
+    assert "does not ask" in ask(**given | {"question": "choose/dev/0/logic"})["error"]
+    events = map(json.loads, (tmp_path / "study.jsonl").read_text().splitlines())
+    (event,) = (event for event in events if event["event"] == "answered")
+    assert (event["right"], event["answer"], event["seconds"]) == (True, asked.answer, 2.5)
+    assert Collection(tmp_path, study).answered(event["participant"]) == {"answered": [asked.id]}
+    shown = question_data(asked, answers=False)
+    assert "readings" not in shown
+    assert "answer" not in shown
+    assert question_data(asked, answers=True)["answer"] == asked.answer

@@ -1,5 +1,6 @@
 // @ts-check
 /** The page for playing: choosing a scene, playing, watching, saving and sending. */
+import { agreement } from "./agreement.js";
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress, shiftsOf } from "./address.js";
 import { showAddress } from "./choice.js";
@@ -459,20 +460,6 @@ async function arrive(seat) {
   }
 }
 
-/** Waits until the participant has agreed to a text. @param {string} text */
-function agreement(text) {
-  const dialog = element("consent");
-  element("consent-text").textContent = text;
-  dialog.addEventListener("cancel", (/** @type {Event} */ event) => event.preventDefault());
-  dialog.showModal();
-  return new Promise((resolve) => {
-    element("agree").onclick = () => {
-      dialog.close();
-      resolve(null);
-    };
-  });
-}
-
 /** Shows, until the page is left, why no scene is offered, and the participant's completion code. @param {{why?: string, code?: string}} reply */
 function end({ why, code }) {
   const text = `${why ?? "That was everything"}${code ? ` Your code: ${code}` : ""}`;
@@ -568,6 +555,7 @@ addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
 showTasks();
 element("want").hidden = !catalogue.puzzles.length;
+element("choose").hidden = !catalogue.questions;
 element("seed-label").hidden = !seat;
 for (const link of ["inspect", "about", "docs", "edit"]) element(link).hidden = seat !== null;
 if (seat) element("home").removeAttribute("href");
