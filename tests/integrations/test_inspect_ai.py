@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 import sys
@@ -86,6 +87,7 @@ def evaluated(task: Any, rule: Rule, folder: Path, **settings: Any) -> EvalLog:
     with serving(rule) as address:
         model = inspect_ai.model.get_model("openai-api/local/rule", base_url=address, api_key=KEY)
         (log,) = inspect_ai.eval(task, model=model, display="none", log_dir=str(folder), **settings)
+    gc.collect()  # Inspect leaves streams open, whose warnings should not reach other tests
     return log
 
 
@@ -111,21 +113,30 @@ def knowing(made: list[Question], answer: Callable[[Question, dict[str, Any]], R
 
 
 def test_always_the_first_option_is_right_for_a_quarter_of_the_questions(tmp_path: Path) -> None:
-    log = evaluated(choose(set="dev", limit=24, scenes=2), lambda _: said("I choose the first.\nANSWER: A"), tmp_path)
-    right = values(log, "right")
-    assert len(right) == 24
-    assert 1 <= sum(right) <= 13  # fewer or more have a probability of .002
+    log = evaluated(choose(set="dev", limit=12, scenes=1), lambda _: said("I choose the first.\nANSWER: A"), tmp_path)
+    assert len(values(log, "right")) == 12
+    mean = sum(values(log, "right")) / 12
+    right = metrics(log, "right")
+    assert right["dev prior"] == mean == metrics(log, "intended")["dev prior"]
+    assert right["dev prior lower"] < 0.25 < right["dev prior upper"]
+
+
+def metrics(log: EvalLog, name: str) -> dict[str, float]:
+    """The metrics of a score by set."""
+    assert log.results
+    (found,) = (score.metrics for score in log.results.scores if score.name == name)
+    return {key.rpartition("by_set_")[2]: metric.value for key, metric in found.items()}
 
 
 def test_one_who_knows_the_answers_scores_1_in_choose(tmp_path: Path) -> None:
-    rule = knowing(list(questions("choose", limit=6)), lambda question, _: said(f"ANSWER: {question.answer}"))
-    assert values(evaluated(choose(limit=6), rule, tmp_path), "right") == [1.0] * 6
+    rule = knowing(list(questions("choose", limit=4)), lambda question, _: said(f"ANSWER: {question.answer}"))
+    assert values(evaluated(choose(limit=4), rule, tmp_path), "right") == [1.0] * 4
 
 
 def test_one_who_knows_the_intents_scores_1_in_say(tmp_path: Path) -> None:
-    rule = knowing(list(questions("say", limit=3)), lambda question, _: said(f"ANSWER: {question.answer}"))
-    log = evaluated(say(limit=3), rule, tmp_path)
-    assert values(log, "agreement") == values(log, "exact") == [1.0] * 3
+    rule = knowing(list(questions("say", limit=1)), lambda question, _: said(f"ANSWER: {question.answer}"))
+    log = evaluated(say(limit=1), rule, tmp_path)
+    assert values(log, "agreement") == values(log, "exact") == [1.0]
 
 
 def moved(question: Question) -> dict[int, tuple[float, float]]:
@@ -161,11 +172,11 @@ def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path
     "text", ["", "I cannot help with that.", "ANSWER: E", "ANSWER:", "{" * 100_000, "A" * 1_000_000]
 )
 def test_answers_that_cannot_be_read_are_wrong(text: str, tmp_path: Path) -> None:
-    log = evaluated(choose(limit=1), lambda _: said(text), tmp_path)
+    log = evaluated(choose(limit=1, scenes=1), lambda _: said(text), tmp_path)
     assert values(log, "right") == [0.0]
     assert log.samples
     assert log.samples[0].scores
-    assert log.samples[0].scores["misread"].value == "no answer"
+    assert log.samples[0].scores["misread"].as_dict()["no answer"] == 1.0
 
 
 def test_places_that_are_nonsense_are_wrong(tmp_path: Path) -> None:
@@ -189,7 +200,7 @@ def test_a_second_answer_repairs_a_text_with_an_error(tmp_path: Path) -> None:
 
 
 def test_a_server_error_is_no_score(tmp_path: Path) -> None:
-    log = evaluated(choose(limit=1), lambda _: 500, tmp_path)
+    log = evaluated(choose(limit=1, scenes=1), lambda _: 500, tmp_path)
     assert not values(log, "right")
     assert log.samples
     assert log.samples[0].error
@@ -205,7 +216,7 @@ def test_a_server_that_does_not_answer_is_no_score(tmp_path: Path) -> None:
 
 
 def test_logs_contain_no_key(tmp_path: Path) -> None:
-    evaluated(choose(limit=1), lambda _: said("ANSWER: A"), tmp_path, log_format="json")
+    evaluated(choose(limit=1, scenes=1), lambda _: said("ANSWER: A"), tmp_path, log_format="json")
     (file,) = tmp_path.glob("*.json")
     assert KEY not in file.read_text()
 
@@ -217,8 +228,8 @@ def test_pictures_reach_the_model(tmp_path: Path) -> None:
         seen.extend(part["type"] for part in body["messages"][0]["content"])
         return said("ANSWER: A")
 
-    evaluated(choose(limit=1, scenes=2, form="pictures"), rule, tmp_path)
-    assert seen.count("image_url") == 2 * 2 + 1 + 4
+    evaluated(choose(limit=1, scenes=1, form="pictures"), rule, tmp_path)
+    assert seen.count("image_url") == 2 + 1 + 4
 
 
 def command(*arguments: object) -> tuple[int, str]:
@@ -247,8 +258,11 @@ def test_episodes_in_other_scenes_are_refused(tmp_path: Path) -> None:
     assert "another seed" in out
 
 
-def test_readings_of_wrong_answers_are_counted(tmp_path: Path) -> None:
-    evaluated(choose(limit=4), lambda _: said("ANSWER: A"), tmp_path)
+def test_the_shares_of_what_answers_follow_are_printed(tmp_path: Path) -> None:
+    log = evaluated(choose(limit=4, scenes=1), lambda _: said("ANSWER: A"), tmp_path)
     code, out = command("misread", tmp_path)
-    assert code == 0
-    assert "taken for" in out
+    assert code == 0, out
+    right = int(sum(values(log, "right")))
+    assert 0 < right < 4
+    assert f"{right} of 4" in out
+    assert "1 of 1" in out  # of the questions about an intent, those that were taken for a reading

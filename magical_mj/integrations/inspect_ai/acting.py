@@ -22,6 +22,8 @@ from magical_mj.integrations.inspect_ai.content import contents
 from magical_mj.integrations.inspect_ai.scoring import ACTIONS, FINAL
 from magical_mj.intents.question import question_of
 from magical_mj.intents.question_text import table
+from magical_mj.intents.readings import moved_blocks
+from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Subgoal
 
 REACH: Final = 0.9
@@ -30,10 +32,13 @@ NEAR: Final = 0.07
 """A manoeuvre ends at most this far (world units) from its target, as those of plans."""
 LONGEST: Final = 120
 """A manoeuvre takes at most this number of actions."""
-BUDGET: Final = 3_000
+BUDGET: Final = 1_500
 """After this number of simulated steps, no new plan of a manoeuvre is started."""
-TRIED: Final = 4
+TRIED: Final = 8
 """The number of manoeuvres that are tried in one situation."""
+PLANS: Final = 3
+DISTURBED: Final = 0.5
+"""The value of a manoeuvre that moves other blocks, too."""
 MESSAGES: Final = 60
 """The largest number of messages in an episode, those of the tools included."""
 
@@ -57,23 +62,36 @@ class Hands:
         return (self.engine.horizon or 0) - self.engine.steps
 
     def perform(self, subgoal: Subgoal) -> bool:
-        """Performs a manoeuvre that reaches the subgoal. Returns False, and does nothing, if none was found."""
-        scene = self.engine.scene
-        if subgoal.left(scene) == 0.0:
+        """Performs a manoeuvre that reaches the subgoal. Returns False, and does nothing, if none was found.
+
+        If possible, the manoeuvre moves no other block.
+        """
+        before = self.engine.scene
+        if subgoal.left(before) == 0.0:
             return True
         if self.left <= 0:
             return False
+
+        def score(scene: Scene) -> float:
+            stray = set(moved_blocks(before, scene)) - {subgoal.block}
+            return 0.0 if subgoal.left(scene) else DISTURBED if stray else 1.0
+
         planner = Planner(
-            lambda scene: float(subgoal.left(scene) == 0.0),
+            score,
             lambda scene, _, __: (subgoal,) if subgoal.left(scene) else (),
             Lookahead(self.engine),
             tries=TRIED,
             steady=True,
         )
-        plan = planner.plan(min(self.left, LONGEST), BUDGET, self._rng)
-        if plan.score < 1.0:
+        best, left = None, min(self.left, LONGEST)
+        for _ in range(PLANS):
+            plan = planner.plan(left, BUDGET, self._rng)
+            if plan.score == 0.0 or (best and plan.score < best.score):
+                break
+            best, left = plan, len(plan.actions) - plan.rest - 1
+        if best is None:
             return False
-        for action in plan.actions[: len(plan.actions) - plan.rest]:
+        for action in best.actions[: len(best.actions) - best.rest]:
             self.engine.step(action)
             self.actions.append(action)
         return True

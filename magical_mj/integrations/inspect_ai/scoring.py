@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from inspect_ai.model import ChatMessageUser
@@ -14,7 +15,6 @@ from inspect_ai.scorer import (
     Target,
     Value,
     ci_wilson,
-    frequency,
     mean,
     metric,
     scorer,
@@ -42,22 +42,27 @@ def by_set() -> Metric:
     """
 
     def compute(scores: list[SampleScore]) -> Value:
-        groups = defaultdict[str, list[SampleScore]](list)
+        groups = defaultdict[str, list[float]](list)
         for score in scores:
-            question = (score.sample_metadata or {})["question"]
-            groups[" ".join(filter(None, (question["set"], question["kind"])))].append(score)
+            groups[group_of((score.sample_metadata or {})["question"])].append(score.score.as_float())
         values: dict[str, float] = {}
         for name, group in groups.items():
-            interval: Any = ci_wilson()(group)
-            values |= {name: sum(map(_value, group)) / len(group)}
-            values |= {f"{name} {end}": interval[end] for end in ("lower", "upper")}
+            values |= {name: sum(group) / len(group)}
+            values |= {f"{name} {end}": bound for end, bound in zip(("lower", "upper"), interval(group), strict=True)}
         return values
 
     return compute
 
 
-def _value(score: SampleScore) -> float:
-    return score.score.as_float()
+def group_of(question: Mapping[str, Any]) -> str:
+    """The set and the kind of a question, from its data."""
+    return " ".join(filter(None, (question["set"], question["kind"])))
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """Wilson's interval of 95 % for the mean of values in [0, 1]."""
+    ends: Any = ci_wilson()([SampleScore(score=Score(value=value)) for value in values])
+    return ends["lower"], ends["upper"]
 
 
 @scorer(metrics={"*": [mean(), by_set()]})
@@ -80,20 +85,25 @@ def judged(english: bool = False) -> Scorer:
     return score
 
 
-@scorer(metrics=[frequency(KINDS_OF_ANSWERS)])
+@scorer(metrics={"*": [mean(), by_set()]})
 def misread(english: bool = False) -> Scorer:
-    """What answers follow; see `KINDS_OF_ANSWERS`."""
+    """What answers follow: 1 for one of `KINDS_OF_ANSWERS`, and 0 for the others."""
 
     async def score(state: TaskState, target: Target) -> Score:  # noqa: ARG001 - Inspect passes both
         _, verdict = _checked(state, english)
-        if verdict.right:
-            return Score(value="intended")
-        if verdict.problem:
-            return Score(value="no answer")
-        followed = verdict.misread if verdict.misread in SHORTCUTS else "another reading"
-        return Score(value=followed if verdict.misread else "another goal")
+        return Score(value={kind: float(kind == followed(verdict)) for kind in KINDS_OF_ANSWERS})
 
     return score
+
+
+def followed(verdict: Verdict) -> str:
+    """What an answer follows: one of `KINDS_OF_ANSWERS`."""
+    if verdict.right:
+        return "intended"
+    if verdict.problem:
+        return "no answer"
+    named = verdict.misread if verdict.misread in SHORTCUTS else "another reading"
+    return named if verdict.misread else "another goal"
 
 
 def _checked(state: TaskState, english: bool) -> tuple[Question, Verdict]:
