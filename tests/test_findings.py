@@ -128,9 +128,6 @@ def findings() -> dict[str, list[float | str | Estimate]]:
             mean(PIXELS, "Layout", tasks=REGION),
         ],
         "The scenes can be solved.": [score("state-goals")],
-        "All is not just Layout.": [
-            mean(PIXELS, variant, tasks=tasks) for tasks in (COMMON, ["MakeLine"]) for variant in ("Layout", "All")
-        ],
         "BC generalises better from images than from coordinates.": [
             less(PIXELS, STATES, "Layout", tasks=WITH_LAYOUT),
             mean("diffusion", "Layout", tasks=REGION),
