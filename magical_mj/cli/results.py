@@ -17,7 +17,7 @@ from magical_mj.evaluation.folder import folders_of, other_format, recorded_sett
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, episodes_of, results
-from magical_mj.evaluation.reports.section import ReportSection, announced_sections
+from magical_mj.evaluation.reports.section import Inputs, ReportSection, announced_sections
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, counted
@@ -71,7 +71,7 @@ def make_report(
     writers = []
     for section in wanted:
         with counting(screen, "replaying episodes") as watch:
-            writers.append(section.prepare(folders, rules, may_name, jobs=jobs, watch=watch))
+            writers.append(section.prepare(Inputs(folders, rules, may_name, jobs, watch)))
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, [*by_file_name(episodes), *(section.folder for section in wanted)])
     links = film_episodes(episodes, out)

@@ -6,7 +6,7 @@ Demo, the scenes of the demonstrations, has rows of its own. Means never mix it 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
 from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.draws import in_sets
 from magical_mj.intents.tasks import PREFIX, task_of
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
@@ -174,17 +173,10 @@ class IntentsSection(ReportSection):
         Meta(description="Rows by set of intents: success, clean success and score; see docs/intents-evaluation.md."),
     ] = False
 
-    def prepare(
-        self,
-        folders: Sequence[Path],
-        rules: Rules | None,
-        trusted: Collection[str],
-        *,
-        jobs: int | None,
-        watch: Callable[[int, int], object],
-    ) -> Write:
+    def prepare(self, inputs: Inputs) -> Write:
         """Computes the rows of all episodes of intents."""
-        every = [one for path in folders for one in episodes_of(path, rules, trusted, jobs=jobs, watch=watch)]
+        how = {"jobs": inputs.jobs, "watch": inputs.watch}
+        every = [one for path in inputs.folders for one in episodes_of(path, inputs.rules, inputs.trusted, **how)]
         if not (found := rows(every)):
             raise SettingsError("--intents: no episode is of an intent")
         return partial(write_rows, found)

@@ -22,7 +22,7 @@ from PIL import Image
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.attribution import (
@@ -361,16 +361,7 @@ class ExplainSection(ReportSection):
         if self.last_solvable and not self.explain:
             raise SettingsError("--last-solvable has an effect only with --explain")
 
-    def prepare(
-        self,
-        folders: Sequence[Path],
-        rules: Rules | None,
-        trusted: Collection[str],
-        *,
-        jobs: int | None,
-        watch: Callable[[int, int], object],
-    ) -> Write:
+    def prepare(self, inputs: Inputs) -> Write:
         """Explains the episodes; see `explain` and `write_explanation`."""
-        return partial(
-            write_explanation, explain(folders, rules, trusted, lost=self.last_solvable, jobs=jobs, watch=watch)
-        )
+        how = {"lost": self.last_solvable, "jobs": inputs.jobs, "watch": inputs.watch}
+        return partial(write_explanation, explain(inputs.folders, inputs.rules, inputs.trusted, **how))

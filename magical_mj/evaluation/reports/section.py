@@ -26,6 +26,19 @@ Write = Callable[[Path, Mapping[Key, str]], Path]
 the paths of episodes' films, relative to the folder."""
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """What a section is made from. The first three fields are arguments of `reports.report.report`."""
+
+    folders: Sequence[Path]
+    rules: Rules | None
+    trusted: Collection[str]
+    jobs: int | None
+    """The number of worker processes. None: one per core."""
+    watch: Callable[[int, int], object]
+    """Called with a number of episodes, and the total."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReportSection(Settings):
     """A section. The fields of a subclass are options of `magical-mj report`."""
@@ -42,20 +55,8 @@ class ReportSection(Settings):
         """Whether its option was given."""
         return bool(getattr(self, self.option))
 
-    def prepare(
-        self,
-        folders: Sequence[Path],
-        rules: Rules | None,
-        trusted: Collection[str],
-        *,
-        jobs: int | None,
-        watch: Callable[[int, int], object],
-    ) -> Write:
-        """Computes everything, and returns the function that writes it. Errors come before anything is written.
-
-        `watch` is called with a number of episodes, and the total. The other arguments are those of
-        `magical_mj.evaluation.reports.report.report`.
-        """
+    def prepare(self, inputs: Inputs) -> Write:
+        """Computes everything, and returns the function that writes it. Errors come before anything is written."""
         raise NotImplementedError
 
 
