@@ -65,11 +65,11 @@ def pursued(task: str, initial: Scene, final: Scene, score: float) -> Pursued:
         return Pursued(f"{_driven(next(iter(kinds)))} Intended: the goal region.", (), ())
     right, wrong = [index for index in moved if index in wanted], [index for index in moved if index not in wanted]
     if right:
-        also = f" It also moved {_named(wrong, initial)}." if wrong else ""
+        also = f" It also moved {_named(wrong, initial, after=right)}." if wrong else ""
         words = f"It moved {_named(right, initial)}, as intended, but did not solve the task.{also}"
         return Pursued(words, moved, wanted)
     did = _reasons(wrong, shown, initial) if wrong else "It moved no block."
-    return Pursued(f"{did} Intended: {_intended(intent, initial)}.", moved, wanted)
+    return Pursued(f"{did} Intended: {_intended(intent, initial, wrong)}.", moved, wanted)
 
 
 def _driven(kind: str) -> str:
@@ -98,25 +98,31 @@ def _reasons(wrong: Sequence[int], shown: DemonstratedBlocks, initial: Scene) ->
     return " ".join([f"It moved {_named(wrong, initial)}.", *dict.fromkeys(each)])
 
 
-def _intended(intent: Intent, initial: Scene) -> str:
-    """The blocks to move in words: one of them if that is enough."""
+def _intended(intent: Intent, initial: Scene, moved: Sequence[int]) -> str:
+    """The blocks to move in words, after those that moved: one of them if that is enough."""
     wanted = intended_blocks(intent, initial)
     names: list[str] = []
     for conjunct, blocks in zip(intent.conjuncts, intent.blocks(initial), strict=True):
         left = [index for index in conjunct.judged(blocks, initial) if index in wanted]
-        names += [_named(left, initial, one=conjunct.any_of)] if left else []
+        names += [_named(left, initial, one=conjunct.any_of, after=moved)] if left else []
     return _joined(names) if names else "no block"
 
 
-def _named(indices: Iterable[int], scene: Scene, *, one: bool = False) -> str:
-    """Some blocks in words: "the red star and two green squares". With `one`: one of each kind."""
+def _named(indices: Iterable[int], scene: Scene, *, one: bool = False, after: Iterable[int] = ()) -> str:
+    """Some blocks in words: "the red star and two green squares". With `one`: one of each kind.
+
+    Blocks that look like one of `after`, which are named before, are "another red star".
+    """
     looks = [f"{block.colour} {block.shape}" for block in scene.blocks]
-    chosen = [looks[index] for index in indices]
+    chosen, named = [looks[index] for index in indices], {looks[index] for index in after}
+    if len(chosen) == len(looks) > 2 and not one:
+        return "all blocks"
     names = []
     for look in dict.fromkeys(chosen):
         count, total = 1 if one else chosen.count(look), looks.count(look)
         every = "the " if count == total else ""
-        names.append(f"{every or 'a '}{look}" if count == 1 else f"{every}{NUMBERS[count]} {look}s")
+        single = "another " if look in named else every or "a "
+        names.append(f"{single}{look}" if count == 1 else f"{every}{NUMBERS[count]} {look}s")
     return _joined(names)
 
 

@@ -31,7 +31,7 @@ from magical_mj.intents.names import tasks_in
 from magical_mj.intents.selectors import REST
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
-from magical_mj.policies.interface import histories
+from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import onnx_runtime
 from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.bodies import BODIES, GRIPPER
@@ -52,6 +52,10 @@ SCORED: Final = 10  # one of this number of demonstration states is scored
 GATHERED: Final = 30  # scored states of each environment
 INTENTS: Final = 25  # of each kind, scored in each state
 PURSUITS: Final = 8  # last scenes of each environment, for comparing what was pursued
+WATCHED: Final = "state-bc"
+"""The entry whose episodes of these tasks are watched."""
+ENDED: Final = ("FindDupe", "MatchRegions", "MoveToRegion")
+SITE: Final = Path(__file__).parents[2] / "out" / "site"
 SEEN: Final = 25  # states of each task for comparing state vectors and policies
 POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
@@ -208,6 +212,24 @@ def pursuits() -> Iterator[dict[str, Any]]:
         final = initial.moved(robot, poses)
         scored = _scored(task, initial, final)
         yield {**scored, "pursued": dataclasses.asdict(pursued(task, initial, final, scored["score"]))}
+
+
+def watched() -> Iterator[dict[str, Any]]:
+    """A failed episode of some tasks that the page shows, and what it and a robot that stays pursued."""
+    stored = json.loads((SITE / "play" / "replays" / f"{WATCHED}.json").read_text())
+    for task in ENDED:
+        for seed, letters in stored[f"{task}-Layout"].items():
+            with closing(Engine(task, "Layout", seed=int(seed))) as engine:
+                for action in actions_of(letters):
+                    engine.step(action)
+                initial, final, score = engine.initial_scene, engine.scene, engine.score()
+            if score == 0.0:
+                break
+        yield {
+            "address": f"{task}-Layout-{seed}",
+            "watched": pursued(task, initial, final, score).sentence,
+            "played": pursued(task, initial, initial, 0.0).sentence,
+        }
 
 
 def pictures() -> Iterator[dict[str, Any]]:
@@ -426,6 +448,7 @@ if __name__ == "__main__":
         "scores": list(scores()),
         "goals": list(goals()),
         "pursuits": list(pursuits()),
+        "watched": list(watched()),
         "combined": list(combined()),
         "pictures": list(pictures()),
         "looks": list(looks()),

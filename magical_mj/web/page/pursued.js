@@ -56,10 +56,10 @@ export function pursued(task, demonstrated, initial, final, score) {
   if (!initial.blocks.length) return said(`${driven(demonstrated, initial, final)} Intended: the goal region.`);
   const right = moved.filter((i) => intended.includes(i)), wrong = moved.filter((i) => !intended.includes(i));
   if (right.length) {
-    const also = wrong.length ? ` It also moved ${named(wrong, initial)}.` : "";
+    const also = wrong.length ? ` It also moved ${named(wrong, initial, { after: right })}.` : "";
     return said(`It moved ${named(right, initial)}, as intended, but did not solve the task.${also}`);
   }
-  const names = goal.flatMap(({ some }, i) => left[i].length ? [named(left[i], initial, some)] : []);
+  const names = goal.flatMap(({ some }, i) => left[i].length ? [named(left[i], initial, { one: some, after: wrong })] : []);
   return said(`${wrong.length ? reasons(wrong, demonstrated, initial) : "It moved no block."} Intended: ${names.length ? joined(names) : "no block"}.`);
 }
 
@@ -92,13 +92,18 @@ function reasons(wrong, { blocks: models }, initial) {
   return [`It moved ${named(wrong, initial)}.`, ...new Set(each)].join(" ");
 }
 
-/** Some blocks in words, such as "the red star and two green squares". @param {number[]} indices @param {Scene} scene @param {boolean} [one]  one of each kind */
-function named(indices, { blocks }, one = false) {
-  const looks = blocks.map(({ colour, shape }) => `${colour} ${shape}`), chosen = indices.map((i) => looks[i]);
+/**
+ * Some blocks in words, such as "the red star and two green squares".
+ * @param {number[]} indices @param {Scene} scene
+ * @param {{one?: boolean, after?: number[]}} [how]  one: one of each kind; after: blocks that are named before, so others are "another red star"
+ */
+function named(indices, { blocks }, { one = false, after = [] } = {}) {
+  const looks = blocks.map(({ colour, shape }) => `${colour} ${shape}`), chosen = indices.map((i) => looks[i]), before = after.map((i) => looks[i]);
+  if (chosen.length === looks.length && looks.length > 2 && !one) return "all blocks";
   return joined([...new Set(chosen)].map((look) => {
     const number = (/** @type {string[]} */ some) => some.filter((other) => other === look).length;
-    const count = one ? 1 : number(chosen), every = count === number(looks) ? "the " : "";
-    return count === 1 ? `${every || "a "}${look}` : `${every}${NUMBERS[count]} ${look}s`;
+    const count = one ? 1 : number(chosen), every = count === number(looks) ? "the " : "", single = before.includes(look) ? "another " : every || "a ";
+    return count === 1 ? `${single}${look}` : `${every}${NUMBERS[count]} ${look}s`;
   }));
 }
 
