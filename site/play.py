@@ -26,7 +26,7 @@ from magical_mj.web.puzzles import VARIANTS, puzzle_scenes, puzzles
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
-LATER: Final = ("onnx", "policies", "puzzles", "replays", "shifted", "three")
+LATER: Final = ("onnx", "policies", "puzzles", "replays", "shifted")
 """The folders with files that are stored for offline visits only after their first use."""
 LISTS: Final = ("policies/scores.json", "replays/index.json")
 """The files in these folders that the page needs to start."""

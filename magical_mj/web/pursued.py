@@ -83,6 +83,7 @@ def _reasons(wrong: Sequence[int], shown: DemonstratedBlocks, initial: Scene) ->
     """Which wrong blocks were moved, and what each of them has in common with the demonstrations' blocks."""
     by_reading = readings(shown, initial)
     model = "the demonstrations' block" if len(shown.moved) == 1 else "a block of the demonstrations"
+    unlike = f"is unlike the demonstrations' block{'s' * (len(shown.moved) != 1)} in place, colour and shape"
 
     def reason(index: int) -> str:
         alike = {name for name, blocks in by_reading.items() if index in blocks}
@@ -90,7 +91,7 @@ def _reasons(wrong: Sequence[int], shown: DemonstratedBlocks, initial: Scene) ->
         parts = [f"began where {model} began"] if "same place" in alike else []
         parts += [f"has the {' and the '.join(looks)} of {model}"] if looks else []
         parts += ["was nearest to the robot"] if "nearest" in alike else []
-        return ", and ".join(parts) or f"resembles {model} in neither place, colour nor shape"
+        return ", and ".join(parts) or unlike
 
     if len(wrong) == 1:
         return f"It moved {_named(wrong, initial)}, which {reason(wrong[0])}."

@@ -215,7 +215,7 @@ def pursuits() -> Iterator[dict[str, Any]]:
 
 
 def watched() -> Iterator[dict[str, Any]]:
-    """A failed episode of some tasks that the page shows, and what it and a robot that stays pursued."""
+    """An episode of some tasks that moved wrong blocks only, and what it and a robot that stays pursued."""
     stored = json.loads((SITE / "play" / "replays" / f"{WATCHED}.json").read_text())
     for task in ENDED:
         for seed, letters in stored[f"{task}-Layout"].items():
@@ -223,11 +223,12 @@ def watched() -> Iterator[dict[str, Any]]:
                 for action in actions_of(letters):
                     engine.step(action)
                 initial, final, score = engine.initial_scene, engine.scene, engine.score()
-            if score == 0.0:
+            told = pursued(task, initial, final, score)
+            if score == 0.0 and (not initial.blocks or (told.moved and not {*told.moved} & {*told.intended})):
                 break
         yield {
             "address": f"{task}-Layout-{seed}",
-            "watched": pursued(task, initial, final, score).sentence,
+            "watched": told.sentence,
             "played": pursued(task, initial, initial, 0.0).sentence,
         }
 

@@ -23,7 +23,7 @@ const MODEL = ["nq", "nbody", "ngeom", "nmesh", "nmat", "npair", "ntendon", "nse
 
 /** Parts of the sentences about what an episode pursued. */
 const KINDS = ["It did what was intended.", "as intended, but", "It also moved", "It moved no block", "began where the", "began where a block", "colour of", "shape of", "the colour and the shape",
-  "nearest to the robot", "resembles", "stayed where it began", "where the demonstrations' region was", "drove elsewhere", "Intended: the goal region", "Intended: a ", "another ", "all blocks", "two "];
+  "nearest to the robot", "is unlike", "stayed where it began", "where the demonstrations' region was", "drove elsewhere", "Intended: the goal region", "Intended: a ", "another ", "all blocks", "two "];
 
 /** @param {string} name */
 const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));

@@ -59,7 +59,7 @@ export class Editor {
       link: button("Copy link", () => this.#copyLink()),
       open: button("Open …", () => this.file.click()),
       done: button(options.action, () => this.#close(this.#before.length ? writeScene(this.scene) : null), { className: "main" }),
-      cancel: button("Cancel", () => { if (!this.#before.length || confirm("Leave the changes?")) this.#close(null); }),
+      cancel: button("Cancel", () => this.#cancel()),
     };
     const { block, region, undo, redo, json, mjcf, link, open, done, cancel } = this.buttons;
     const row = (/** @type {Node[]} */ ...all) => make("div", { className: "row" }, ...all);
@@ -73,6 +73,7 @@ export class Editor {
     document.body.classList.add("editing");
     /** @type {HTMLElement} */ (document.querySelector("header")).inert = true;
     addEventListener("beforeunload", this.#keep);
+    addEventListener("hashchange", this.#cancel);  // Back leaves the editor
     fitToScreen([this.canvas, this.ego], () => this.#draw());
     this.#show();
     this.#select("robot");
@@ -81,12 +82,15 @@ export class Editor {
 
   #keep = (/** @type {Event} */ event) => { if (this.#before.length) event.preventDefault(); };
 
+  #cancel = () => { if (!this.#before.length || confirm("Leave the changes?")) this.#close(null); };
+
   /** @param {string | null} scene */
   #close(scene) {
     this.root.remove();
     document.body.classList.remove("editing");
     /** @type {HTMLElement} */ (document.querySelector("header")).inert = false;
     removeEventListener("beforeunload", this.#keep);
+    removeEventListener("hashchange", this.#cancel);
     this.options.done(scene);
   }
 

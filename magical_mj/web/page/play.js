@@ -198,7 +198,7 @@ async function actionsOf(method, task, variant, { seed, expert, shifts }, { demo
 
 /** The names of everything that can be watched in the current scene, by their names in addresses, in groups. @returns {Record<string, [string, string][]>} */
 function watchable() {
-  const { task, variant, seed, shifts, environment: { demonstrations, scenes } } = shown, name = `${task}-${variant}`;
+  const { task, variant, seed, shifts, scene, environment: { demonstrations, scenes } } = shown, name = `${task}-${variant}`;
   const entry = scenes.find((one) => one.seed === seed || scenes.length === 1);
   return {
     "This scene": [
@@ -208,7 +208,7 @@ function watchable() {
     "Policies that act in this page": seat ? [] : [
       ...task in policies ? [/** @type {[string, string]} */ ([BC, "BC from states (B)"])] : [], [OWN, "A policy of yours: open a file …"],
     ],
-    "Recorded episodes of the leaderboard": shifts ? [] : Object.entries(methods).filter(([, { seeds }]) => seeds[name]?.includes(seed))
+    "Recorded episodes of the leaderboard": shifts || scene ? [] : Object.entries(methods).filter(([, { seeds }]) => seeds[name]?.includes(seed))
       .map(([method, { name }]) => /** @type {[string, string]} */ ([method, name])),
   };
 }
@@ -243,6 +243,7 @@ function showNames(isNew = false) {
   const variants = environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
+  element("shifts").hidden = shown.scene !== "";  // they apply to the scenes of seeds
   const chosen = Object.fromEntries(shifts.split(",").map((one) => one.split(":")));
   element("shifts").replaceChildren(...Object.entries(shiftsOf(shown, environments)).map(([axis, levels]) => {
     const label = document.createElement("label"), select = document.createElement("select");
@@ -332,7 +333,7 @@ function show(initial, scene) {
   const isHidden = puzzle && !watching && isSecret(puzzle);
   const now = isHidden ? "?" : !isScored ? "–" : points.toFixed(2);
   if (element("score").textContent !== now) element("score").textContent = now;  // otherwise screen readers would repeat it
-  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
+  element("save").disabled = !game?.over || watching || sending || game.sent || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now}`
     : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
@@ -406,6 +407,7 @@ function watch(method) {
   if (method === OWN) return element("policy").click();
   const exists = Object.values(watchable()).flat().some(([value]) => value === method);
   if (!method || (exists && may("expert"))) return play(shown.seed, { method });
+  if (shown.scene) say("Nothing is recorded in a changed scene");
 }
 
 /** Shows a demonstration of a puzzle, or another of its scenes for playing. @param {string} task @param {string} variant @param {number} seed */
@@ -426,6 +428,7 @@ function take() {
 async function send() {
   const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
+  arena.focus({ preventScroll: true });  // a disabled button would swallow keys
   say("Sending …");
   const choice = choices;
   try {

@@ -75,6 +75,7 @@ const nearest = (point, { blocks }) => [...blocks.keys()].reduce((best, i) => di
 /** Which wrong blocks were moved, and what each has in common with the demonstrations' blocks. @param {number[]} wrong @param {Demonstrated} demonstrated @param {Scene} initial */
 function reasons(wrong, { blocks: models }, initial) {
   const { blocks, robot } = initial, model = models.length === 1 ? "the demonstrations' block" : "a block of the demonstrations";
+  const unlike = `is unlike the demonstrations' block${models.length === 1 ? "" : "s"} in place, colour and shape`;
   const places = models.flatMap((one) => {
     const near = nearest(one, initial);
     return distance(blocks[near], one) <= SAME_PLACE ? [near] : [];
@@ -85,7 +86,7 @@ function reasons(wrong, { blocks: models }, initial) {
       places.includes(i) && `began where ${model} began`,
       looks.length && `has the ${looks.join(" and the ")} of ${model}`,
       i === nearest(robot, initial) && "was nearest to the robot",
-    ].filter(Boolean).join(", and ") || `resembles ${model} in neither place, colour nor shape`;
+    ].filter(Boolean).join(", and ") || unlike;
   };
   if (wrong.length === 1) return `It moved ${named(wrong, initial)}, which ${reason(wrong[0])}.`;
   const each = wrong.map((i) => [named([i], initial), reason(i)]).map(([name, why]) => `${name[0].toUpperCase()}${name.slice(1)} ${why}.`);
