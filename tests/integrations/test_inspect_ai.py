@@ -5,16 +5,19 @@ from __future__ import annotations
 
 import gc
 import json
+import re
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 inspect_ai = pytest.importorskip("inspect_ai", reason="needs inspect-ai: make integrations-test LIBRARY=inspect")
@@ -24,10 +27,12 @@ from inspect_ai.model import ChatMessageUser
 
 from magical_mj.integrations.inspect_ai import act, choose, place, say
 from magical_mj.integrations.inspect_ai.content import contents
+from magical_mj.intents.plans import plan
 from magical_mj.intents.question import Question, questions
 from magical_mj.intents.question_text import prompt
 from magical_mj.policies.interface import actions_of
 from magical_mj.scene import Scene
+from magical_mj.tasks.planning import Noise
 
 pytestmark = pytest.mark.filterwarnings("default")  # Inspect's own
 KEY = "secret-key-of-this-test"
@@ -158,14 +163,30 @@ def test_one_who_knows_final_poses_scores_1_in_place(tmp_path: Path) -> None:
     assert values(log, "right") == values(log, "clean") == [1.0] * 4
 
 
-def test_one_who_knows_final_poses_reaches_intents_with_the_tools(tmp_path: Path) -> None:
-    def answer(question: Question, body: dict[str, Any]) -> Reply:
-        calls = [called("move", block=number, x=x, y=y) for number, (x, y) in moved(question).items()]
-        calls += [called("done", answer="")]
-        return calls[min(len(calls) - 1, sum(message["role"] == "tool" for message in body["messages"]))]
+def seen(question: Question, body: dict[str, Any]) -> Scene:
+    """The scene as the last answer of a tool describes it."""
+    text = next((str(one["content"]) for one in reversed(body["messages"]) if one["role"] == "tool"), "")
+    places = re.findall(r"^(robot|block \d+).* at \((-?[\d.]+), (-?[\d.]+)\)", text, re.MULTILINE)
+    if not places:
+        return question.scene
+    (_, *robot), *blocks = places
+    poses = [(float(x), float(y), block.angle) for (_, x, y), block in zip(blocks, question.scene.blocks, strict=True)]
+    return question.scene.moved((float(robot[0]), float(robot[1]), 0.0), poses)
 
-    log = evaluated(act(limit=6), knowing(list(questions("act", limit=6)), answer), tmp_path)
-    assert sum(values(log, "right")) >= 3  # without a look, some manoeuvres push other blocks
+
+def test_one_who_knows_the_intents_and_plans_after_each_move_scores_1_in_act(tmp_path: Path) -> None:
+    def answer(question: Question, body: dict[str, Any]) -> Reply:
+        scene = seen(question, body)
+        if question.intent.holds(question.scene, scene):
+            return called("done", answer="")
+        todo = plan(question.intent, question.scene, scene, Noise(np.random.default_rng(0), 0.0))
+        first = min(todo, key=lambda subgoal: subgoal.cost(scene))
+        x, y = first.target
+        return called("drive", x=x, y=y) if first.block is None else called("move", block=first.block + 1, x=x, y=y)
+
+    rule = knowing(list(questions("act", "combined", scenes=1, limit=2)), answer)
+    log = evaluated(act(set="combined", scenes=1, limit=2), rule, tmp_path)
+    assert values(log, "right") == values(log, "clean") == [1.0] * 2
 
 
 @pytest.mark.parametrize(
@@ -262,7 +283,10 @@ def test_the_shares_of_what_answers_follow_are_printed(tmp_path: Path) -> None:
     log = evaluated(choose(limit=4, scenes=1), lambda _: said("ANSWER: A"), tmp_path)
     code, out = command("misread", tmp_path)
     assert code == 0, out
-    right = int(sum(values(log, "right")))
-    assert 0 < right < 4
-    assert f"{right} of 4" in out
+    assert log.samples
+    scores = [sample.scores["misread"].as_dict() for sample in log.samples if sample.scores]
+    named = Counter(kind for score in scores for kind, flag in score.items() if flag)
+    assert named.total() == 4
+    for kind, count in named.items():
+        assert re.search(rf"dev prior .*{kind} .*{count / 4:.2f} .*{count} of 4", out)
     assert "1 of 1" in out  # of the questions about an intent, those that were taken for a reading

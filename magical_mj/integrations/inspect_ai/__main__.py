@@ -73,9 +73,7 @@ class Given(NamedTuple):
 
 @app.command("misread")
 def print_misread(
-    logs: Annotated[
-        list[Path], Argument(help="Logs of Inspect, folders of them, and study.jsonl of studies.", exists=True)
-    ],
+    logs: Annotated[list[Path], Argument(help="Logs, folders of them, and study.jsonl of studies.", exists=True)],
 ) -> None:
     """Print what answers follow, in each set with an interval of 95 %, and the readings of wrong answers."""
     given = [answer for path in logs for answer in (_people(path) if path.suffix == ".jsonl" else _models(path))]
@@ -96,7 +94,7 @@ def print_misread(
     for (who, intent, reading), number in taken.most_common():
         count = asked[who, intent]
         readings.add_row(who, intent, reading, f"{number / count:.2f}", f"{number} of {count}")
-    console().print(shares, readings)
+    console().print(shares, *([readings] if taken else []))
 
 
 def _models(logs: Path) -> Iterator[Given]:

@@ -33,12 +33,11 @@ NEAR: Final = 0.07
 LONGEST: Final = 120
 """A manoeuvre takes at most this number of actions."""
 BUDGET: Final = 1_500
-"""After this number of simulated steps, no new plan of a manoeuvre is started."""
-TRIED: Final = 8
-"""The number of manoeuvres that are tried in one situation."""
+"""After this number of simulated steps, no other plan of a manoeuvre is tried."""
 PLANS: Final = 3
+"""The number of plans of a manoeuvre, each faster than the one before. The last one is performed."""
 DISTURBED: Final = 0.5
-"""The value of a manoeuvre that moves other blocks, too."""
+"""The value of a plan that also moves other blocks. Without them, it is 1."""
 MESSAGES: Final = 60
 """The largest number of messages in an episode, those of the tools included."""
 
@@ -62,9 +61,9 @@ class Hands:
         return (self.engine.horizon or 0) - self.engine.steps
 
     def perform(self, subgoal: Subgoal) -> bool:
-        """Performs a manoeuvre that reaches the subgoal. Returns False, and does nothing, if none was found.
+        """Performs a manoeuvre that reaches the subgoal, if possible without moving other blocks.
 
-        If possible, the manoeuvre moves no other block.
+        Returns False, and does nothing, if none was found.
         """
         before = self.engine.scene
         if subgoal.left(before) == 0.0:
@@ -80,7 +79,6 @@ class Hands:
             score,
             lambda scene, _, __: (subgoal,) if subgoal.left(scene) else (),
             Lookahead(self.engine),
-            tries=TRIED,
             steady=True,
         )
         best, left = None, min(self.left, LONGEST)
@@ -172,9 +170,13 @@ def _target(x: float, y: float) -> tuple[float, float]:
 
 def _report(hands: Hands, subgoal: Subgoal, name: str) -> str:
     """Performs a manoeuvre, and says what happened."""
-    before = hands.engine.steps
-    reached = hands.perform(subgoal)
-    what = (
-        f"{name} is there after {hands.engine.steps - before} steps" if reached else f"{name} could not be moved there"
-    )
-    return f"{what}; {hands.left} steps are left. The scene now:\n{table(hands.engine.scene)}"
+    engine = hands.engine
+    before, steps = engine.scene, engine.steps
+    if hands.perform(subgoal):
+        what = f"{name} is there after {engine.steps - steps} steps"
+    else:
+        what = f"{name} could not be moved there in the steps that are left, and nothing was done"
+    stray = [str(index + 1) for index in moved_blocks(before, engine.scene) if index != subgoal.block]
+    if stray:
+        what += f"; on the way, other blocks were pushed: {', '.join(stray)}"
+    return f"{what}; {hands.left} steps are left. The scene now:\n{table(engine.scene)}"
