@@ -7,16 +7,21 @@ scenes. The metrics are the mean score and the share of episodes with score 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.actions import to_discrete
+from magical_mj.actions import to_discrete, to_vector
+from magical_mj.demos import Demonstration
 from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
+from magical_mj.intents.by_set import set_of
+from magical_mj.intents.given import GivenSettings, demonstrations_given, other_task, with_states
+from magical_mj.intents.tasks import PREFIX
 from magical_mj.observations import VIEWS
 from magical_mj.scene.bodies import GRIPPER, check_body_name
 from magical_mj.shifts.registry import Shifts, arms, split_body
@@ -48,6 +53,11 @@ class MagicalBenchmark(StepBenchmark):
         body: the robot's body. See docs/bodies.md.
         control: adds a vla-eval task for each environment without the shifts, such as ``FindDupe-Shape-unshifted``. It
             plays the same scenes.
+        wrong_instruction: gives models the sentence of another intent, in the same scenes.
+        demonstrations: the number of demonstrations that models receive with the first observation of an episode, as
+            ``demonstrations``. Each has ``images``, which are pictures of all steps, and ``actions``, shape (steps, 3).
+        scenes: the number of their demo scenes; by default that of the task.
+        contrasting: chooses demo scenes that refute many other readings.
 
     Raises:
         UnknownNameError: for an unknown task, variant, view or shift.
@@ -67,6 +77,10 @@ class MagicalBenchmark(StepBenchmark):
         body: str = GRIPPER,
         *,
         control: bool = False,
+        wrong_instruction: bool = False,
+        demonstrations: int = 0,
+        scenes: int | None = None,
+        contrasting: bool = False,
     ) -> None:
         super().__init__()
         self._recorder = NullEpisodeRecorder()  # until an episode starts
@@ -79,6 +93,14 @@ class MagicalBenchmark(StepBenchmark):
         self._arms = arms(shifts, control=control)
         for task, _ in self._pairs:
             check_body_name(split_body(shifts, task, body)[1])
+        self._wrong_instruction = wrong_instruction
+        self._instruction = ""
+        self._given: dict[str, Sequence[Demonstration]] = {}
+        if demonstrations:
+            settings = GivenSettings(
+                tasks=tasks, variants=variants, demonstrations=demonstrations, scenes=scenes, contrasting=contrasting
+            )
+            self._given = {task: with_states(made) for task, made in demonstrations_given(settings).items()}
         self._env: Engine | None = None
 
     @classmethod
@@ -92,7 +114,7 @@ class MagicalBenchmark(StepBenchmark):
         return [
             {
                 "name": f"{task}-{variant}{arm}",
-                "suite": f"{task}{arm}",
+                "suite": f"{set_of(task) if task.startswith(PREFIX) else task}{arm}",
                 "task": task,
                 "variant": variant,
                 "shifts": shifts,
@@ -107,6 +129,10 @@ class MagicalBenchmark(StepBenchmark):
         seed = int(task.get("episode_idx", 0))
         shifts = task.get("shifts", self._shifts)
         self._env = Engine(task["task"], task["variant"], seed=seed, shifts=shifts, body=self._body)
+        self._instruction = self._env.instruction
+        if self._wrong_instruction:
+            other = other_task(task["task"], task["variant"], seed, self._body)
+            self._instruction = task_spec(other).instruction
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
@@ -118,9 +144,11 @@ class MagicalBenchmark(StepBenchmark):
         return StepResult(obs=self._pictures(env), reward=score, done=over, info={})
 
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
-        """The pictures, and the instruction of the current episode."""
-        del task
-        return {"images": raw_obs, "task_description": self._started().instruction}
+        """The pictures and the instruction; at the start of an episode, also the demonstrations."""
+        seen: dict[str, Any] = {"images": raw_obs, "task_description": self._instruction}
+        if self._started().steps == 0 and self._given:
+            seen["demonstrations"] = [self._shown(demo) for demo in self._given[task["task"]]]
+        return seen
 
     def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
         """The result of the finished episode."""
@@ -154,6 +182,17 @@ class MagicalBenchmark(StepBenchmark):
         if self._env is not None:
             self._env.close()
         self._env = None
+
+    def _shown(self, demo: Demonstration) -> dict[str, Any]:
+        """A demonstration as models receive it."""
+        frames: dict[str, list[NDArray[np.uint8]]] = {view: [] for view in self._views}
+        with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as engine:
+            for action in demo.actions:
+                for view in self._views:
+                    frames[view].append(engine.render(view, self._size))
+                engine.step(action)
+        images = {view: np.stack(pictures) for view, pictures in frames.items()}
+        return {"images": images, "actions": to_vector(demo.actions)}
 
     def _started(self) -> Engine:
         """The engine of the current episode."""

@@ -1,7 +1,7 @@
 """Questions as files: JSON lines with pictures, and a description by Croissant (https://docs.mlcommons.org/croissant).
 
-A folder has questions.jsonl, in which each line is a question with its prompt, images/, and croissant.json, which the
-libraries mlcroissant and Hugging Face's datasets read.
+A folder has questions.jsonl, in which each line is a question with its prompt, images/, and croissant.json. Hugging
+Face's datasets reads the lines, and mlcroissant reads them by the description.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from magical_mj.intents.names import NAMES, SETS
 from magical_mj.intents.question import LETTERS, Question
 from magical_mj.intents.relations import RELATIONS
 from magical_mj.intents.selectors import PAIRS, VALUES
-from magical_mj.scene import Block, Scene
+from magical_mj.scene import Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.utils.errors import InvalidSceneError, SettingsError
 
@@ -148,8 +148,8 @@ def examples(question: Question) -> str:
     )
 
 
-def table(scene: Scene, initial: Scene | None = None) -> str:
-    """The objects of a scene, a line each. With an initial scene, what has moved since then is marked."""
+def table(scene: Scene) -> str:
+    """The objects of a scene, a line each."""
     robot = scene.robot
     lines = [f"robot at {_place(robot.x, robot.y)}, facing {_heading(robot.angle)}"]
     lines += [
@@ -157,16 +157,11 @@ def table(scene: Scene, initial: Scene | None = None) -> str:
         f"y from {_number(region.y_min)} to {_number(region.y_max)}"
         for number, region in enumerate(scene.regions, 1)
     ]
-    for number, block in enumerate(scene.blocks, 1):
-        stays = initial is None or _same(block, initial.blocks[number - 1])
-        lines.append(
-            f"block {number}: {block.colour} {block.shape} at {_place(block.x, block.y)}{'' if stays else ', moved'}"
-        )
+    lines += [
+        f"block {number}: {block.colour} {block.shape} at {_place(block.x, block.y)}"
+        for number, block in enumerate(scene.blocks, 1)
+    ]
     return "\n".join(lines)
-
-
-def _same(block: Block, before: Block) -> bool:
-    return math.dist(block.pose[:2], before.pose[:2]) < 0.005
 
 
 def _place(x: float, y: float) -> str:

@@ -128,8 +128,23 @@ def test_vla_eval_delivers_the_sentences_of_intents(benchmark: Any) -> None:
     made = benchmark(f"intent:{intent}", "Layout")
     (task,) = made.get_tasks()
     observation = made.make_obs(made.reset({**task, "episode_idx": 2}), task)
-    assert observation["task_description"] == intent.sentence[0].lower() + intent.sentence[1:-1]
+    assert observation["task_description"] == intent.sentence
     assert made.get_metadata()["max_steps"] == made._env.horizon
+    made.cleanup()
+
+
+def test_vla_eval_gives_demonstrations_and_another_sentence(benchmark: Any) -> None:
+    made = benchmark("intent:dev/2", "Layout", demonstrations=1, wrong_instruction=True)
+    (task,) = made.get_tasks()
+    assert task["suite"] == "dev"
+    started = made.make_obs(made.reset({**task, "episode_idx": 0}), task)
+    (shown,) = started["demonstrations"]
+    steps, size = len(shown["actions"]), started["images"]["ego"].shape
+    assert shown["images"]["ego"].shape == (steps, *size)
+    assert started["task_description"] not in ("", made._env.instruction)
+    later = made.make_obs(made.step({"actions": shown["actions"][0]}).obs, task)
+    assert "demonstrations" not in later
+    assert later["task_description"] == started["task_description"]
     made.cleanup()
 
 
