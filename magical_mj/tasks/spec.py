@@ -93,17 +93,15 @@ class TaskSpec(VariationRules):
     def __post_init__(self) -> None:
         """Raises a `TaskError` if a field has a wrong type or is out of range."""
         super().__post_init__()
-        self._require("summary", isinstance(self.summary, str), "a str")
+        for text in ("summary", "label"):
+            self._require(text, _is_text(getattr(self, text)), "a str")
         sentences = [len(group) for group in self.wordings if isinstance(group, tuple) and all(map(_is_text, group))]
         self._require("wordings", sentences in ([], [5] * 5) and len(sentences) == len(self.wordings), WORDINGS)
         self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
-        self._require("label", isinstance(self.label, str), "a str")
-        self._require("like", isinstance(self.like, str), "the name of a task")
+        self._require("like", _is_text(self.like), "the name of a task")
         self._require("score", callable(self.score), "a function")
         self._require("trajectory", isinstance(self.trajectory, bool), "a bool")
-        self._require("distance", self.distance is None or callable(self.distance), "a function, or None")
-        self._require("side_effects", self.side_effects is None or callable(self.side_effects), "a function, or None")
-        self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
+        self._require_functions("distance", "side_effects", "plan")
         self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")
         released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
         self._require("released_steps", released, "an integer above 0, or None")

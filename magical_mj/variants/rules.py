@@ -123,15 +123,12 @@ class VariationRules:
         self._require("demo", isinstance(self.demo, Scene), "a magical_mj.Scene")
         further = isinstance(self.further_demos, tuple) and all(isinstance(s, Scene) for s in self.further_demos)
         self._require("further_demos", further, "a tuple of scenes")
-        self._require("accepts", self.accepts is None or callable(self.accepts), "a function, or None")
         self._require("jitter", isinstance(self.jitter, bool), "a bool")
         self._require("layout", isinstance(self.layout, bool) or callable(self.layout), "a bool, or a function")
         forces = isinstance(self.drive_forces, tuple) and len(self.drive_forces) == 2
         self._require("drive_forces", forces and 0 < self.drive_forces[0] <= self.drive_forces[1], "a range above 0")
         self._require("check", callable(self.check), "a function")
-        for axis in ("colour", "shape", "count", "diagnose"):
-            rule = getattr(self, axis)
-            self._require(axis, rule is None or callable(rule), "a function, or None")
+        self._require_functions("accepts", "colour", "shape", "count", "diagnose")
         if self.count is not None and not self.layout:
             raise TaskError(f"{self.name}.count needs a layout, which places the added blocks: omit layout=False")
         self._check_regions()
@@ -162,6 +159,11 @@ class VariationRules:
         """Raise a `TaskError` unless the condition holds. `need` describes valid values."""
         if not condition:
             raise TaskError(f"{self.name}.{part} must be {need}, not {short_repr(getattr(self, part))}")
+
+    def _require_functions(self, *parts: str) -> None:
+        """Raise a `TaskError` unless each of these parts is a function or None."""
+        for part in parts:
+            self._require(part, getattr(self, part) is None or callable(getattr(self, part)), "a function, or None")
 
     def _check_regions(self) -> None:
         """Raise a `TaskError` unless the sizes are possible and include those of the demos' regions."""
