@@ -47,7 +47,7 @@ HEADLINE: Final = {
 COMPARED: Final = ("state-relational", "state-bc")
 """The two methods that are compared at first."""
 INTRODUCTION: Final = """An agent learns from demonstrations of one scene (Demo), and is tested in scenes that differ.
-Methods are in the order of their generalisation. Compare them within a block: a block has the same rules, the same
+Methods are in the order of their generalisation. Compare them within a category: it has the same rules, the same
 observations, and the same kind of help. A method's name opens its scores in each environment, how to repeat them, and
 episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
 [statistics](statistics.md) how scores and intervals are computed."""
@@ -276,7 +276,7 @@ def _duels(methods: Mapping[str, Standing], beats: Chances) -> str:
     """The probabilities between the methods of a block, whose comparison is fair."""
     words = (
         "The probability that a run of the method on the left beats a run of the method above in the same environment "
-        "(equal scores count one half), for the methods of each block."
+        "(equal scores count one half), for the methods of each category."
     )
     parts = [words]
     for block, heading in BLOCKS.items():

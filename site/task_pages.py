@@ -118,7 +118,7 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
             lines.append(f"| {label(one)} | {' | '.join(cells)} |")
     return (
         "Mean scores of the runs. †: the paper's results, in the original simulator. ST was trained on this task, MT "
-        "on all tasks. The last block has the paper's and ours by the same rules.\n\n"
+        "on all tasks. The last category has the paper's and ours by the same rules.\n\n"
         + "\n".join(lines)
         + "\n\nScores of the scripted expert: [The experts](experts.md). "
         "The [leaderboard](standings.md) lists the commands that repeat our results."

@@ -69,9 +69,9 @@ def _but(missing: Sequence[str]) -> str:
 
 
 def shifts() -> dict[str, str]:
-    """The table of docs/shifts.md: what each axis changes."""
+    """The table of docs/shifts.md: what each one changes."""
     rows = [(f"`{name}`", _sentence(kind.summary)) for name, kind in SHIFTS.items()]
-    return {"axes": table(("Axis", "What it changes"), rows)}
+    return {"axes": table(("Shift", "What it changes"), rows)}
 
 
 def readme() -> dict[str, str]:

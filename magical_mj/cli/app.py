@@ -23,7 +23,7 @@ from magical_mj.utils.imports import announced, imported, resolve_installed
 COMMANDS: Final = {
     "list": (
         "magical_mj.cli.environments:list_environments",
-        "List the environments, with their horizons and the axes that vary.",
+        "List the environments, with their horizons and what varies in them.",
     ),
     "view": ("magical_mj.cli.environments:view", "Draw the initial scene of one environment or of all."),
     "rollout": (

@@ -44,7 +44,7 @@ def list_environments(
     ids: Annotated[bool, Option("--ids", help="Print only the Gymnasium ids, one per line.")] = False,
     **languages: bool,
 ) -> None:
-    """List the environments, with their horizons and the axes that vary. Those of other packages come last."""
+    """List the environments, with their horizons and what varies in them. Those of other packages come last."""
     out = console()
     for prefix in (name.removesuffix("s") for name, given in languages.items() if given):
         if ids:
@@ -76,7 +76,7 @@ def list_environments(
 
 def _table(pairs: Sequence[Pair]) -> Table:
     """The horizons and the varied axes of environments."""
-    table = Table("task", "variant", "steps", "varied axes", box=None, pad_edge=False, header_style="bold")
+    table = Table("task", "variant", "steps", "varies", box=None, pad_edge=False, header_style="bold")
     for task, variant in pairs:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
