@@ -259,7 +259,7 @@ def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
     worst, *others = sorted(losses.values(), reverse=True)
     assert losses["MatchRegions"] == worst
     assert (
-        f"loses {lost('state-gail', TASKS)[1]:.0%}: {worst:.2f} in MatchRegions (one run), and at most"
+        f"loses {lost('state-gail', TASKS)[1]:.0%}. It loses {worst:.2f} in MatchRegions (one run), and at most"
         in page.replace(" %", "%")
     )
     assert f"at most {others[0]:.2f} in each other task." in page
