@@ -39,7 +39,7 @@ UNDECIDED: Final = "?"
 INTRODUCTION: Final = (
     "Each entry contains every episode of every run with its actions, and was checked by replaying a sample of them. "
     "Scores are between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested with other "
-    "poses, colours, shapes, numbers or dynamics. Compare methods within a category, which have the same rules, observe "
+    "poses, colours, shapes, numbers or dynamics. Compare methods within a category: they have the same rules, observe "
     "the same and may use the same kind of help. Methods are in the order of their generalisation, those without "
     f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs "
     f"or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in the original simulator; all "
