@@ -103,9 +103,9 @@ def policy_task(task: str, policy: object, like: str = "") -> str:
 
 
 class Policy(Protocol):
-    """An agent. A plain function from observation to action is also accepted.
+    """An agent. A plain function from observation to action is also accepted. All attributes are optional.
 
-    Optional attributes:
+    Attributes:
         uses_simulation: True if the policy uses the engine instead of observations, which are not rendered then. The
             episode passed to `reset` contains the engine.
         uses_observations: False if the policy uses neither.
