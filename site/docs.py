@@ -22,6 +22,7 @@ from moved import MOVED
 from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
+from wrong_goals import wrong_goals
 
 from magical_mj.actions import ACTIONS
 from magical_mj.web.page_data import drawing_style
@@ -79,6 +80,9 @@ def write_docs(folder: Path) -> None:
     (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
     cards = write_task_pages(SOURCES, media, [*methods.values(), *by_released_rules()])
     (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")
+    title, *rest = (SOURCES / "explain.md").read_text(encoding="utf-8").partition("\n")
+    explained = [title, wrong_goals(methods, media), "## Your own evaluations", "".join(rest)]
+    (SOURCES / "explain.md").write_text("\n\n".join(explained), encoding="utf-8")
     with (SOURCES / "shift-curves.md").open("a", encoding="utf-8") as page:
         page.write(shift_curves())
     command_line = [sys.executable, "-m", "typer", "magical_mj.cli.app", "utils", "docs", "--name", "magical-mj"]

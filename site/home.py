@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Final
 
 from conf import PAPER, REPOSITORY
 from pictures import film
 from standings_page import headline
+from wrong_goals import UNINTENDED, failures, what_it_pursued
 
-from magical_mj.engine import Engine
+from magical_mj.evaluation.replay import engine_for
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
+from magical_mj.web.puzzles import puzzles
 
 SHOWN: Final = "state-bc"
 """The leaderboard entry of the policy on the page."""
 TASK: Final = "FindDupe"
-VARIANTS: Final = {"Demo": max, "Layout": min}
-"""The variants on the page, and the choice of the episode: one with the best score, and one with the worst."""
+TRAINED: Final = "Demo"
+TESTED: Final = "Layout"
+"""The variants on the page: a solved episode of the first, and one of the second that pursued a wrong goal."""
 TEMPLATE: Final = """<p class="question">A robot has seen ten demonstrations of a task in one scene. Does it still solve
 the task if poses, colours, shapes or the number of objects change? MAGICAL measures this with 8 tasks and 60
 environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p>
 
-<p class="links"><a href="{paper}">Paper</a> {code}<a href="play/">Play</a> <a href="standings.html">Leaderboard</a></p>
+<p class="links"><a href="play/#{puzzle}">What does it want?</a> <a href="explain.html">Watch policies fail</a>
+<a href="evaluation.html">Evaluate yours</a></p>
 
 <div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
 
 <div class="sides">{sides}</div>
 
 <p>The same policy twice, learnt by behavioural cloning. The task: bring another block that matches the one in the goal
-region into the region. <a href="play/inspect.html#FindDupe-Layout-0">Inspect the scene in 3-D</a></p>
+region into the region. <a href="play/inspect.html#FindDupe-Layout-0">Inspect the scene in 3-D</a>,
+<a href="play/">play</a> all environments, or see the <a href="standings.html">leaderboard</a>, the
+<a href="{paper}">paper</a>{code}.</p>
 
 ## The eight tasks
 
@@ -48,16 +56,24 @@ plans towards it keeps its score. All methods: <a href="standings.html">leaderbo
 SIDE: Final = """<figure><picture><source media="(prefers-reduced-motion: reduce)" srcset="{still}">
 <img src="{moving}" width="448" height="448" fetchpriority="low" decoding="async"
 alt="The policy drives in {place}; the score is {score:.2f}"></picture>
-<figcaption><strong>{words}</strong> ({variant}): mean score {mean:.2f}. <a href="{link}">Watch more</a></figcaption>
+<figcaption><strong>{words}</strong> ({variant}): mean score {mean:.2f}. {told} <a href="{link}">Watch</a></figcaption>
 </figure>"""
 
 
 def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
     """The page's HTML. Its pictures are written to `media`."""
+    method = methods[SHOWN]
+    solved = (one for one in method.entry.counted if (one.task, one.variant, one.score) == (TASK, TRAINED, 1.0))
+    failed = (one for one in failures(method, TASK) if one.variant == TESTED)
+    wrong = ((one, told) for one in failed for kinds, told in [what_it_pursued(one)] if kinds.keys() & {*UNINTENDED})
+    sides = [_side(method, next(solved), "The training scene", "", media)]
+    episode, told = next(wrong)
+    sides.append(_side(method, episode, "Other poses", told.sentence, media))
     return TEMPLATE.format(
+        puzzle=f"{puzzles()[0].name}-Demo-0@expert",
         paper=PAPER,
-        code=f'<a href="{REPOSITORY}">Code</a> ' if REPOSITORY else "",
-        sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
+        code=f', or the <a href="{REPOSITORY}">code</a>' if REPOSITORY else "",
+        sides="".join(sides),
         install=install(),
         cards=cards,
         chart=headline(methods),
@@ -72,19 +88,18 @@ def install() -> str:
     return f"git clone --depth 1 {REPOSITORY}\ncd {REPOSITORY.rpartition('/')[2]}\n{pip}"
 
 
-def _side(method: Standing, variant: str, media: Path) -> str:
-    """An animation of the policy in one variant, with its mean score."""
-    played = [episode for episode in method.entry.counted if (episode.task, episode.variant) == (TASK, variant)]
-    episode = VARIANTS[variant](played, key=lambda episode: episode.score)
-    env, actions = Engine(TASK, variant, seed=episode.seed), actions_of(episode.actions or "")
-    still, moving = film(env, actions, media / f"home-{variant}", size=448, frames=2 * len(actions))
+def _side(method: Standing, episode: EpisodeResult, words: str, told: str, media: Path) -> str:
+    """An animation of an episode, with the method's mean score in its variant, and what the episode pursued."""
+    place, actions = f"{TASK}-{episode.variant}", actions_of(episode.actions)
+    still, moving = film(engine_for(episode), actions, media / f"home-{episode.variant}", 448, 2 * len(actions))
     return SIDE.format(
         still=f"media/{still}",
         moving=f"media/{moving}",
-        place=f"{TASK}-{variant}",
+        place=place,
         score=episode.score,
-        words="The training scene" if variant == "Demo" else "Other poses",
-        variant=variant,
-        mean=method.means[TASK, variant].mean(),
-        link=f"play/#{TASK}-{variant}-0@{SHOWN}",
+        words=words,
+        variant=episode.variant,
+        mean=method.means[TASK, episode.variant].mean(),
+        told=escape(told),
+        link=f"play/#{place}-{episode.seed}@{SHOWN}",
     )

@@ -13,7 +13,7 @@ export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-
   "--disable-component-update", "--disable-sync"];
 
 /** One page of each kind. */
-export const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.html", "shift-curves.html", "results.html",
+export const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.html", "explain.html", "shift-curves.html", "results.html",
   "play/#FindDupe-All-8", "play/inspect.html#FindDupe-All-3"];
 
 /**
