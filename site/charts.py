@@ -5,49 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from typing import Final
-from zlib import crc32
 
 from magical_mj.evaluation.reports.intervals import Estimate
-from magical_mj.shifts import SHIFTS
 
 COLOURS: Final = (
     "#3d8a4e",
     "#2f7fb5",
     "#9a5fb0",
     "#c8672f",
-    "#7d808b",
     "#b98a00",
     "#c2487a",
     "#2a9d9d",
     "#6a6fd0",
     "#8a6a4a",
+    "#6b8e23",
+    "#d05050",
 )
-FIXED: Final = {
-    "Goals and planning": 0,
-    "BC from states": 1,
-    "BC from images": 2,
-    "GAIL from states": 3,
-    "Random actions": 4,
-    "Relational from states": 6,
-    "Redraw from images": 7,
-    "Goals and planning (ST, State)": 0,
-    "BC (ST, State)": 1,
-    "BC (ST, quick)": 2,
-    "GAIL (ST, State)": 3,
-    "random": 4,
-    "Relational (ST, State)": 6,
-    "Redraw (ST, quick)": 7,
-    **{axis: place % len(COLOURS) for place, axis in enumerate(SHIFTS)},
-}
-"""The colours of methods, and of shifts, that are often shown together."""
+GREY: Final = "#7d808b"
+"""The colour of all further lines of a chart."""
 LEVELS: Final = (0, 0.25, 0.5, 0.75, 1)
-
-
-def colour(name: str) -> str:
-    """The colour of a method or a shift, the same in all charts."""
-    return COLOURS[FIXED.get(name, crc32(name.encode()) % len(COLOURS))]
 
 
 @dataclass(frozen=True)
@@ -70,12 +49,18 @@ class Chart:
     joined: bool = False
     shown: Sequence[str] = ()
 
+    @cached_property
+    def colours(self) -> Mapping[str, str]:
+        """The colour of each method: of those that are on at first, no two have the same; the others are grey."""
+        return dict(zip(filter(self._is_on, self.scores), COLOURS, strict=False))
+
     def html(self) -> str:
         """The chart as a figure."""
         lines = "".join(map(self._line, self.scores)) if self.joined else ""
         levels = "".join(f'<span style="bottom: {100 * level:g}%">{level:g}</span>' for level in LEVELS)
         legend = "".join(
-            f'<label style="--line: {colour(name)}"><input type="checkbox"{" checked" if self._is_on(name) else ""} '
+            f'<label style="--line: {self.colours.get(name, GREY)}">'
+            f'<input type="checkbox"{" checked" if self._is_on(name) else ""} '
             f'value="{escape(name)}"><i></i> {escape(name)}</label>'
             for name in self.scores
         )
@@ -94,7 +79,7 @@ class Chart:
 
     def _marks(self, name: str) -> str:
         off = "" if self._is_on(name) else ' class="off"'
-        return f'{off} data-line="{escape(name)}" style="--line: {colour(name)}'
+        return f'{off} data-line="{escape(name)}" style="--line: {self.colours.get(name, GREY)}'
 
     def _x(self, column: int) -> float:
         """Per cent of the width. Columns of dots have a margin for the dots on their sides."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from html import escape
 from itertools import permutations
 from pathlib import Path
@@ -14,14 +12,17 @@ from typing import Final
 
 import numpy as np
 from charts import Chart, text
+from wrong_goals import measured
 
 from magical_mj.evaluation.replay import obstacle
+from magical_mj.evaluation.reports.intervals import Estimate
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import (
     ABOVE,
     BLOCKS,
     COLUMNS,
+    LEAST_RUNS,
     NEW_PLACES,
     Standing,
     improvement,
@@ -32,6 +33,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
 from tools.intent_baselines import baselines, kept
 from tools.scores import by_released_rules
+from tools.test_scenes import right_first
 
 ROOT: Final = Path(__file__).parent.parent
 HEADLINE: Final = {
@@ -47,15 +49,17 @@ HEADLINE: Final = {
 COMPARED: Final = ("state-relational", "state-bc")
 """The two methods that are compared at first."""
 INTRODUCTION: Final = """An agent learns from demonstrations of one scene (Demo), and is tested in scenes that differ.
-Methods are in the order of their generalisation. Compare them within a category: it has the same rules, the same
-observations, and the same kind of help. A method's name opens its scores in each environment, how to repeat them, and
-episodes to watch. [Entries of the leaderboard](leaderboard.md) says how to add yours, and
-[statistics](statistics.md) how scores and intervals are computed."""
+Compare methods within a category. A method's name opens its scores in each environment, how to repeat them, and
+episodes to watch. Add [yours](leaderboard.md); [how scores and intervals are computed](statistics.md)."""
 INTENTS: Final = """What do policies reach that receive an [intent](intents-evaluation.md#baselines) at test time, by
 what they are given? Clean success in the first test intents of each set in Layout and All, with 95 % intervals over
 runs and intents.
 Their episodes are in the repository, in `results/intents.jsonl.xz`."""
-USES: Final = "May also use"
+FIRST: Final = "Right object first"
+RANK: Final = "Rank"
+AT_FIRST: Final = (FIRST, "Generalisation", RANK)
+"""The columns that are shown at first, after the methods. The others are shown on request."""
+NONE: Final = Estimate(float("nan"))
 GLOSSARY: Final = {
     "ST, MT": "one policy for each task, one policy for all tasks",
     "quick": "a small network and a short training",
@@ -69,7 +73,12 @@ GLOSSARY: Final = {
     "Generalisation": "mean score in Layout, CountPlus and All, which move, add and remove objects",
     NEW_PLACES: "mean score in the scenes where it is wrong to go to the same places as in the demonstrations",
     ABOVE: "generalisation on a scale from 0, the best agent that does not look, to 1, the full score",
-    USES: "what a method uses besides the demonstrations as its policy observes them",
+    "In a frame": "what a method uses besides the demonstrations as its policy observes them",
+    FIRST: "how often the first block that moves is one to move, in MatchRegions, FindDupe and FixColour, in scenes "
+    "where the right block is not where it is in the demonstrations",
+    RANK: "in the category, from the best to the worst that the 95 % intervals of the generalisation allow; "
+    "the paper's results have no intervals. At the same best rank, methods with five runs or more are first",
+    "category": "methods with the same rules, the same observations, and the same kind of help",
     "[0.10, 0.12]": "95 % interval over scenes and runs; of one run over scenes only",
     "(2/8)": "mean over two of the eight tasks, which does not compare with others; such methods are always last",
 }
@@ -92,19 +101,20 @@ FULL_SIZE: Final = {
 def standings_page(methods: Mapping[str, Standing]) -> str:
     """The page in Markdown with HTML in it; `methods`: file name of an entry -> its standing."""
     rows = [*methods.items(), *(("", one) for one in (*published(), *by_released_rules()))]
-    parts = ["# Leaderboard", INTRODUCTION, _glossary(), _filter()]
-    for block, heading in BLOCKS.items():
-        group = sorted((row for row in rows if row[1].block == block), key=lambda row: row[1].rank)
-        if group:
-            table = _table(heading, group)
-            parts.append(f'<section class="block" data-block="{block}">\n\n## {heading}\n\n{table}\n\n</section>')
     ranked = sorted(methods.items(), key=lambda item: item[1].rank)
     own = {name: method for name, method in ranked if method.everywhere}
     beats = _beats(own)
-    parts += ["## By variant", _dots(own.values()), "## Compare two methods", _comparison(own, beats)]
+    parts = ["# Leaderboard", INTRODUCTION, _glossary(), _comparison(own, beats), _filter()]
+    for block, heading in BLOCKS.items():
+        group = [row for row in rows if row[1].block == block]
+        if group:
+            table = _table(heading, group)
+            parts.append(f'<section class="block" data-block="{block}">\n\n## {heading}\n\n{table}\n\n</section>')
+    parts += ["## By variant", _dots(own.values())]
     parts += ["## Who beats whom", _duels(own, beats), "## What it cost", _costs(methods.values())]
     if episodes := kept():
         parts += ["## Intents", INTENTS, baselines(episodes)]
+    parts.append('<script src="_static/standings.js" type="module"></script>')
     return "\n\n".join(parts) + "\n"
 
 
@@ -122,38 +132,65 @@ def _filter() -> str:
     uses = {"usual": "no more than the paper's setting", "more": "more than that"}
     by = {"own": "this project", "published": "the paper"}
     fields = select("sees", "Sees", sees) + select("uses", "May use", uses) + select("by", "Run by", by)
-    return f'<form class="kinds">{fields}<output></output></form>'
+    more = '<label><input type="checkbox" name="columns" value="all"> all columns</label>'
+    return f'<form class="kinds">{fields}{more}<output></output></form>'
 
 
 def _table(heading: str, rows: Sequence[tuple[str, Standing]]) -> str:
-    columns = {"": "Method", USES: USES, "runs": "Runs", **{name: _heading(name) for name in COLUMNS}}
+    further = ("Runs", *(column for column in COLUMNS if column not in AT_FIRST))
     head = "".join(
-        f'<th scope="col" aria-sort="{"descending" if name == ABOVE else "none"}"><button>{shown}</button></th>'
-        for name, shown in columns.items()
+        f'<th scope="col"{_more(name)} data-column="{name}" aria-sort="none"><button>{_heading(name)}</button></th>'
+        for name in ("Method", *AT_FIRST, *further)
     )
-    body = "".join(_row(name, method) for name, method in rows)
+    ranks = _ranks([method for _, method in rows])
+    few = {name: method.kind != "published" and len(method.entry.runs) < LEAST_RUNS for name, method in rows}
+    rows = sorted(rows, key=lambda row: (row[1].rank[0], ranks.get(row[1].name, (0, 0))[0], few[row[0]], row[1].rank))
+    body = "".join(_row(name, method, ranks.get(method.name)) for name, method in rows)
     return (
         f'<div class="wide" tabindex="0" role="region" aria-label="{escape(heading)}"><table class="standings"><thead>'
         f"<tr>{head}</tr></thead>{body}</table></div>"
     )
 
 
+def _ranks(methods: Sequence[Standing]) -> dict[str, tuple[int, int]]:
+    """Method -> its best and worst rank by the intervals of its generalisation. Without an interval, by the mean."""
+    scores = {one.name: one.scores["Generalisation"] for one in methods if one.everywhere}
+    lows = {name: score.value if np.isnan(score.low) else score.low for name, score in scores.items()}
+    highs = {name: score.value if np.isnan(score.high) else score.high for name, score in scores.items()}
+    return {
+        name: (1 + sum(low > highs[name] for low in lows.values()), sum(high >= lows[name] for high in highs.values()))
+        for name in scores
+    }
+
+
+def _more(column: str) -> str:
+    return "" if column in ("Method", *AT_FIRST) else ' class="more"'
+
+
 def _heading(column: str) -> str:
     return f"{column} ({len(COLUMNS[column])})" if column in VARIANTS else column
 
 
-def _row(name: str, method: Standing) -> str:
-    """A body of a table: the method's figures, and below them what opens."""
-    cells = "".join(_cell(method, column) for column in COLUMNS)
+def _row(name: str, method: Standing, rank: tuple[int, int] | None) -> str:
+    """A body of a table: the method in words and its figures, and below them what opens."""
     chips = " ".join(f"<span>{escape(privilege)}</span>" for privilege in method.privileges)
     runs = 5 if method.kind == "published" else len(method.entry.runs)
+    words = (method.entry.card.description or "").partition(".")[0]
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
-    details = f'<tr class="details" hidden><td colspan="{len(COLUMNS) + 3}">{_details(name, method)}</td></tr>'
-    figures = f'<td class="chips">{chips}</td><td>{runs}</td>{cells}'
+    title += f"<small>{escape(words)}</small>" if words else ""
+    title += f'<div class="chips">{chips}</div>' if chips else ""
+    details = f'<tr class="details" hidden><td colspan="{len(COLUMNS) + 4}">{_details(name, method)}</td></tr>'
+    ranks = "" if rank is None else f"{rank[0]}" if rank[0] == rank[1] else f"{rank[0]}-{rank[1]}"
+    first = _figure(right_first(name)[0] or NONE, "", FIRST)
+    figures = f"{first}{_cell(method, 'Generalisation')}<td>{ranks}</td>"
+    figures += f'<td class="more">{runs}</td>'
+    figures += "".join(_cell(method, column) for column in COLUMNS if column not in AT_FIRST)
     sees = "nothing" if method.entry.observations is None else "states" if method.sees_states else "pictures"
     usual = method.block in ("pictures", "states", "nothing") or method.kind == "published"
     kinds = f'data-sees="{sees}" data-uses="{"usual" if usual else "more"}"'
-    kinds += f' data-by="{"published" if method.kind == "published" else "own"}"'
+    key = name or f"{method.block} {method.name}"
+    by = "published" if method.kind == "published" else "own"
+    kinds += f' data-by="{by}" data-name="{escape(key)}"'
     whole = "" if method.everywhere else ' class="partial"'
     return f'<tbody {kinds}{whole}><tr><th scope="row">{title}</th>{figures}</tr>{details}</tbody>'
 
@@ -161,12 +198,17 @@ def _row(name: str, method: Standing) -> str:
 def _cell(method: Standing, column: str) -> str:
     lacks = method.lacks(column)
     score = None if lacks and column not in VARIANTS else method.scores.get(column)
-    if score is None or np.isnan(score.value):
-        return "<td></td>"
+    return _figure(score or NONE, lacks, column)
+
+
+def _figure(score: Estimate, lacks: str, column: str) -> str:
+    if np.isnan(score.value):
+        return f"<td{_more(column)}></td>"
     below = lacks or ("" if np.isnan(score.low) else f"{score.low:.2f} to {score.high:.2f}".replace("-0.00", "0.00"))
     shown = f"{score.value:.2f}".replace("-0.00", "0.00")
     small = f"<small>{below}</small>" if below else ""
-    return f'<td class="figure" style="--share: {round(100 * max(score.value, 0))}%">{shown}{small}</td>'
+    more = " more" if _more(column) else ""
+    return f'<td class="figure{more}" style="--share: {round(100 * max(score.value, 0))}%">{shown}{small}</td>'
 
 
 def _details(name: str, method: Standing) -> str:
@@ -192,7 +234,7 @@ def _details(name: str, method: Standing) -> str:
 
 def _endings(name: str) -> str:
     """What the method's episodes did in each task."""
-    own = [row for row in _measured() if row["entry"] == name]
+    own = [row for row in measured() if row["entry"] == name]
     if not own:
         return ""
     heads = ("Task", "Episodes", *ENDINGS)
@@ -206,13 +248,6 @@ def _ending_cells(row: Mapping[str, str]) -> str:
     shares = [100 * float(row[name]) / int(row["episodes"]) for name in ENDINGS]
     cells = "".join(f"<td>{share:.0f}</td>" if share else "<td></td>" for share in shares)
     return f'<th scope="row">{row["task"]}</th><td>{row["episodes"]}</td>{cells}'
-
-
-@cache
-def _measured() -> list[dict[str, str]]:
-    """The rows of docs/endings.csv, which `python -m tools.attribution endings` writes."""
-    with (ROOT / "docs" / "endings.csv").open(encoding="utf-8", newline="") as file:
-        return sorted(csv.DictReader(file), key=lambda row: TASKS.index(row["task"]))
 
 
 def _repeat(method: Standing) -> str:
@@ -261,9 +296,10 @@ def _comparison(methods: Mapping[str, Standing], beats: Chances) -> str:
         f'<label>scene <select name="seed">{seeds}</select></label><button>Watch both</button>'
     )
     return (
-        f'<form class="compare">{fields}</form><div class="wide" tabindex="0" role="region" aria-label="Comparison">'
+        f'<details class="comparing"><summary>Compare two methods</summary><form class="compare">{fields}</form>'
+        f'<div class="wide" tabindex="0" role="region" aria-label="Comparison">'
         f'<table class="compared"></table></div><p class="chance"></p><div class="sides watched"></div>'
-        f'<script type="application/json" id="compared">{json.dumps(data)}</script>'
+        f'<script type="application/json" id="compared">{json.dumps(data)}</script></details>'
     )
 
 
@@ -301,7 +337,7 @@ def _chance(chance: float) -> str:
 
 
 def _costs(methods: Iterable[Standing]) -> str:
-    lines = [f"| Method | {ABOVE} | Demonstrations a task | Hours a run | Device | Steps a run |"]
+    lines = [f"| Method | {ABOVE} | Demonstrations a task | Hours a run | Device | Steps a run in the simulator |"]
     lines.append("| --- | ---: | ---: | ---: | --- | ---: |")
     for method in sorted(methods, key=lambda method: method.rank):
         card = method.entry.card
@@ -311,7 +347,7 @@ def _costs(methods: Iterable[Standing]) -> str:
             card.demonstrations.per_task,
             hours,
             card.training.device,
-            None if steps is None else f"{steps:,}",
+            None if steps is None else f"{steps:,}" if steps else "none",
         )
         lines.append(f"| {label(method)} | {' | '.join('' if cell is None else str(cell) for cell in cells)} |")
     return "Of one run, as its entry states it. Empty cells are not known.\n\n" + "\n".join(lines)
