@@ -52,9 +52,8 @@ INTRODUCTION: Final = """An agent learns from demonstrations of one scene (Demo)
 Compare methods within a category. A method's name opens its scores in each environment, how to repeat them, and
 episodes to watch. Add [yours](leaderboard.md); [how scores and intervals are computed](statistics.md)."""
 INTENTS: Final = """What do policies reach that receive an [intent](intents-evaluation.md#baselines) at test time, by
-what they are given? Clean success in the first test intents of each set in Layout and All, with 95 % intervals over
-runs and intents.
-Their episodes are in the repository, in `results/intents.jsonl.xz`."""
+what they are given? Clean success and the score in the first test intents of each set in Layout and All, with 95 %
+intervals over runs and intents. Their episodes are in the repository, in `results/intents.jsonl.xz`."""
 FIRST: Final = "Right object first"
 RANK: Final = "Rank"
 AT_FIRST: Final = (FIRST, "Generalisation", RANK)

@@ -47,7 +47,7 @@ INTENTS: Final = 4
 SHOWN: Final = 4
 """The number of demonstrations that a policy is given, in any number of scenes."""
 MEASURE: Final = "clean success"
-"""What the table shows."""
+"""What the table shows by set."""
 
 
 class Baseline(NamedTuple):
@@ -126,13 +126,19 @@ def play(out: Path, names: Iterable[str]) -> None:
 
 def whole(*runs: Path) -> list[EpisodeResult]:
     """The episodes of the baselines that were played to the end, by their names. Each folder is a run."""
-    found, tasks = [], set(played())
+    found = []
     for run, out in enumerate(runs):
         for name in BASELINES:
-            every = [one for one in episodes_of(out / name) if one.task in tasks]
-            if len(every) == len(OFFICIAL_VARIANTS) * len(tasks):
+            every = episodes_of(out / name)
+            if len(in_table(every)) == len(OFFICIAL_VARIANTS) * len(played()):
                 found += [replace(one, policy=name, run=run, seconds=0.0) for one in every]
     return found
+
+
+def in_table(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
+    """Those of the tasks that all baselines play."""
+    tasks = set(played())
+    return [one for one in episodes if one.task in tasks]
 
 
 def episodes_of(folder: Path) -> list[EpisodeResult]:
@@ -184,17 +190,17 @@ def means(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> dict[str
     return {name: estimate([cell]) for name, cell in cells.items()} | {"mean": every}
 
 
-def baselines(episodes: Sequence[EpisodeResult], measure: str = MEASURE) -> str:
-    """The table: means of sets, and of all, with intervals."""
-    rows = []
+def baselines(episodes: Sequence[EpisodeResult]) -> str:
+    """The table: clean success by set, and its mean and that of scores, with intervals."""
+    rows, same = [], in_table(episodes)
     for name, baseline in BASELINES.items():
-        own = [one for one in episodes if one.policy == name]
+        own = [one for one in same if one.policy == name]
         if own:
-            found = means(own, measure)
-            every = "{:.2f} ({:.2f} to {:.2f})".format(*found["mean"])
+            found = means(own)
             parts = (f"{found[name].value:.2f}" for name in TESTS)
-            rows.append((baseline.method, baseline.given, *parts, every))
-    return table(("Method", "Given", *TESTS, "mean"), rows)
+            both = ("{:.2f} ({:.2f} to {:.2f})".format(*one["mean"]) for one in (found, means(own, "score")))
+            rows.append((baseline.method, baseline.given, *parts, *both))
+    return table(("Method", "Given", *TESTS, "mean", "score"), rows)
 
 
 def write() -> None:

@@ -9,16 +9,20 @@ import pandas as pd
 import pytest
 
 import magical_mj
+from magical_mj.evaluation.reports.intervals import Cell, estimate
 from magical_mj.evaluation.scores import parse, read
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.intents import shortcuts
-from magical_mj.intents.by_set import floors, rows, set_of, with_side_effects
+from magical_mj.intents.by_set import by_intent, floors, rows, set_of, with_side_effects
 from magical_mj.intents.names import TESTS, tasks_in
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import IntentError
 from tests.helpers.commands import Shell
+from tools.intent_baselines import kept
+from tools.pages import ROOT
 
 TASK = "intent:in(colour=red, region)"
+INFERRED = ("goals-4-contrasting", "goals-1")
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +75,27 @@ def test_a_report_has_a_page_of_sets(played: Path, tmp_path: Path, shell: Shell)
     table = pd.read_csv(tmp_path / "report" / "intents" / "intents.csv")
     assert len(table) == 8
     assert set(table["set"]) == {"combined", "train"}
+
+
+def test_findings_about_baselines_are_those_of_the_episodes() -> None:
+    page = " ".join((ROOT / "docs" / "intents-evaluation.md").read_text("utf-8").split())
+    episodes, names = kept(), ("expert", "circling", "random", *INFERRED)
+    every = {name: [one for one in episodes if one.policy == name] for name in names}
+
+    def cell(name: str, measure: str, weight: float = 1.0) -> Cell:
+        tasks = sorted({one.task for one in every[name]})
+        return Cell(by_intent(every[name], measure, tasks, [0]), weight, name, "intents")
+
+    count, (value, low, high) = len(every["expert"]), estimate([cell("expert", "success")])
+    assert value == 1.0
+    assert f"solves all {count} episodes in the first ten intents of each set ({low:.2f} to {high:.2f})" in page
+    for name in ("circling", "random"):
+        value, low, high = estimate([cell(name, "success")])
+        assert value == 0.0
+        assert f"none of {len(every[name])} episodes each, in all 250 intents ({low:.2f} to {high:.2f})" in page
+    several, one = INFERRED
+    more = "{:.2f} ({:.2f} to {:.2f})".format(*estimate([cell(several, "score"), cell(one, "score", -1.0)]))
+    assert f"higher by {more} from four contrasting scenes than from one" in page
 
 
 def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:
