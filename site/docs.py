@@ -20,13 +20,13 @@ from gallery import gallery
 from home import home
 from moved import MOVED
 from shift_curves import shift_curves
-from standings_page import read_methods, standings_page
+from standings_page import standings_page
 from task_pages import write_task_pages
 from wrong_goals import wrong_goals
 
 from magical_mj.actions import ACTIONS
 from magical_mj.web.page_data import drawing_style
-from tools.scores import by_released_rules
+from tools.scores import by_released_rules, own_methods
 
 ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
@@ -76,7 +76,7 @@ def write_docs(folder: Path) -> None:
             (SOURCES / path.name).write_text(_links(path.read_text(encoding="utf-8")), encoding="utf-8")
         elif path.is_file():
             shutil.copy(path, SOURCES)
-    methods = read_methods()
+    methods = own_methods()
     (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
     cards = write_task_pages(SOURCES, media, [*methods.values(), *by_released_rules()])
     (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")

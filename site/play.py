@@ -12,10 +12,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
 import shifted
 from fetch import CACHE, ONNX_FILES, ONNX_RUNTIME
 from shifted import CHANGED, SUITE
-from standings_page import read_methods, write_replays
+from standings_page import write_replays
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
@@ -23,6 +24,7 @@ from magical_mj.web.asking import ASKED, asked, question_data
 from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, sample_models
 from magical_mj.web.puzzles import VARIANTS, puzzle_scenes, puzzles
+from tools.scores import own_methods
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
@@ -31,6 +33,8 @@ LATER: Final = ("onnx", "policies", "puzzles", "replays", "shifted")
 LISTS: Final = ("policies/scores.json", "replays/index.json")
 """The files in these folders that the page needs to start."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
+KEPT: Final = Path(__file__).parent.parent / "out" / "scenes"
+"""The scenes of the last build."""
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
@@ -39,21 +43,9 @@ def write_play(folder: Path) -> int:
     if folder.exists():
         shutil.rmtree(folder)
     shutil.copytree(PAGE, folder, ignore=shutil.ignore_patterns("operator.*"))  # these need a study's server
-    for task, variant in magical_mj.ENVIRONMENTS:
-        data = environment_scenes(task, variant)
-        _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models_of(task, variant, data)))
-    for pair in SUITE:
-        _write(folder / "scenes" / f"{'-'.join(pair)}.json", with_models(*shifted.scenes(*pair, [""])))
-    for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
-        for axis, levels in shifted.offered(*pair).items():
-            if axis not in CHANGED:
-                data, models = shifted.scenes(*pair, [f"{axis}:{level}" for level in levels])
-                _write(folder / "shifted" / f"{'-'.join((*pair, axis))}.json", with_models(data, models))
-        if pair not in SUITE:
-            _write(folder / "shifted" / f"{'-'.join(pair)}.json", shifted.changes(*pair))
-    write_replays(read_methods(), folder / "replays")
+    shutil.copytree(_scenes(), folder, dirs_exist_ok=True)
+    write_replays(own_methods(), folder / "replays")
     pairs = (*magical_mj.ENVIRONMENTS, *SUITE)
-    write_puzzles(folder / "puzzles")
     _write(folder / "questions.json", [question_data(question, answers=True) for question in asked()])
     drawn = [pair for puzzle in puzzles() for pair in puzzle.environments]
     known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs}, drawn)
@@ -78,6 +70,38 @@ def write_play(folder: Path) -> int:
     shutil.copy(OFFLINE / "register.js", folder)
     (folder / "worker.js").write_text(_worker(folder), encoding="utf-8")
     return sum(path.stat().st_size for path in folder.rglob("*"))
+
+
+def _scenes() -> Path:
+    """The folder with the scenes of all environments and puzzles. It is made again after a change of code or data."""
+    package = Path(magical_mj.__file__).parent
+    files = sorted(path for path in package.rglob("*") if path.is_file() and not path.is_relative_to(PAGE))
+    files = [path for path in files if path.suffix != ".pyc"] + [Path(__file__), Path(shifted.__file__)]
+    content = b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)
+    folder = KEPT / hashlib.sha256(mujoco.__version__.encode() + content).hexdigest()[:16]
+    if not folder.exists():
+        shutil.rmtree(KEPT, ignore_errors=True)
+        unfinished = KEPT / "unfinished"
+        write_scenes(unfinished)
+        unfinished.rename(folder)
+    return folder
+
+
+def write_scenes(folder: Path) -> None:
+    """Writes the scenes of all environments, with and without shifts, and of the puzzles."""
+    for task, variant in magical_mj.ENVIRONMENTS:
+        data = environment_scenes(task, variant)
+        _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models_of(task, variant, data)))
+    for pair in SUITE:
+        _write(folder / "scenes" / f"{'-'.join(pair)}.json", with_models(*shifted.scenes(*pair, [""])))
+    for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
+        for axis, levels in shifted.offered(*pair).items():
+            if axis not in CHANGED:
+                data, models = shifted.scenes(*pair, [f"{axis}:{level}" for level in levels])
+                _write(folder / "shifted" / f"{'-'.join((*pair, axis))}.json", with_models(data, models))
+        if pair not in SUITE:
+            _write(folder / "shifted" / f"{'-'.join(pair)}.json", shifted.changes(*pair))
+    write_puzzles(folder / "puzzles")
 
 
 def write_puzzles(folder: Path) -> None:
@@ -124,7 +148,7 @@ def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
 
 
 def _write(path: Path, data: Any) -> None:
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(data, separators=(",", ":")), encoding="utf-8")
 
 

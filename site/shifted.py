@@ -8,7 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj import demos
-from magical_mj.assets.mjcf import parsed
+from magical_mj.assets.mjcf import numbers, parsed
+from magical_mj.assets.robot import controls
+from magical_mj.assets.scene_model import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.experts import expert_of
@@ -84,9 +86,10 @@ def _seeds(variant: str) -> range:
 
 
 def _attributes(scene: Scene) -> dict[str, dict[str, str]]:
-    """The attributes of the named elements of a scene's model, except those that contain the scene itself."""
-    elements = parsed(mjcf_text(scene, rounded=False)).iter()
-    return {f"{one.tag} {one.get('name')}": dict(one.attrib) for one in elements if one.get("name") != "scene"}
+    """The attributes of the named elements of a scene's model, with the controls of its actions as exported."""
+    rows = controls(scene.robot.body, scene.dynamics.veer)
+    found = {f"{one.tag} {one.get('name')}": dict(one.attrib) for one in parsed(scene_mjcf(scene)).iter()}
+    return found | {"numeric controls": {"data": " ".join(numbers(*row) for row in rows)}}
 
 
 def _differences(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:

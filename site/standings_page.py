@@ -26,13 +26,12 @@ from magical_mj.leaderboard.standings import (
     NEW_PLACES,
     Standing,
     improvement,
-    own_standings,
     published,
 )
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.web.page_data import SCENES
 from tools.intent_baselines import baselines, kept
-from tools.scores import by_released_rules
+from tools.scores import by_released_rules, own_methods
 from tools.test_scenes import right_first
 
 ROOT: Final = Path(__file__).parent.parent
@@ -266,7 +265,7 @@ def _repeat(method: Standing) -> str:
 
 def _dots(methods: Iterable[Standing]) -> str:
     scores = {method.name: [method.scores[variant] for variant in VARIANTS] for method in methods}
-    shown = [method.name for name, method in read_methods().items() if name in HEADLINE]
+    shown = [method.name for name, method in own_methods().items() if name in HEADLINE]
     about = "Mean scores over the tasks that have the variant, with 95 % intervals"
     variants = [_heading(variant) for variant in VARIANTS]
     chart = Chart(scores, variants, "Variant (number of tasks)", about, shown=shown)
@@ -391,8 +390,3 @@ def headline(methods: Mapping[str, Standing]) -> str:
     scores = {shown: [methods[name].scores[variant] for variant in VARIANTS] for name, shown in HEADLINE.items()}
     about = "Mean scores over the tasks that have the variant: all but planning fall from Demo to Layout"
     return Chart(scores, [_heading(variant) for variant in VARIANTS], "Variant (number of tasks)", about).html()
-
-
-def read_methods() -> dict[str, Standing]:
-    """The entries of results/."""
-    return own_standings(ROOT / "results")
