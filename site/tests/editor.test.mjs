@@ -237,3 +237,22 @@ test("by touch, on a phone: a block follows the finger, and the page stays", { s
   assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), "nothing is wider than the phone");
   assert.deepEqual(await barriers(page), []);
 });
+
+test("a changed scene offers what works in it, and Back leaves the editor", async () => {
+  await openEditor("MoveToCorner-Layout-0");
+  await page.keyboard.press("ArrowLeft");
+  await button("Play it").click();
+  await page.waitForFunction(() => location.hash.includes("?scene=") && document.getElementById("status")?.textContent?.startsWith("Press"));
+  assert.ok(await page.isHidden("#shifts"));
+  const groups = () => page.$$eval("#watch optgroup", (all) => all.map((one) => /** @type {HTMLOptGroupElement} */ (one).label));
+  assert.deepEqual(await groups(), ["Policies that act in this page"]);
+  await page.keyboard.press("h");
+  await page.waitForFunction(() => document.getElementById("status")?.textContent === "Nothing is recorded in a changed scene");
+  await page.click("#edit");
+  await page.waitForSelector("#editor");
+  await page.goBack();
+  await page.waitForFunction(() => !document.getElementById("editor") && location.hash === "#MoveToCorner-Layout-0");
+  await ready();
+  assert.ok((await groups()).includes("Recorded episodes of the leaderboard") && await page.isVisible("#shifts"));
+  assert.deepEqual(complaints, []);
+});

@@ -117,6 +117,8 @@ test("a study counts its episodes, survives a restart within one, and keeps the 
       await page.click("#save");
       await untilStatus(page, turn.startsWith("Practice") ? "That was practice" : "Kept");
     }
+    assert.ok(await page.isDisabled("#save"), "an episode is sent once");
+    assert.equal(await page.evaluate("document.activeElement.id"), "arena");  // a disabled button would swallow keys
     for (const key of ["", "r", "n"]) {
       if (key) await page.keyboard.press(key);
       assert.match(await page.textContent("#ending") ?? "", /everything.*Your code: MAGIC-42/);
