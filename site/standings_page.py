@@ -173,7 +173,7 @@ def _row(name: str, method: Standing, rank: tuple[int, int] | None) -> str:
     """A body of a table: the method in words and its figures, and below them what opens."""
     chips = " ".join(f"<span>{escape(privilege)}</span>" for privilege in method.privileges)
     runs = 5 if method.kind == "published" else len(method.entry.runs)
-    words = (method.entry.card.description or "").partition(".")[0]
+    words = (method.entry.card.description or "").partition(". ")[0].removesuffix(".")
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
     title += f"<small>{escape(words)}</small>" if words else ""
     title += f'<div class="chips">{chips}</div>' if chips else ""
