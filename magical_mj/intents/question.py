@@ -162,6 +162,8 @@ class Question:
                 check_scene(changed)
             except InvalidSceneError as error:
                 return Verdict(0.0, False, False, problem=str(error))
+        if changed == self.scene:
+            return Verdict(0.0, False, False, problem="nothing has moved")
         right = self.intent.holds(self.scene, changed)
         clean = right and not others_moved(self.intent, self.scene, changed)
         return Verdict(float(right), right, clean, "" if right else self._misread(changed))

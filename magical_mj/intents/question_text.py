@@ -188,7 +188,9 @@ def read_answer(question: Question, text: str, *, english: bool = False) -> str 
     """
     found = list(_ANSWER.finditer(text[-MOST_CHARACTERS:]))
     if not found:
-        raise SettingsError(f"there is no line of the form ANSWER: ..., which the question asks for: {text[-80:]!r}")
+        raise SettingsError(
+            f"the question asks for a line of the form ANSWER: ..., and the text ends with {text[-80:]!r}"
+        )
     last = found[-1]
     line = last[1].strip().strip("*`").strip()
     if question.task == "choose":
@@ -233,7 +235,7 @@ def _intent_text(question: Question, sentence: str) -> str:
     known = {**_sentences()} | {_plain(one.sentence): str(one) for one in [*rivals(question.watched), question.intent]}
     found = known.get(_plain(sentence))
     if found is None:
-        raise SettingsError(f"this is no sentence of the language: {sentence[:200]!r}")
+        raise SettingsError(f"the language does not have this sentence: {sentence[:200]!r}")
     return found
 
 

@@ -134,8 +134,8 @@ def metrics(log: EvalLog, name: str) -> dict[str, float]:
 
 
 def test_one_who_knows_the_answers_scores_1_in_choose(tmp_path: Path) -> None:
-    rule = knowing(list(questions("choose", limit=4)), lambda question, _: said(f"ANSWER: {question.answer}"))
-    assert values(evaluated(choose(limit=4), rule, tmp_path), "right") == [1.0] * 4
+    rule = knowing(list(questions("choose", scenes=2, limit=2)), lambda question, _: said(f"ANSWER: {question.answer}"))
+    assert values(evaluated(choose(scenes=2, limit=2), rule, tmp_path), "right") == [1.0] * 2
 
 
 def test_one_who_knows_the_intents_scores_1_in_say(tmp_path: Path) -> None:

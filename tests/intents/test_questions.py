@@ -18,6 +18,8 @@ from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.utils.errors import SettingsError
+from tools import question_floors
+from tools.pages import filled
 
 SETTINGS = {"scenes": 2, "limit": 6}
 
@@ -158,6 +160,7 @@ def test_placed_blocks_are_right_clean_or_wrong() -> None:
     assert not overlapping.right
     assert "overlap" in overlapping.problem
     assert not place.check(place.scene.moved(blocks=[here.pose, (0.0, 0.0, 0.0)])).right
+    assert place.check(place.scene).problem == "nothing has moved"
 
 
 @pytest.mark.parametrize(
@@ -235,3 +238,13 @@ def test_files_contain_questions_with_pictures(made: list[Question], tmp_path: P
     assert {field["name"] for field in described["recordSet"][0]["field"]} == set(lines[0])
     with pytest.raises(SettingsError):
         write(made[:1], tmp_path / "out", "test")
+
+
+def test_the_page_has_the_measured_floors() -> None:
+    page = question_floors.PAGE.read_text("utf-8")
+    assert filled(page, {"floors": question_floors.floors()}, question_floors.COMMAND) == page
+    logic = [row for row in question_floors.rows() if row["kind"] == "logic"]
+    assert len(logic) == 6
+    for row in logic:
+        assert float(row["exact inference"]) >= 0.97
+        assert max(float(row["same place"]), float(row["nearest"])) <= 0.3

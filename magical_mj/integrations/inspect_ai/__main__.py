@@ -1,7 +1,7 @@
 """What Inspect's logs say: `python -m magical_mj.integrations.inspect_ai`.
 
 - ``misread LOGS``: what the answers of models, and of people in studies (``study.jsonl``), follow.
-- ``episodes LOGS --out FOLDER``: an evaluation of the episodes of `act`, in which their actions are played again.
+- ``episodes LOGS --out FOLDER``: an evaluation of the episodes of `act`, whose actions are played again.
 """
 
 from __future__ import annotations
@@ -62,7 +62,15 @@ class Taped:
 
 
 class Given(NamedTuple):
-    """An answer: of whom, the set and kind of its question, what it follows, the intent, and what it took it for."""
+    """An answer.
+
+    Attributes:
+        who: the model, or "people".
+        group: the set and the kind of the question.
+        followed: one of `KINDS_OF_ANSWERS`.
+        intent: the intent.
+        misread: the reading that the answer took it for; empty if it is right, or none is known.
+    """
 
     who: str
     group: str
