@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -133,8 +134,19 @@ def comparisons() -> dict[str, str]:
 
 
 def card() -> dict[str, str]:
-    """The table of docs/benchmark-card.md by name."""
-    return {"limits": limits(own_methods().values())}
+    """The tables of docs/benchmark-card.md by name."""
+    return {"limits": limits(own_methods().values()), "starts": starts()}
+
+
+def starts() -> str:
+    """A table of what the test scenes score at the start, on average, where this is not 0."""
+    means = own_methods()["noop"].means
+    rows = []
+    for task in TASKS:
+        found = {variant: float(means[task, variant].mean()) for variant in VARIANTS if (task, variant) in means}
+        if any(found.values()):
+            rows.append((task, *(number(found.get(variant, math.nan)) for variant in VARIANTS)))
+    return table(("Task", *VARIANTS), rows)
 
 
 def compared_with_the_paper() -> dict[str, Standing]:

@@ -16,7 +16,7 @@ from magical_mj.scene import constants as c
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
-from tools import demonstration_sets, learnt_rewards, pretraining, scores
+from tools import demonstration_sets, learner_settings, learnt_rewards, pretraining, scores
 from tools.pages import ROOT, filled, table
 
 AXES: Final[dict[Axis, str]] = {
@@ -85,6 +85,7 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/demonstration-sets.md": demonstration_sets.tables,
     "docs/environments.md": lambda: {"presets": presets()},
     "docs/learnt-rewards.md": learnt_rewards.tables,
+    "docs/methods.md": lambda: {"settings": learner_settings.settings()},
     "docs/pretraining.md": pretraining.tables,
     "docs/results.md": scores.results,
     "docs/results-paper.md": scores.comparisons,
