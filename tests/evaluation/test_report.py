@@ -9,6 +9,7 @@ import csv
 import json
 import shutil
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +20,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import magical_mj
+from magical_mj.engine import Engine
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports import report as page
 from magical_mj.evaluation.reports import results, tables
@@ -26,6 +28,7 @@ from magical_mj.evaluation.reports.report import bars, extremes, heat_map, repor
 from magical_mj.evaluation.reports.results import choose, compare, published_results
 from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.policies.interface import letters_of
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.commands import Shell
@@ -133,9 +136,9 @@ def noop_report(folder: Path, **settings: Any) -> str:
     ],
 )
 def test_reports_say_how_they_differ_from_the_protocol(tmp_path: Path, settings: dict[str, Any], said: str) -> None:
-    """At the top and with every table and figure. Complete evaluations have no note about missing episodes."""
+    """Once on the page, and with every figure. Complete evaluations have no note about missing episodes."""
     page = noop_report(tmp_path, **settings)
-    assert page.count(f"Not by the official protocol: {said}") == 4
+    assert page.count(f"Not by the official protocol: {said}") == 1
     assert "Unfinished" not in page
     with (tmp_path / "report" / "environments.csv").open() as file:
         assert {row["split"] for row in csv.DictReader(file)} == {settings.get("split", "test")}
@@ -317,7 +320,7 @@ def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path, shell: Sh
     assert not rescored["score"].equals(results.gather([tmp_path / "paper"])["score"])
     folder = tmp_path / "paper"
     assert shell("report", folder, "--rules", "released", "--jobs", 1, "--out", tmp_path / "out")[0] == 0
-    assert "--jobs has an effect only with --explain or --intents or --rules" in shell.fails(
+    assert "--jobs has an effect only with --explain or --intents or --success or --rules" in shell.fails(
         2, "report", folder, "--jobs", 1
     )
     page = (tmp_path / "out" / "report.md").read_text()
@@ -326,6 +329,36 @@ def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path, shell: Sh
     path.write_text(path.read_text().replace('"score": 0.25', '"score": 0.75'))
     with pytest.raises(EvaluationError, match="cannot be scored by the rules 'released': run 0, ClusterShape"):
         results.gather([tmp_path / "paper"], rules="released")
+
+
+def test_success_at_any_time_is_found_by_a_replay(tmp_path: Path, shell: Shell) -> None:
+    """Of a policy that stays in the region, one that reaches it and drives on, and in a scene that begins solved."""
+    there = magical_mj.demos.load("MoveToRegion")[0].actions
+    back, noop = 2, 0
+    episodes, first = list[EpisodeResult](), dict[str, list[float]]()
+    for name, task, seed, actions in (
+        ("stays", "MoveToRegion", 0, there),
+        ("drives on", "MoveToRegion", 0, [*there[:25], *[back] * 15]),
+        ("noop", "MakeLine", 13, [noop] * 180),
+    ):
+        variant = "All" if task == "MakeLine" else "Demo"
+        with closing(Engine(task, variant, seed=seed)) as engine:
+            scores = [engine.score()]
+            for action in actions:
+                engine.step(int(action))
+                scores.append(engine.score())
+        first[name] = [scores[-1], scores.index(1.0)]
+        where = {"policy": name, "task": task, "variant": variant, "seed": seed, "score": scores[-1]}
+        episodes.append(replace(TEMPLATE, **where, steps=len(actions), actions=letters_of(actions)))
+    assert first["stays"][0] == 1.0 > first["drives on"][0]
+    assert first["noop"] == [1.0, 0]
+    folder = write(tmp_path / "scores", episodes)
+    assert shell("report", folder, "--success", "--jobs", 1, "--out", tmp_path / "out")[0] == 0
+    with (tmp_path / "out" / "success" / "success.csv").open() as file:
+        found = {row["policy"]: [float(row["score"]), float(row["steps_to_success"])] for row in csv.DictReader(file)}
+    assert found == first
+    page = (tmp_path / "out" / "success" / "success.md").read_text()
+    assert f"| MoveToRegion Demo | 1 | 0.00 | 1.00 | {first['drives on'][1]} |" in page
 
 
 def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:

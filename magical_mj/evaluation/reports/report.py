@@ -8,7 +8,6 @@ import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -153,8 +152,7 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     begin(out)
     made = (*texts, *(f"{name}.pdf" for name in draw))
     listed = {**links, **{text: name for name, text in FILES.items() if name in made}}
-    captions = [". ".join(filter(None, (table.caption, data.mark))) for table in tables]
-    marked_tables = [markdown(replace(table, caption=text)) for table, text in zip(tables, captions, strict=True)]
+    shown = list(map(markdown, tables))
     of_environments = [table.name for table in tables].index("environments")
     parts = [
         TITLE,
@@ -162,14 +160,14 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
         *([f"**{escape.markdown(data.mark)}.**"] if data.mark else []),
         _settings(data),
         "## Variants",
-        *marked_tables[:of_environments],
-        "![Mean scores over tasks](bars.png)",
+        *shown[:of_environments],
+        "![Mean scores](bars.png)",
         "## Environments",
-        *(["![Mean scores](heat_map.png)", marked_tables[of_environments]] if few else [IN_FILE]),
+        *(["![Mean scores in each environment](heat_map.png)", shown[of_environments]] if few else [IN_FILE]),
         *(["## Controls", *map(markdown, controls)] if controls else []),
         *(["## Shifts"] if len(shifts) else []),
         *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
-        *marked_tables[of_environments + 1 :],
+        *shown[of_environments + 1 :],
         "## Files",
         "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in listed.items()),
     ]

@@ -21,7 +21,7 @@ from magical_mj.evaluation.replay import obstacle, replay
 from magical_mj.evaluation.reports.provenance import Provenance, provenance
 from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, difference
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
-from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS, VARIANTS, Pair, in_order
+from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS, Pair, in_order
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from magical_mj.utils.extras import check_extra
@@ -96,9 +96,9 @@ class Results:
 
     @property
     def shown_variants(self) -> tuple[str, ...]:
-        """The variants in tables and figures: the paper's, and others with results."""
+        """The variants in tables and figures: those with results."""
         played = set(self.environments["variant"])
-        return tuple(name for name in EVERY_VARIANT if name in VARIANTS or name in played)
+        return tuple(name for name in EVERY_VARIANT if name in played)
 
     @property
     def tasks(self) -> list[str]:

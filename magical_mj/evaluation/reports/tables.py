@@ -27,7 +27,7 @@ from magical_mj.evaluation.reports.statistics import (
     half_lost,
 )
 from magical_mj.shifts.shift import STRENGTHS
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
+from magical_mj.tasks.registry import ENVIRONMENTS, EVERY_VARIANT, TASKS
 from magical_mj.utils import escape
 from magical_mj.utils.errors import counted, listing
 
@@ -236,7 +236,7 @@ def notes(results: Results) -> Iterator[str]:
     if own := [task for task in results.tasks if task not in counted_tasks(played)]:
         yield f"Tasks from outside the benchmark, which the means over tasks do not include: {listing(own)}."
     expected = {variant for _, variant in expected_environments(results.environments)}
-    existing = [variant for variant in results.shown_variants if variant in expected]
+    existing = [variant for variant in EVERY_VARIANT if variant in expected]
     for policy, variants in ours.groupby("policy", sort=False):
         yield from (f"{policy}: {gap}." for gap in _gaps(variants, existing))
     if results.provenance.gaps:
