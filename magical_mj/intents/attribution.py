@@ -202,7 +202,14 @@ MISSED: Final = "missed the grip"
 NOTHING: Final = "did nothing"
 OUT_OF_TIME: Final = "ran out of time"
 UNSOLVABLE: Final = "made it unsolvable"
-FAILURES: Final = (ANOTHER_GOAL, MISSED, NOTHING, OUT_OF_TIME, UNSOLVABLE)
+FAILURES: Final[Mapping[str, str]] = {
+    ANOTHER_GOAL: "only wrong blocks were moved, or the robot drove to where the demonstrations' region was",
+    MISSED: "no block was moved, although the gripper was closed",
+    NOTHING: "no block was moved, and the gripper was not closed",
+    OUT_OF_TIME: "from the last state, the expert solves the task with the steps of a whole episode",
+    UNSOLVABLE: "the expert does not solve it even then",
+}
+"""Why episodes fail: the first of these that holds."""
 
 
 @dataclass(frozen=True)
@@ -237,15 +244,7 @@ def last_solvable_step(attribution: Attribution) -> LastSolvable:
     """Finds the last solvable step of a failed episode, and why it failed.
 
     The step is found by bisection. This assumes that an episode cannot become solvable again; if it does, a later step
-    may be missed. Only the expert with seed 0 is tried, so the result is a lower bound. The failure is the first of
-    these that holds:
-
-    - pursued another goal: wrong blocks were moved and none of those that had to be, or the robot drove to the position
-      of the demonstrations' region (see `magical_mj.intents.readings.ending`);
-    - missed the grip: no block was moved, although the gripper was closed;
-    - did nothing: no block was moved, and the gripper was not closed;
-    - ran out of time: from the last state, the expert solves the task with the steps of a whole episode;
-    - made it unsolvable: the expert does not solve it even then.
+    may be missed. Only the expert with seed 0 is tried, so the result is a lower bound.
     """
     episode = attribution.episode
     with closing(engine_for(episode)) as engine:

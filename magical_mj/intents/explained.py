@@ -119,7 +119,7 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     out.mkdir(parents=True, exist_ok=True)
     parts = [
         "# Which goal did a policy pursue?",
-        "The page docs/explain.md of magical_mj defines the columns. Episodes are replayed from their actions.",
+        "A block was moved if it ended more than 0.15 from where it began. Columns without any episode are left out.",
         *_problems(found.problems),
         "## Endings",
         markdown(_endings(found.attributions)),
@@ -151,19 +151,25 @@ def shares(group: Sequence[Attribution]) -> dict[str, float]:
 
 
 def _endings(results: Sequence[Attribution]) -> Table:
+    shown = [name for name in ENDINGS if any(name in result.ending for result in results)]
     groups = []
     for (policy,), of_policy in _grouped(results, "policy").items():
         environments = {" ".join(pair): group for pair, group in _grouped(of_policy, "task", "variant").items()}
-        rows = [
-            (name, str(len(group)), *map(_percent, shares(group).values()))
-            for name, group in {**environments, "all": of_policy}.items()
-        ]
+        rows = []
+        for environment, group in {**environments, "all": of_policy}.items():
+            means = shares(group)
+            rows.append((environment, str(len(group)), *(_percent(means[name]) for name in shown)))
         groups.append((policy, tuple(rows)))
-    caption = "Shares of episodes by what they did (per cent)"
-    return Table("endings", caption, ("Environment", "episodes", *ENDINGS), tuple(groups))
+    caption = "Shares of episodes by what they did (per cent). An episode that fits several columns is shared equally"
+    return Table("endings", caption, ("Environment", "episodes", *shown), tuple(groups), _definitions(ENDINGS, shown))
+
+
+def _definitions(known: Mapping[str, str], shown: Iterable[str]) -> tuple[str, ...]:
+    return tuple(f"{name}: {known[name]}." for name in shown)
 
 
 def _lost(results: Sequence[LastSolvable]) -> Table:
+    shown = [name for name in FAILURES if any(result.failure == name for result in results)]
     groups = []
     for (policy,), of_policy in _grouped(results, "policy").items():
         rows = []
@@ -171,14 +177,14 @@ def _lost(results: Sequence[LastSolvable]) -> Table:
             kinds = Counter(result.failure for result in group)
             last = [result.last / len(result.episode.actions) for result in group if result.last is not None]
             middle = f"{np.median(last):.2f}" if last else ""
-            rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in FAILURES), middle))
+            rows.append((task, str(len(group)), *(_percent(kinds[name] / len(group)) for name in shown), middle))
         groups.append((policy, tuple(rows)))
-    header = ("Task", "unsolved episodes", *FAILURES, "last solvable")
+    header = ("Task", "unsolved episodes", *shown, "last solvable")
     caption = (
         "Unsolved episodes by what went wrong (per cent), and the last step from which the expert still solves them "
         "(median, as a share of the horizon)"
     )
-    return Table("lost", caption, header, tuple(groups))
+    return Table("lost", caption, header, tuple(groups), _definitions(FAILURES, shown))
 
 
 def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -> list[str]:
@@ -203,7 +209,11 @@ def _rivals(group: Sequence[Attribution], out: Path, films: Mapping[Key, str]) -
         pictures += [f"![{sentence}]({quote(name)})", _about(sentence, examples, films)]
     header = ("Rival", "all", *(variant for (variant,) in variants), "reached by")
     caption = f"Shares of {counted(len(group), 'unsolved episode')} (per cent)"
-    notes = ["Shares: an episode counts once, shared among the rivals that it reached with weights 2^-bits."]
+    notes = [
+        "Rival: another goal that the demonstrations reach. An episode reached it if only its end satisfies it.",
+        "all and the variants: an episode counts once, shared among the rivals that it reached with weights 2^-bits.",
+        "reached by: the share of episodes that reached it, whatever else they reached.",
+    ]
     left = [result.remaining for result in group if not result.rivals]
     if left:
         which = "episodes without a reached rival" if task_rivals(task) else "unsolved episodes"

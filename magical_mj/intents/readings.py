@@ -21,8 +21,21 @@ SAME_PLACE: Final = 0.3
 READINGS: Final = ("same place", "same colour", "same shape", "nearest")
 AND_OTHERS: Final = "intended, and moved others"
 ELSEWHERE: Final = ("another block", "another wall")
-ENDINGS: Final = ("intended", AND_OTHERS, *READINGS, *ELSEWHERE, "incompetent", "nothing")
-"""The kinds of endings of an episode; see `ending`."""
+ENDINGS: Final[Mapping[str, str]] = {
+    "intended": "the score is 1",
+    AND_OTHERS: "the score is 1, and a block was moved that the intent does not name",
+    "same place": "only wrong blocks were moved, among them the nearest to where a demonstrated one started. If none "
+    "has to be moved: the robot ended where the demonstrations' region was, or near where they end",
+    "same colour": "only wrong blocks were moved, one of them with the colour of a demonstrated one",
+    "same shape": "only wrong blocks were moved, one of them with the shape of a demonstrated one",
+    "nearest": "only wrong blocks were moved, among them the nearest to the robot's start",
+    "another block": "only other wrong blocks were moved, or the robot ended next to a wrong one",
+    "another wall": "the robot ended at a wrong wall",
+    "incompetent": "a block was moved that has to be, but the task was not solved. If none has to be: the robot drove "
+    "elsewhere",
+    "nothing": "no block was moved. If none has to be: the robot stayed where it started",
+}
+"""The kinds of endings of an episode, and what they mean; see `ending`."""
 
 
 @dataclass(frozen=True)
