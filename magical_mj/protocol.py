@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL", "SEEDS", "SHIFT_SEEDS"]
+__all__ = ["DEMONSTRATIONS", "INTENTS", "MUJOCO", "PROTOCOL", "SEEDS", "SHIFT_SEEDS", "SOLVED"]
 
 PROTOCOL: Final = 1
 """The protocol of the current environments. A test fails if they change without a new number."""
@@ -19,6 +19,9 @@ SEEDS: Final = 100
 
 SHIFT_SEEDS: Final = 50
 """The number of episodes under each shift of the leaderboard's track."""
+
+SOLVED: Final = frozenset({("MakeLine", "CountPlus", 13), ("MakeLine", "All", 13)})
+"""The test scenes that start with score 1: task, variant, seed."""
 
 MUJOCO: Final = ("3", "4")
 """The equivalent series of MuJoCo: ten actions differ by rounding, and 200 demonstrations have the same scores."""

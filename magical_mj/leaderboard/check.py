@@ -17,7 +17,7 @@ from magical_mj.evaluation.folder import SETTINGS, recorded_policies, recorded_s
 from magical_mj.evaluation.replay import Recorded, inconsistency, obstacle, replay
 from magical_mj.evaluation.scores import EpisodeResult, Key, read
 from magical_mj.leaderboard.entry import SEEDS, Entry, is_entry, read_entry
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL, SOLVED
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, task_spec
 from magical_mj.utils.errors import EvaluationError, SettingsError, counted, short_repr
 from magical_mj.utils.files import to_path
@@ -45,12 +45,14 @@ class Findings:
         missing: a sentence for each run and environment with missing episodes; the last one counts those beyond
             `MOST_SENTENCES`.
         unfit: sentences about all other deviations from this version's protocol.
+        solved: the environment and the seed of scenes that start with score 1. They are no problem.
     """
 
     episodes: int = 0
     differing: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     unfit: list[str] = field(default_factory=list)
+    solved: list[str] = field(default_factory=list)
 
     @property
     def good(self) -> bool:
@@ -105,6 +107,8 @@ def verify(
                 problem = f"{holder} and {part.path} contain it with different results"
                 findings.differing.append(f"{episode.policy}, {episode.title}: {problem}")
     findings.missing += _missing(stored)
+    scenes = sorted({(episode.task, episode.variant, episode.seed) for episode, _ in seen.values()} & SOLVED)
+    findings.solved += [f"{task} {variant}, seed {number}" for task, variant, number in scenes]
     watch(0, len(chosen))
     for done, (where, _, problem) in enumerate(replay(chosen, jobs=jobs, trusted=trusted), start=1):
         findings.add(None if problem is None else f"{where}{problem}")

@@ -197,6 +197,15 @@ def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
     assert "contain it with different results" in problem
 
 
+def test_scenes_that_start_solved_are_named(shell: Shell, tmp_path: Path) -> None:
+    options = {"tasks": "MakeLine", "variants": "All", "episodes": 1, "jobs": 1}
+    for seed in (12, 13):
+        magical_mj.evaluate("noop", out=tmp_path / str(seed), first_seed=seed, **options)
+    assert not verify(tmp_path / "12", jobs=1).solved
+    _, out, _ = shell("verify", tmp_path / "13", "--jobs", 1)
+    assert out == "1 episode replayed\nthe scene starts with score 1 in MakeLine All, seed 13\n"
+
+
 def test_rows_of_older_versions_have_no_scene(folder: Path) -> None:
     rewrite(folder, lambda rows: [row.pop("scene") for row in rows])
     assert verify(folder).differing == []

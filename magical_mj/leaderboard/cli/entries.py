@@ -33,6 +33,8 @@ def verify_folders(folders: option.Folders, jobs: option.Jobs = None, trusted: o
     with counting(screen, f"replaying {names}") as watch:
         findings = verify(*folders, jobs=jobs, watch=watch, trusted=trusted.split(","))
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
+    if findings.solved:
+        screen.print(f"the scene starts with score 1 in {'; '.join(findings.solved)}", soft_wrap=True)
     if _printed_problems(names, findings):
         raise typer.Exit(1)
     screen.print("complete, and all scores are confirmed")
