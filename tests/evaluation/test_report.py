@@ -218,7 +218,7 @@ def test_figures_are_drawn(out: Path) -> None:
     for name in ("bars", "heat_map"):
         with Image.open(out / f"{name}.png") as picture:
             assert picture.width > 800
-            assert len(picture.convert("RGB").resize((400, 200)).getcolors(80_000)) > 20
+            assert len(picture.convert("RGB").resize((400, 200)).getcolors(80_000) or ()) > 20
         assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
 
 
