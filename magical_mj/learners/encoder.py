@@ -14,8 +14,8 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import Torso
 from magical_mj.learners.policy import POLICY, load_policy
 from magical_mj.learners.settings import TrainingSettings
+from magical_mj.policies.facts import check_tasks, check_variants
 from magical_mj.policies.loading import CONFIG
-from magical_mj.policies.models import check_tasks, check_variants
 from magical_mj.utils import files
 from magical_mj.utils.errors import MissingFileError, SettingsError, TrainingError, as_integer, short_repr
 

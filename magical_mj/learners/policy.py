@@ -104,14 +104,22 @@ def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
     checkpoint.write(folder / POLICY, contents)
 
 
-@torch_settings()
 def load_policy(folder: Path | str) -> TrainedPolicy:
-    """The policy in a run's folder, on the CPU.
+    """The policy in a run's folder, on the CPU. Warns if the training has stopped before its end.
 
     Raises:
         TrainingError: if the file is missing or damaged.
         SettingsError: if the training's settings are damaged.
     """
+    policy = read_policy(folder)
+    if policy.unfinished:
+        warnings.warn(f"the training in {folder} has stopped at {policy.unfinished}", stacklevel=2)
+    return policy
+
+
+@torch_settings()
+def read_policy(folder: Path | str) -> TrainedPolicy:
+    """`load_policy` without the warning, for `magical_mj.evaluate`, which has its own."""
     path = files.to_path(folder) / POLICY
     contents = checkpoint.read(path)
     try:
@@ -152,7 +160,7 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     """Writes the policy of a training as an ONNX file.
 
     Its metadata contain the task, the preset, the set of the package's demonstrations, the variants of its training,
-    and the other tasks of an encoder or a reward.
+    the other tasks of an encoder or a reward, and where the training stopped, if it is unfinished.
 
     The input `observations` contains stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
     float32, oldest first. At the start of an episode, its first state is repeated for the missing earlier ones. The
@@ -195,6 +203,7 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         learnt = learnt_from(folder)._asdict()
         learnt["other_tasks"] = "\n".join(learnt["other_tasks"])
         texts = {name: str(value) for name, value in learnt.items()}
+        texts |= {"unfinished": policy.unfinished} if policy.unfinished else {}
         program.model.metadata_props.update(task=task, preset=policy.preset, **texts)
         program.save(unfinished, external_data=False)
     return out

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, observation_space, preset_named
+from magical_mj.policies.facts import check_set, check_tasks, check_variants
 from magical_mj.policies.interface import (
     AGENTS,
     NEUTRAL,
@@ -28,7 +29,7 @@ from magical_mj.policies.interface import (
     uses_observations,
     uses_of,
 )
-from magical_mj.policies.models import LOADERS, Shape, check_set, check_tasks, check_variants
+from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import MissingFileError, SettingsError, short_repr, unknown_name

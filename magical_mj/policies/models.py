@@ -3,9 +3,12 @@
 Files may come from an untrusted source. So the sizes of files and networks are limited.
 
 A stable-baselines3 archive contains pickles, and loading a pickle can run any code. So pickles are only loaded if the
-user sets ``trust``. Without it, standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
-plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. TorchScript is not
-supported: its files contain programs as well, and PyTorch has deprecated it.
+user sets ``trust``. Without it, stable-baselines3's own MlpPolicy and CnnPolicy (of PPO, A2C, TRPO and DQN), also with
+other layers and with one of `ACTIVATIONS`, are rebuilt from the archive's plain JSON, and their weights are loaded as
+plain tensors. Its MultiInputPolicy needs trust, since the archive describes dicts in a pickle.
+
+ONNX files contain no Python code. TorchScript is not supported: its files contain programs as well, and PyTorch has
+deprecated it.
 """
 
 from __future__ import annotations
@@ -29,11 +32,11 @@ from numpy.typing import NDArray
 
 from magical_mj.actions import ACTIONS
 from magical_mj.observations import STATE_NAMES
+from magical_mj.policies.facts import check_stopped, check_tasks, check_variants
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
 from magical_mj.policies.onnx_files import check_onnx
-from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils.environment import environment_restored
-from magical_mj.utils.errors import MissingExtraError, SettingsError, as_integer, short_repr
+from magical_mj.utils.errors import MissingExtraError, SettingsError
 
 OTHER_ACTIONS: Final = (
     f"an action must be an integer from 0 to {len(ACTIONS) - 1}; to evaluate a model with continuous actions, give a "
@@ -51,8 +54,16 @@ MOST_MEMORY: Final = 2_000_000_000
 """The maximum number of bytes that all ONNX networks of a process may allocate for weights and activations."""
 FOLDED: Final = "10000000"
 """The maximum number of bytes of a constant that ONNX Runtime folds while loading. `MOST_MEMORY` does not limit it."""
+ONNX_TYPES: Final = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
+"""The accepted types of the inputs of ONNX networks."""
 LONGEST_ARGUMENTS: Final = 10_000
 """The maximum length of the text of a rebuilt network's constructor arguments."""
+ACTIVATIONS: Final = ("ELU", "GELU", "LeakyReLU", "Mish", "ReLU", "SELU", "SiLU", "Tanh")
+"""The activation functions (`torch.nn`) of networks that are rebuilt without trust."""
+AUTHORS: Final = ("stable_baselines3.", "sb3_contrib.")
+"""The beginnings of the names of modules whose networks are rebuilt without trust."""
+OPTIMIZER: Final = ("optimizer_class", "optimizer_kwargs")
+"""The arguments of a network's constructor that do not change how it acts."""
 Shape = tuple[int | None, ...]
 """The shape of an observation. None means any size."""
 
@@ -68,8 +79,8 @@ class Model:
         remembers: whether observations are state vectors, and `act` takes the last few of them (`History.states`).
 
     Attributes:
-        tasks, preset, demonstration_set, played_in, other_tasks: facts about its training. Missing if the file lacks
-            them.
+        tasks, preset, demonstration_set, played_in, other_tasks, unfinished: facts about its training. Missing if the
+            file lacks them.
     """
 
     tasks: tuple[str, ...]
@@ -77,6 +88,7 @@ class Model:
     demonstration_set: int
     played_in: str
     other_tasks: tuple[str, ...]
+    unfinished: str
 
     def __init__(
         self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
@@ -262,14 +274,22 @@ def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
 
 
 def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
-    """A standard actor-critic network, rebuilt from the archive's plain JSON."""
+    """A standard network, rebuilt from the archive's plain JSON."""
     import torch
     from stable_baselines3.common.policies import ActorCriticCnnPolicy, ActorCriticPolicy
+    from stable_baselines3.dqn.policies import CnnPolicy, DQNPolicy
 
-    arguments: Any = data.get("policy_kwargs")
+    standard = {
+        ("action_net.weight", False): ActorCriticPolicy,
+        ("action_net.weight", True): ActorCriticCnnPolicy,
+        ("q_net.q_net.0.weight", False): DQNPolicy,
+        ("q_net.q_net.0.weight", True): CnnPolicy,
+    }
+    convolutional = any("features_extractor.cnn." in name for name in weights)
+    kind = next((kind for (name, cnn), kind in standard.items() if name in weights and cnn == convolutional), None)
+    arguments = _arguments(data)
     observed, acted = data.get("observation_space", {}), data.get("action_space", {})
-    plain = isinstance(arguments, dict) and ":serialized:" not in arguments
-    if not plain or "action_net.weight" not in weights or not observed.get("_shape"):
+    if kind is None or arguments is None or not observed.get("_shape"):
         raise SettingsError(f"{path} describes its network in a pickle; {TRUST}")
     if "n" not in acted or int(acted["n"]) != len(ACTIONS):
         raise SettingsError(f"{path} was trained with other actions, but {OTHER_ACTIONS}")
@@ -280,8 +300,6 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
             f"have more than {LONGEST_ARGUMENTS:,} characters"
         )
     space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
-    convolutional = any(name.startswith("features_extractor.cnn") for name in weights)
-    kind = ActorCriticCnnPolicy if convolutional else ActorCriticPolicy
     outline = type("Outline", (kind,), {"device": property(lambda _: torch.device("meta"))})
     try:
         with torch.device("meta"):  # to count the parameters without allocating memory
@@ -291,6 +309,24 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     if sum(parameter.numel() for parameter in planned.values()) > MOST_PARAMETERS:
         raise SettingsError(f"{path} is not loaded: its network has more than {MOST_PARAMETERS:,} parameters")
     return kind(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments)
+
+
+def _arguments(data: dict[str, Any]) -> dict[str, Any] | None:
+    """The arguments of a network's constructor. None if only the archive's pickles contain them, or the class.
+
+    If a value is not plain JSON, its text stands beside the pickle of all arguments.
+    """
+    import torch
+
+    described, kind = data.get("policy_kwargs"), data.get("policy_class")
+    module = kind.get("__module__", AUTHORS[0]) if isinstance(kind, dict) else AUTHORS[0]
+    if not isinstance(described, dict) or not str(module).startswith(AUTHORS):
+        return None
+    activations = {str(getattr(torch.nn, name)): getattr(torch.nn, name) for name in ACTIVATIONS}
+    arguments = {name: value for name, value in described.items() if name[0] != ":" and name not in OPTIMIZER}
+    if described.get("activation_fn") in activations:
+        arguments["activation_fn"] = activations[described["activation_fn"]]
+    return None if any(isinstance(value, str) for value in arguments.values()) else arguments
 
 
 def _plain(value: Any) -> Any:
@@ -342,8 +378,12 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         )
     if len(output.shape) == 2 and isinstance(output.shape[1], int):
         _check_output(path, output.shape[1:])
-    kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
-    kind = kinds.get(entry.type, np.float32)
+    if entry.type not in ONNX_TYPES:
+        raise SettingsError(
+            f"{path} has an input of type {entry.type}, but pictures are uint8, and states float32: export it with "
+            f"one of {', '.join(ONNX_TYPES)}, for example around a cast"
+        )
+    kind = ONNX_TYPES[entry.type]
 
     def act(observations: Any) -> Any:
         try:
@@ -369,6 +409,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         model.played_in = known.get("played_in", "Demo")
         check_variants(model.played_in, f"played_in in {path}")
         model.other_tasks = check_tasks(known.get("other_tasks", "").splitlines(), f"other_tasks in {path}")
+        if stopped := known.get("unfinished", ""):
+            model.unfinished = check_stopped(stopped, f"unfinished in {path}")
     return model
 
 
@@ -379,28 +421,6 @@ def _check_output(path: Path, shape: Sequence[int]) -> None:
             f"{path} outputs {' x '.join(map(str, shape))} values for an observation, but there are {len(ACTIONS)} "
             "actions: it must output an action, or a value for each"
         )
-
-
-def check_set(value: object, where: str) -> int:
-    """The number of a set of the package's demonstrations. Raises a `SettingsError` if the value is not a number."""
-    number = as_integer(value, 1)
-    if number is None:
-        raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
-    return number
-
-
-def check_variants(value: object, where: str) -> str:
-    """Variants, separated by commas. Raises a `SettingsError` if the value contains anything else."""
-    if not isinstance(value, str) or not set(value.split(",")) <= set(EVERY_VARIANT):
-        raise SettingsError(f"{where} must be variants, separated by commas, not {short_repr(value)}")
-    return value
-
-
-def check_tasks(value: object, where: str) -> tuple[str, ...]:
-    """Names of tasks, which need not exist here. Raises a `SettingsError` if the value contains anything else."""
-    if not isinstance(value, list | tuple) or not all(isinstance(task, str) and task for task in value):
-        raise SettingsError(f"{where} must be a list of tasks, not {short_repr(value)}")
-    return tuple(value)
 
 
 def onnx_runtime() -> Any:

@@ -29,9 +29,10 @@ from magical_mj.leaderboard import submit
 from magical_mj.learners import METHODS, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION, BehaviouralCloning
 from magical_mj.learners.config import from_toml, recorded
-from magical_mj.learners.policy import POLICY, TrainedPolicy
+from magical_mj.learners.policy import POLICY, TrainedPolicy, export_policy
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
 from magical_mj.learners.training import Progress
+from magical_mj.policies.models import load_onnx
 from magical_mj.protocol import PROTOCOL
 from magical_mj.utils.errors import (
     DemonstrationError,
@@ -43,7 +44,7 @@ from magical_mj.utils.errors import (
 )
 from magical_mj.utils.files import read_toml
 from tests.helpers.commands import Shell
-from tests.helpers.learners import from_states, is_done, playing, stopped, tiny
+from tests.helpers.learners import EXPORTS, from_states, is_done, playing, stopped, tiny
 
 ROOT = str(Path(__file__).parents[2])
 
@@ -481,6 +482,7 @@ def test_demonstrations_of_a_demo_scene_that_has_changed_are_refused(
     assert "Moved-Demo-000.npz does not start in the scene of its variant and seed any more" in shell.fails(2, *command)
 
 
+@EXPORTS
 def test_an_interrupted_training_is_not_evaluated_as_if_it_were_finished(tmp_path: Path) -> None:
     run, out = tmp_path / "run", tmp_path / "out"
     stopped(run)
@@ -492,3 +494,10 @@ def test_an_interrupted_training_is_not_evaluated_as_if_it_were_finished(tmp_pat
     assert f"the training of run, run 0, has stopped at {policy['unfinished']}" in " ".join(page.read_text().split())
     with pytest.raises(EvaluationError, match=r"has stopped at update .*: finish it with magical-mj train --resume"):
         submit([out], tmp_path / "entry.json.xz")
+    with pytest.warns(UserWarning, match=r"the training in .* has stopped at update \d+ of \d+"):
+        load_policy(run)
+    with pytest.warns(UserWarning, match=r"the training in .* has stopped"):
+        file = export_policy(run, tmp_path / "early.onnx")
+    assert load_onnx(file).unfinished == policy["unfinished"]
+    with pytest.warns(UserWarning, match=r"the training of early in .*early\.onnx has stopped at update \d+ of \d+"):
+        magical_mj.evaluate(file, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1)

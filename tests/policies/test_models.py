@@ -41,11 +41,28 @@ def ppo(path: Path, kind: str, env: Any, **kwargs: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "kwargs"),
-    [("MlpPolicy", STATE, {}), ("MlpPolicy", STATE, {"net_arch": [16, 8]}), ("CnnPolicy", PIXELS, {})],
+    ("algorithm", "kind", "name", "kwargs"),
+    [
+        ("PPO", "MlpPolicy", STATE, {}),
+        ("PPO", "MlpPolicy", STATE, {"net_arch": [16, 8]}),
+        ("PPO", "MlpPolicy", STATE, {"net_arch": [16], "activation_fn": "ELU"}),
+        ("PPO", "CnnPolicy", PIXELS, {}),
+        ("A2C", "MlpPolicy", STATE, {}),
+        ("DQN", "MlpPolicy", STATE, {"activation_fn": "SiLU"}),
+        ("DQN", "CnnPolicy", PIXELS, {}),
+    ],
 )
-def test_standard_networks_need_no_trust(tmp_path: Path, kind: str, name: str, kwargs: dict[str, Any]) -> None:
-    model = ppo(tmp_path / "model.zip", kind, name, policy_kwargs=kwargs)
+def test_standard_networks_need_no_trust(
+    tmp_path: Path, algorithm: str, kind: str, name: str, kwargs: dict[str, Any]
+) -> None:
+    sb3, nn = pytest.importorskip("stable_baselines3"), pytest.importorskip("torch").nn
+    kwargs = {key: getattr(nn, value) if key == "activation_fn" else value for key, value in kwargs.items()}
+    memory = {"buffer_size": 1} if algorithm == "DQN" else {}
+    model = getattr(sb3, algorithm)(kind, name, device="cpu", seed=0, policy_kwargs=kwargs, **memory)
+    with sys.modules["torch"].no_grad():
+        for parameter in model.policy.parameters():
+            parameter *= 2  # a new network chooses nearly the same action everywhere
+    model.save(tmp_path / "model.zip")
     loaded = load_sb3(tmp_path / "model.zip")
     env = gymnasium.make(name)
     observation, _ = env.reset(seed=3)
@@ -101,7 +118,7 @@ def test_networks_of_dicts_need_trust(tmp_path: Path) -> None:
 
 def test_special_networks_need_trust(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
-    model = ppo(tmp_path / "model.zip", "MlpPolicy", STATE, policy_kwargs={"activation_fn": torch.nn.ReLU})
+    model = ppo(tmp_path / "model.zip", "MlpPolicy", STATE, policy_kwargs={"activation_fn": torch.nn.Hardtanh})
     with pytest.raises(SettingsError, match=r"pickle; --trust \(trust=True\) loads it and runs the code"):
         load_sb3(tmp_path / "model.zip")
     observation, _ = gymnasium.make(STATE).reset(seed=0)
@@ -127,6 +144,8 @@ def test_the_state_of_a_recurrent_policy_is_kept_for_an_episode(
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "counting_policy.py").write_text(RECURRENT)
     model = ppo(tmp_path / "model.zip", importlib.import_module("counting_policy").Counting, STATE)
+    with pytest.raises(SettingsError, match="--trust"):
+        load_sb3(tmp_path / "model.zip")  # its weights are those of a standard network, but it acts otherwise
     alike = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", trust=True, jobs=1, **SMALL)
     loaded, counted = load_sb3(tmp_path / "model.zip", trust=True), letters_of(step % 18 for step in range(40))
     for seed in (0, 1):

@@ -98,3 +98,14 @@ def test_a_loop_which_may_never_end_needs_trust(tmp_path: Path) -> None:
             load_onnx(tmp_path / "x.onnx")
         if rounds == 3:
             assert load_onnx(tmp_path / "x.onnx", trust=True)(np.eye(18, dtype=np.float32)[5]) == 5
+
+
+@pytest.mark.parametrize("kind", ["FLOAT16", "BFLOAT16", "INT64"])
+def test_observations_of_another_type_are_refused(kind: str, tmp_path: Path) -> None:
+    values = helper.make_tensor_value_info("o", getattr(TensorProto, kind), ["batch", 18])
+    graph = helper.make_graph([helper.make_node("Identity", ["o"], ["a"])], "g", [values], [values])
+    graph.output[0].name = "a"
+    model = helper.make_model(graph, ir_version=9, opset_imports=[helper.make_opsetid("", 18)])
+    (tmp_path / "x.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(SettingsError, match=rf"tensor\({kind.lower()}\), but .* export it with one of tensor\(uint8\)"):
+        load_onnx(tmp_path / "x.onnx")
