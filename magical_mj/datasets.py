@@ -112,8 +112,8 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
         every variant.
 
     Raises:
-        SettingsError: for other ids, for dict observations, and if the environment's observations or actions differ
-            from those of the demonstrations.
+        SettingsError: for other ids, for dict observations, for shifts, and if the environment's observations or
+            actions differ from those of the demonstrations. Pictures of both are by the same renderer.
         DemonstrationError: if the task has fewer than five demonstrations of the demo scene with the body in `options`.
     """
     kwargs = gymnasium.spec(name).kwargs
@@ -123,6 +123,9 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
     if not isinstance(env.observation_space, gymnasium.spaces.Box):
         raise SettingsError(f"the observations of {name} are not one array: choose an id with LoRes... or State")
     ours: Any = env.unwrapped
+    if ours.engine.shifts:
+        env.close()
+        raise SettingsError("the demonstrations are without shifts: leave out shifts, or make that environment alone")
     every = demonstrations.load(kwargs["task"], body=ours.engine.setup.body)
     demos = of_demo_scene(every, f"that come with {kwargs['task']}")
     if len(demos) < VALIDATED:
@@ -131,7 +134,8 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
         )
     parts = [demos[number::VALIDATED] for number in range(VALIDATED)]
     training = [demo for part in parts[:-1] for demo in part]
-    first = _arrays(demos[:1], kwargs["preset"])
+    how = kwargs["preset"], ours.engine.renderer
+    first = _arrays(demos[:1], *how)
     for space, key in ((env.observation_space, "observations"), (env.action_space, "actions")):
         rows = first[key]
         if (space.shape, space.dtype) != (rows.shape[1:], rows.dtype) and not _are_numbers(space, rows):
@@ -140,11 +144,11 @@ def make_env_and_datasets(name: str, **options: Any) -> tuple[gymnasium.Env[Any,
                 f"the {key} of this environment are {space}, but those of the demonstrations are {rows.dtype} of shape "
                 f"{rows.shape[1:]}: leave out the options that change them"
             )
-    return env, _arrays(training, kwargs["preset"]), _arrays(parts[-1], kwargs["preset"])
+    return env, _arrays(training, *how), _arrays(parts[-1], *how)
 
 
-def _arrays(demos: Sequence[Demonstration], preset: str) -> Arrays:
-    rows = [np.asarray(observations(demo, preset)) for demo in demos]
+def _arrays(demos: Sequence[Demonstration], preset: str, renderer: str | None) -> Arrays:
+    rows = [np.asarray(observations(demo, preset, renderer)) for demo in demos]
     return {
         "observations": np.concatenate([part[:-1] for part in rows]),
         "next_observations": np.concatenate([part[1:] for part in rows]),

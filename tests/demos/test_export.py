@@ -149,6 +149,16 @@ def test_an_environment_with_data_for_training_and_validation() -> None:
             magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-State-v0", **options)
     with pytest.raises(SettingsError, match="not one array"):
         magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
+    with pytest.raises(SettingsError, match="without shifts: leave out shifts"):
+        magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-LoRes4E-v0", shifts="camera:3")
+
+
+def test_pictures_of_an_environment_and_its_data_are_by_one_renderer() -> None:
+    name = "magical_mj/MoveToRegion-Demo-LoRes4E-v0"
+    env, _, validation = magical_mj.datasets.make_env_and_datasets(name, renderer="software")
+    first, seed = validation["observations"][0], demos.load("MoveToRegion")[4].seed
+    np.testing.assert_array_equal(env.reset(seed=seed)[0], first)
+    env.close()
 
 
 @pytest.mark.parametrize("seed", [2**63, 2**64])
