@@ -18,7 +18,7 @@ demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in 
 	$(BIN)/magical-mj demo
 
 test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup --junit-xml=out/tests.xml $(ARGS)
 
 fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processes, no training
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" tests/scene tests/variants tests/tasks tests/engine $(ARGS)

@@ -4,8 +4,9 @@
     python -m tools.integrations --install lerobot
 
 tests/integrations/libraries.toml says how each library is installed. Its tests are tests/integrations/test_NAME.py.
-They record what they trained or compared by pytest's `record_property`, under "compared" and "result". For libraries
-that passed, the rows of docs/integrations.csv and the table of docs/integrations.md are replaced.
+They record what they trained or compared by pytest's `record_property`, under "compared" and "result". The rows of
+docs/integrations.csv and the table of docs/integrations.md are replaced. If a library cannot be installed, its row says
+why, unless it has passed before. `turn` writes nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ TORCH: Final = "torch==2.13.0"
 """The tested version. Without it, pip may install one with gigabytes for accelerators."""
 IN_TURN: Final = 2
 LONGEST: Final = 180
-"""The seconds that a library's tests may take."""
+"""The CPU seconds that a library's tests may take."""
+HANGING: Final = 1200
+"""The seconds after which tests are stopped."""
 LINK: Final = "development.pth"
 """The file that adds the packages of the development environment to a library's own."""
 
@@ -47,7 +50,7 @@ Row = dict[str, str]
 
 
 class InstallationError(Exception):
-    """A library that could not be installed."""
+    """A library that cannot be installed here."""
 
 
 def chosen(names: Iterable[str], day: int) -> list[str]:
@@ -116,25 +119,25 @@ def installed(name: str) -> Path:
 
 
 def tested(name: str) -> Row:
-    """Installs a library if needed, and runs its tests. Returns its row, also if the file says that it is missing.
+    """Installs a library if needed, and runs its tests. Returns its row.
 
     Raises:
         InstallationError: if it cannot be installed.
         CalledProcessError, TimeoutExpired: if its tests fail.
     """
     library = LIBRARIES[name]
-    if missing := library.get("missing"):
-        return dict.fromkeys(COLUMNS, "") | {"library": library["title"], "result": f"not installed: {missing}"}
     python = installed(name)
     tests = library.get("tests") or sorted(ROOT.glob(f"tests/integrations/test_{name.replace('-', '_')}*.py"))
     report = ROOT / f".venv-{name}" / "tests.xml"
     command = [str(python), "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", f"--junit-xml={report}"]
+    command += ["-o", "junit_family=xunit1"]  # the only family with recorded properties
     variables = {**os.environ, "OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
     before = _cpu_seconds()
-    subprocess.run([*command, *map(str, tests)], cwd=ROOT, env=variables, check=True, timeout=LONGEST)
-    seconds = _cpu_seconds() - before
+    subprocess.run([*command, *map(str, tests)], cwd=ROOT, env=variables, check=True, timeout=HANGING)
+    if (seconds := _cpu_seconds() - before) > LONGEST:
+        raise subprocess.TimeoutExpired(command, LONGEST)
     version = _printed([str(python), "-c", f"from importlib.metadata import version; print(version({name!r}))"])
-    facts = {column: "; ".join(_recorded(report, column)) for column in ("compared", "result")}
+    facts = {name: "; ".join(_recorded(report, name)) or library.get(name, "passed") for name in ("compared", "result")}
     return {"library": library["title"], "version": version, **facts, "seconds": f"{seconds:.0f}"}
 
 
@@ -167,8 +170,9 @@ def tables() -> dict[str, str]:
 
 
 def write(new: Iterable[Row]) -> None:
-    """Replaces rows of the file, and the page's table."""
-    known = {row["library"]: row for row in [*(rows() if FILE.exists() else []), *new]}
+    """Replaces rows of the file, and the page's table. A row of a library that was not installed replaces no other."""
+    known = {row["library"]: row for row in (rows() if FILE.exists() else [])}
+    known |= {row["library"]: row for row in new if row["version"] or not known.get(row["library"], row)["version"]}
     titles = [library["title"] for library in LIBRARIES.values()]
     with FILE.open("w", newline="", encoding="utf-8") as file:
         writer: csv.DictWriter[str] = csv.DictWriter(file, COLUMNS, lineterminator="\n")
@@ -184,18 +188,26 @@ def main() -> None:
     parser.add_argument("libraries", nargs="+", help=f"{', '.join(LIBRARIES)}, all or turn")
     parser.add_argument("--install", action="store_true", help="only make the environments")
     options = parser.parse_args()
-    passed, failed = list[Row](), list[str]()
+    done, failed = list[Row](), list[str]()
     for name in chosen(options.libraries, dt.datetime.now(dt.UTC).toordinal()):
         print(f"{name}:", flush=True)
+        library = LIBRARIES[name]
         try:
+            if "large" in library and name not in options.libraries:
+                raise InstallationError(f"{library['large']}: only if it is named")
             if options.install:
                 print(installed(name))
             else:
-                passed.append(tested(name))
-        except (InstallationError, subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+                done.append(tested(name))
+        except InstallationError as error:
+            done.append(dict.fromkeys(COLUMNS, "") | {"library": library["title"], "result": f"not installed: {error}"})
+            print(done[-1]["result"])
+            if not {"large", "missing", "python"} & library.keys():
+                failed.append(f"{name}: {error}")
+        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             failed.append(f"{name}: {error}")
-    if passed:
-        write(passed)
+    if not options.install and "turn" not in options.libraries:
+        write(done)
     if failed:
         sys.exit("\n".join(failed))
 

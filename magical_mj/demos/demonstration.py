@@ -14,9 +14,10 @@ import io
 import itertools
 import json
 import re
+import warnings
 import zipfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -32,6 +33,7 @@ from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, axis_and_level, parse_shifts, shift_label
+from magical_mj.tasks import KNOWN
 from magical_mj.tasks.languages import in_language
 from magical_mj.tasks.registry import (
     announced_name,
@@ -202,7 +204,8 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
 def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] = ()) -> Demonstration:
     """Reads a demonstration and checks its content.
 
-    If an installed package now names the task of a reference in the file, the demonstration has that name.
+    If an installed package now names the task of a reference in the file, the demonstration has that name. If the score
+    of a user's task has changed since, the demonstration has the new score, and a warning says so.
 
     Args:
         path: the file.
@@ -233,6 +236,9 @@ def unpacked(
         fields = _checked_fields({**header, "variant": variant_name(header["variant"])})
         demo = Demonstration(**fields, scene=scene, **arrays)
         _check_arrays(demo)
+        if demo.task not in KNOWN and not in_language(demo.task) and (score := demo.rescored()) != demo.score:
+            warnings.warn(f"the score of {demo.task} has changed: its demonstrations are scored anew", stacklevel=3)
+            demo = replace(demo, score=score)
     except UntrustedNameError:
         raise
     except (KeyError, MagicalError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import tarfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,6 @@ from PIL import Image
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.actions import to_vector
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.demos.export.archives import to_robomimic
@@ -106,6 +106,11 @@ def test_own_recordings_are_not_taken_for_the_shipped_ones(
     assert len(minari.list_local_datasets()) == 2
 
 
+def quarter(*_: Any) -> float:
+    """Another score of a task."""
+    return 0.25
+
+
 def test_data_sets_of_tasks_of_ones_own_follow_their_demonstrations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +136,11 @@ def test_data_sets_of_tasks_of_ones_own_follow_their_demonstrations(
     env, *parts = magical_mj.datasets.make_env_and_datasets(name)
     assert [part["truncations"].sum() for part in parts] == [4, 1]
     env.close()
+    assert {demo.score for demo in demos.load("pushed:SPEC")} == {0.0}
+    pushed = sys.modules["pushed"]
+    monkeypatch.setattr(pushed, "SPEC", replace(pushed.SPEC, score=quarter))
+    with pytest.warns(UserWarning, match="the score of pushed:SPEC has changed: its demonstrations are scored anew"):
+        assert {demo.score for demo in demos.load("pushed:SPEC")} == {0.25}
 
 
 def test_an_environment_with_data_for_training_and_validation() -> None:
@@ -335,24 +345,6 @@ def test_nothing_is_overwritten_or_half_written(two: list[demos.Demonstration], 
     with pytest.raises(UnknownNameError, match="both"):
         to_robomimic(two, tmp_path / "other.hdf5", views="bot")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"set.hdf5": b"mine"}
-
-
-def test_robomimic_reads_it(two: list[demos.Demonstration], tmp_path: Path) -> None:
-    pytest.importorskip("robomimic")
-    from robomimic.utils import obs_utils
-    from robomimic.utils.dataset import SequenceDataset
-
-    to_robomimic(two, tmp_path / "set.hdf5")
-    obs_utils.initialize_obs_utils_with_obs_specs({"obs": {"rgb": ["ego_image"]}})
-    read = SequenceDataset(
-        str(tmp_path / "set.hdf5"), ("ego_image",), ("actions", "rewards", "dones"), frame_stack=4, seq_length=8
-    )
-    assert len(read) == 120
-    item = read[61]  # the second step of the second demonstration
-    assert item["obs"]["ego_image"].shape == (11, 96, 96, 3)
-    wanted = demos.observations(two[1], "LoResFingers")["ego"]
-    np.testing.assert_array_equal(item["obs"]["ego_image"][3], wanted[1])
-    np.testing.assert_array_equal(item["actions"][3:], to_vector(two[1].actions[1:9]))
 
 
 SOURCES: list[Any] = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ pytest.importorskip("imitation", reason="imitation is missing: make integrations
 
 from imitation.algorithms import bc
 from imitation.data.types import Transitions
+from imitation.util import logger
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -21,7 +23,9 @@ import magical_mj
 pytestmark = pytest.mark.filterwarnings("default")  # the library's own are not ours to mend
 
 
-def test_bc_clones_and_scores_the_same_by_both_paths(record_property: Callable[[str, object], None]) -> None:
+def test_bc_clones_and_scores_the_same_by_both_paths(
+    record_property: Callable[[str, object], None], tmp_path: Path
+) -> None:
     data, env = demonstrations(), magical_mj.MagicalEnv("MoveToRegion", "Demo", "State")
     transitions = Transitions(
         obs=data["observations"],
@@ -36,6 +40,7 @@ def test_bc_clones_and_scores_the_same_by_both_paths(record_property: Callable[[
         rng=np.random.default_rng(0),
         demonstrations=transitions,
         device="cpu",
+        custom_logger=logger.configure(tmp_path, []),  # the usual one leaves a folder behind
     )
     trainer.train(n_epochs=100, progress_bar=False)
     compare(

@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-inspect_ai = pytest.importorskip("inspect_ai", reason="needs inspect-ai: make integrations-test LIBRARY=inspect")
+inspect_ai = pytest.importorskip(
+    "inspect_ai", reason="inspect_ai is missing: make integrations-test LIBRARY=inspect_ai"
+)
 
 from inspect_ai.log import EvalLog
 from inspect_ai.model import ChatMessageUser

@@ -217,7 +217,7 @@ def test_intents_and_their_sentences_in_lerobot(plugin: Any, tmp_path: Path) -> 
     task = f"intent:{intent}"
     ((suite, envs),) = plugin.MagicalConfig(task=task, variant="Layout").create_envs(1).items()
     observation, _ = envs[0].reset(seed=[2])
-    sentence = intent.sentence[0].lower() + intent.sentence[1:-1]
+    sentence = intent.sentence
     assert (suite, envs[0].call("task_description")) == (task, (sentence,))
     made = to_lerobot([magical_mj.demos.demonstrate(task, "Layout", 2)], tmp_path / "set")
     assert made[0]["task"] == sentence

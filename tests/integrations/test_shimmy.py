@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,14 @@ pytest.importorskip("shimmy", reason="shimmy is missing: make integrations-test 
 
 from shimmy.dm_control_compatibility import DmControlCompatibilityV0
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import configure
 
 pytestmark = pytest.mark.filterwarnings("default")  # the library's own are not ours to mend
 
 
-def test_demonstrations_and_a_trained_policy_score_the_same(record_property: Callable[[str, object], None]) -> None:
+def test_demonstrations_and_a_trained_policy_score_the_same(
+    record_property: Callable[[str, object], None], tmp_path: Path
+) -> None:
     """In the demo scene, since its resets do not draw the scenes of seeds."""
     env = DmControlCompatibilityV0(magical_mj.load("MoveToRegion", observations=("state",), reward="score"))
     demonstration = magical_mj.demos.load("MoveToRegion")[0]
@@ -29,6 +33,7 @@ def test_demonstrations_and_a_trained_policy_score_the_same(record_property: Cal
         observation, reward, *_ = env.step(int(action))
     assert reward == demonstration.score == 1.0
     model: Any = PPO("MultiInputPolicy", env, n_steps=128, seed=0, device="cpu")
+    model.set_logger(configure(str(tmp_path), []))  # the usual one leaves a folder behind
     model.learn(1024)
 
     def act(states: Any) -> int:
