@@ -32,7 +32,8 @@ def test_two_libraries_in_turn_are_others_each_day() -> None:
 
 REPORT = """<testsuites><testsuite><testcase classname="tests.a" name="test_a"><skipped message="{}"/></testcase>
 <testcase name="tests.b"><skipped message="collection skipped">
-('b.py', 3, "Skipped: b's is missing: make integrations-test LIBRARY=b")</skipped></testcase></testsuite></testsuites>"""
+('b.py', 3, "Skipped: b's is missing: make integrations-test LIBRARY=b")</skipped></testcase>
+</testsuite></testsuites>"""
 
 
 def test_skips_name_where_their_tests_run(
