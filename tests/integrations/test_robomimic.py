@@ -10,9 +10,8 @@ import pytest
 import torch
 
 import magical_mj
-from magical_mj.actions import to_discrete, to_vector
+from magical_mj.actions import NOOP, to_discrete, to_vector
 from magical_mj.demos.export.archives import to_robomimic
-from magical_mj.scene.actions import NOOP
 from tests.helpers.cloning import cloned, network
 from tests.helpers.libraries import EPISODES, TASK, compare, returns
 

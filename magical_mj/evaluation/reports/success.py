@@ -7,7 +7,7 @@ time. Success means a score of 1.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -21,12 +21,11 @@ from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
 from magical_mj.evaluation.reports.statistics import by_run_and_scene
 from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.tasks.registry import EVERY_VARIANT, in_order
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, counted
 from magical_mj.utils.parallel import map_unordered
@@ -143,26 +142,19 @@ class SuccessSection(ReportSection):
         bool, Meta(description="Success at the end and at any time, and steps to success; episodes are replayed.")
     ] = False
 
-    def prepare(
-        self,
-        folders: Sequence[Path],
-        rules: Rules | None,
-        trusted: Collection[str],
-        *,
-        jobs: int | None,
-        watch: Callable[[int, int], object],
-    ) -> Write:
+    def prepare(self, inputs: Inputs) -> Write:
         """Replays all episodes."""
         problems, playable, found = Counter[str](), list[EpisodeResult](), list[First]()
-        for folder in folders:
+        how = {"jobs": inputs.jobs, "watch": inputs.watch}
+        for folder in inputs.folders:
             recorded = recorded_settings(folder)
-            for episode in episodes_of(folder, rules, trusted, jobs=jobs, watch=watch):
-                if problem := obstacle(episode, recorded, trusted):
+            for episode in episodes_of(folder, inputs.rules, inputs.trusted, **how):
+                if problem := obstacle(episode, recorded, inputs.trusted):
                     problems[problem] += 1
                 else:
                     playable.append(episode)
-        for done, result in enumerate(first_successes(playable, jobs=jobs), start=1):
-            watch(done, len(playable))
+        for done, result in enumerate(first_successes(playable, jobs=inputs.jobs), start=1):
+            inputs.watch(done, len(playable))
             if problem := result[2]:
                 problems[f"{result[0].title}: {problem}"] += 1
             else:
