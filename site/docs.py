@@ -121,7 +121,8 @@ def _finish(folder: Path) -> None:
     (folder / "404.html").write_text(MISSING.format(base=base, logo=_logo()), encoding="utf-8")
     if address:
         pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
-        addresses = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
+        pages += ["play/", "play/choose.html", "play/inspect.html"]
+        addresses = "\n".join(f"{address}/{name}" for name in pages)
         (folder / "sitemap.txt").write_text(f"{addresses}\n", encoding="utf-8")
 
 
