@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,9 +34,9 @@ def test_a_policy_learns_from_our_file_by_its_loader(
     rows = [data[number] for number in range(len(data))]
     states = np.concatenate([row["obs"]["state"] for row in rows])
     actions = np.array([to_discrete(row["actions"][0]) for row in rows])
-    wanted = magical_mj.demos.transitions(demonstrations, "State", drop_noop=False)
-    order = np.lexsort(states.T), np.lexsort(wanted.observations.T)  # its episodes are sorted by name
-    np.testing.assert_array_equal(states[order[0]], wanted.observations[order[1]])
+    wanted: Any = magical_mj.demos.transitions(demonstrations, "State", drop_noop=False).observations
+    order = np.lexsort(states.T), np.lexsort(wanted.T)  # its episodes are sorted by name
+    np.testing.assert_array_equal(states[order[0]], wanted[order[1]])
     moving = np.flatnonzero(actions != NOOP)
     draw = torch.Generator().manual_seed(0)
 
