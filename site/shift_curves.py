@@ -33,4 +33,4 @@ def shift_curves() -> str:
         scores = {line: [Estimate(value) for value in values] for line, values in lines.items()}
         about = f"{name}: scores by strength"
         charts.append(f"## {name}\n\n{Chart(scores, STRENGTHS, 'Strength of the shift', about, joined=True).html()}")
-    return "\n".join(["", *charts, ""])
+    return "\n\n".join(["", *charts, ""])

@@ -137,8 +137,8 @@ class Group(TyperGroup):
                 group, _, inner = name.partition(" ")
                 if group == cmd_name and inner:
                     command.command(inner)(resolve_installed(reference))
-            self.commands[cmd_name] = plain(get_command(command))
-            self.commands[cmd_name].name = cmd_name
+            found = self.commands[cmd_name] = plain(get_command(command))
+            found.name, found.short_help = cmd_name, all_commands()[cmd_name][1]
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
