@@ -46,7 +46,6 @@ def write_play(folder: Path) -> int:
     shutil.copytree(_scenes(), folder, dirs_exist_ok=True)
     write_replays(own_methods(), folder / "replays")
     pairs = (*magical_mj.ENVIRONMENTS, *SUITE)
-    _write(folder / "questions.json", [question_data(question, answers=True) for question in asked()])
     drawn = [pair for puzzle in puzzles() for pair in puzzle.environments]
     known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs}, drawn)
     _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE, "questions": ASKED})
@@ -73,7 +72,7 @@ def write_play(folder: Path) -> int:
 
 
 def _scenes() -> Path:
-    """The folder with the scenes of all environments and puzzles. It is made again after a change of code or data."""
+    """The folder with everything that `write_scenes` writes. It is made again after a change of code or data."""
     package = Path(magical_mj.__file__).parent
     files = sorted(path for path in package.rglob("*") if path.is_file() and not path.is_relative_to(PAGE))
     files = [path for path in files if path.suffix != ".pyc"] + [Path(__file__), Path(shifted.__file__)]
@@ -88,7 +87,7 @@ def _scenes() -> Path:
 
 
 def write_scenes(folder: Path) -> None:
-    """Writes the scenes of all environments, with and without shifts, and of the puzzles."""
+    """Writes the scenes of all environments, with and without shifts, of the puzzles and of the questions."""
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models_of(task, variant, data)))
@@ -102,6 +101,7 @@ def write_scenes(folder: Path) -> None:
         if pair not in SUITE:
             _write(folder / "shifted" / f"{'-'.join(pair)}.json", shifted.changes(*pair))
     write_puzzles(folder / "puzzles")
+    _write(folder / "questions.json", [question_data(question, answers=True) for question in asked()])
 
 
 def write_puzzles(folder: Path) -> None:
