@@ -71,6 +71,7 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	$(BIN)/python site/tests/cases.py out/site-test
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
 	$(BIN)/python site/tests/saved.py out/site-test
+	$(BIN)/python site/tests/words.py
 	$(BIN)/python site/study.py
 
 site-test-firefox: site | firefox  ## the pages in Firefox: those around the simulation, play and inspect

@@ -239,7 +239,7 @@ test("by touch, on a phone: a block follows the finger, and the page stays", { s
 });
 
 test("a changed scene offers what works in it, and Back leaves the editor", async () => {
-  await openEditor("MoveToCorner-Layout-0");
+  await openEditor("MatchRegions-Layout-0");
   await page.keyboard.press("ArrowLeft");
   await button("Play it").click();
   await page.waitForFunction(() => location.hash.includes("?scene=") && document.getElementById("status")?.textContent?.startsWith("Press"));
@@ -251,7 +251,7 @@ test("a changed scene offers what works in it, and Back leaves the editor", asyn
   await page.click("#edit");
   await page.waitForSelector("#editor");
   await page.goBack();
-  await page.waitForFunction(() => !document.getElementById("editor") && location.hash === "#MoveToCorner-Layout-0");
+  await page.waitForFunction(() => !document.getElementById("editor") && location.hash === "#MatchRegions-Layout-0");
   await ready();
   assert.ok((await groups()).includes("Recorded episodes of the leaderboard") && await page.isVisible("#shifts"));
   assert.deepEqual(complaints, []);
