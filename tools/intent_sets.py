@@ -2,7 +2,7 @@
 
     python -m tools.intent_sets draw JOBS    writes magical_mj/intents/sets.jsonl, with this number of processes; called
                                              again, it continues. It takes about an hour of a core
-    python -m tools.intent_sets check 5      examines every fifth member of the file again; 1 takes half an hour
+    python -m tools.intent_sets check 5      examines every fifth member of the file again. A third of a second each
     python -m tools.intent_sets show 200     prints random intents with their sentences
 
 Which intents are accepted is in tools/intent_criteria.py.
