@@ -6,7 +6,7 @@ import { launch, serve } from "./tests/browser.mjs";
 const site = await serve(fileURLToPath(new URL("../out/site", import.meta.url)));
 const browser = await launch();
 const page = await browser.context.newPage();
-const shots = { home: ["index.html", 1000, 700], task: ["FindDupe.html", 1000, 700], play: ["play/#FindDupe-All-8", 1000, 700],
+const shots = { home: ["index.html", 1000, 700], task: ["FindDupe.html", 1000, 700], play: ["play/?speed=20#FindDupe-Layout-2@state-bc", 1000, 780],
   phone: ["play/#FindDupe-All-8", 390, 700], gallery: ["gallery.html", 610, 700], inspect: ["play/inspect.html#FindDupe-All-3", 1280, 800] };
 for (const [name, [path, width, height]] of Object.entries(shots)) {
   await page.setViewportSize({ width: Number(width), height: Number(height) });
@@ -20,7 +20,9 @@ for (const [name, [path, width, height]] of Object.entries(shots)) {
     await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 4);
     await page.keyboard.press("p");
     await page.waitForTimeout(2000);  // until it is drawn in full quality
-  } else if (String(path).startsWith("play")) {
+  } else if (name === "play") {  // the end of a failed episode
+    await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Over"));
+  } else if (name === "phone") {
     await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
     await page.keyboard.press("h");
     await page.waitForTimeout(4000);
