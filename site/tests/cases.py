@@ -218,19 +218,23 @@ def watched() -> Iterator[dict[str, Any]]:
     """An episode of some tasks that moved wrong blocks only, and what it and a robot that stays pursued."""
     stored = json.loads((SITE / "play" / "replays" / f"{WATCHED}.json").read_text())
     for task in ENDED:
-        for seed, letters in stored[f"{task}-Layout"].items():
-            with closing(Engine(task, "Layout", seed=int(seed))) as engine:
-                for action in actions_of(letters):
-                    engine.step(action)
-                initial, final, score = engine.initial_scene, engine.scene, engine.score()
-            told = pursued(task, initial, final, score)
-            if score == 0.0 and (not initial.blocks or (told.moved and not {*told.moved} & {*told.intended})):
-                break
-        yield {
-            "address": f"{task}-Layout-{seed}",
-            "watched": told.sentence,
-            "played": pursued(task, initial, initial, 0.0).sentence,
-        }
+        yield next(case for item in stored[f"{task}-Layout"].items() if (case := _watched(task, *item)))
+
+
+def _watched(task: str, seed: str, letters: str) -> dict[str, Any] | None:
+    """The case of one stored episode; none if it has a score or moved an intended block."""
+    with closing(Engine(task, "Layout", seed=int(seed))) as engine:
+        for action in actions_of(letters):
+            engine.step(action)
+        initial, final, score = engine.initial_scene, engine.scene, engine.score()
+    told = pursued(task, initial, final, score)
+    if score > 0 or (initial.blocks and (not told.moved or {*told.moved} & {*told.intended})):
+        return None
+    return {
+        "address": f"{task}-Layout-{seed}",
+        "watched": told.sentence,
+        "played": pursued(task, initial, initial, 0.0).sentence,
+    }
 
 
 def pictures() -> Iterator[dict[str, Any]]:
