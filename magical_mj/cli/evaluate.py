@@ -39,7 +39,6 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scor
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit
 from magical_mj.evaluation.worker import Player, prepared
-from magical_mj.policies.loading import sources
 from magical_mj.shifts.registry import axis_and_level, parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
@@ -255,5 +254,5 @@ def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
         known = read_settings(folder)
     except EvaluationError:
         return False
-    now = settings.recorded() | {"policies": [source.described() for source in sources(TOURED)]}
+    now = settings.recorded() | {"policies": [source.described() for source in prepared(TOURED, settings)[0]]}
     return all(known.get(name) == now[name] for name in SAME)
