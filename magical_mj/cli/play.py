@@ -117,7 +117,7 @@ class Game:
         return f"{left}{self.so_far()} ({KEYS})"
 
     def so_far(self) -> str:
-        """What the caption says about the score during an episode."""
+        """The caption's text about the score during an episode."""
         return f", score so far {self.env.score():.2f}"
 
 

@@ -97,7 +97,7 @@ def load(
 
 
 def _none_found(task: str, folder: Path | str | None, body: str) -> DemonstrationError:
-    """The error if there are no demonstrations of a task with a body, in a folder or in the package."""
+    """The error if a task with a body has no demonstrations, in a folder or in the package."""
     quoted, plan = shlex.quote(task), task_spec(task).plan
     command = f"play {quoted} --record" if plan is None else f"demos generate --tasks {quoted} --out"
     kind = DemonstrationError

@@ -53,7 +53,7 @@ class State:
     trajectory: tuple[Scene, ...] = ()
 
     def __post_init__(self) -> None:
-        """Freezes the mappings, which a state would otherwise share with whoever made it."""
+        """Freezes the mappings, which a state would otherwise share with its maker."""
         for name in ("frames", "draws", "commands"):
             value = getattr(self, name)
             if isinstance(value, Mapping) and not isinstance(value, FrozenDict):

@@ -1,4 +1,4 @@
-"""Attribution: which goals stored episodes pursued, and from which step on failed episodes could not be solved.
+"""Attribution: the goals that stored episodes pursued, and the last step before which failed episodes could be solved.
 
 Episodes are replayed in worker processes, and each ending is classified from the initial and the final scene. Rivals of
 a task's intent are other intents that its demonstrations also reach. For each failed episode, the rivals that it
@@ -132,7 +132,7 @@ def attribute(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> 
 def unfit(
     episode: EpisodeResult, recorded: Mapping[str, Any] = MappingProxyType({}), trusted: Collection[str] = ()
 ) -> str | None:
-    """Why an episode cannot be attributed, as far as is known before its replay; else None. See `obstacle`."""
+    """Why an episode cannot be attributed, as far as is known before its replay, or None. See `obstacle`."""
     if not has_intent(episode.task):
         return f"{episode.task} has no intent in the language"
     if episode.shift:

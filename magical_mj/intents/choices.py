@@ -188,7 +188,7 @@ def _with_replacements(intent: Intent, parts: Sequence[Conjunct], rng: np.random
                 changed[place] = same[int(rng.integers(len(same)))]
         try:
             other = intent_of(changed)
-        except IntentError:  # such as others beside all
+        except IntentError:  # such as others and all
             continue
         if other != intent:
             yield other

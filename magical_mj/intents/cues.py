@@ -1,6 +1,6 @@
 """Cues: what the final scenes of a question show without an understanding of the intent.
 
-A cue prefers some of the options, such as those in which the most blocks have moved. If the right option were preferred
+A cue prefers some of the options, such as those with the most moved blocks. If the right option were preferred
 more often than by chance, answers by this cue would be right more often than by chance. So the wrong options of each
 question are selected such that each cue prefers the right one with a probability of a quarter.
 """

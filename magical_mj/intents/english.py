@@ -84,7 +84,7 @@ STATES: Final[dict[str, str]] = {
     "robot near": "the robot is next to the {reference}",
     "robot wall": "the robot is at {wall}",
 }
-"""Relation -> the state in which it holds."""
+"""Relation -> the state that fulfils it."""
 FRAMES: Final = (
     ("see to it that {}", "make it so that {}", "make certain that {}", "arrange things so that {}", "act so that {}"),
     ("in the end, {}", "when you stop, {}", "you are done when {}", "the goal is that {}", "continue until {}"),

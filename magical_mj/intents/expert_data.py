@@ -148,7 +148,7 @@ def frames_of(intent: Intent, start: Scene, seed: int, between: int) -> tuple[Sc
 
     Args:
         intent: the intent, which the expert satisfies.
-        start: the scene in which the episode starts.
+        start: the episode's first scene.
         seed: the expert's seed.
         between: the number of scenes in between.
 

@@ -59,7 +59,7 @@ GIVEN: Final = ("demonstrations", "sentence", "both", "nothing", "wrong")
 LETTERS: Final = "ABCD"
 SCENE_COUNTS: Final = (1, 2, 4, 8)
 SCENES: Final = 50
-"""The number of scenes in which an answer of ``say`` is compared with the intent. Half refute simple rivals."""
+"""The number of scenes that compare an answer of ``say`` with the intent. Half refute simple rivals."""
 TRIES: Final = 10
 """The number of new scenes that are drawn until one gives a question."""
 REFUTING_DRAWS: Final = 20

@@ -1,6 +1,6 @@
 """Questions as files: JSON lines with pictures, and a description by Croissant (https://docs.mlcommons.org/croissant).
 
-A folder has questions.jsonl, in which each line is a question with its prompt, images/, and croissant.json. Hugging
+A folder has questions.jsonl, whose lines are questions with their prompts, images/, and croissant.json. Hugging
 Face's datasets reads the lines, and mlcroissant reads them by the description.
 """
 

@@ -110,7 +110,7 @@ def _values(test: str) -> str:
 
 
 def prompt(question: Question, *, english: bool = False) -> Iterator[Part]:
-    """The question, in the order in which it is shown.
+    """The question, in the order of display.
 
     Args:
         question: the question.

@@ -1,4 +1,4 @@
-"""Readings: simple rules that a policy may have learnt for which blocks to move, and the endings of episodes.
+"""Readings: simple rules about the blocks to move that a policy may have learnt, and the endings of episodes.
 
 Demonstrations in one scene do not show why they moved certain blocks: because of their position, their colour, their
 shape, or the task's intent. In a scene where these differ, the blocks that a policy moved show which rule it learnt.

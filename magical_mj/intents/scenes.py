@@ -88,7 +88,7 @@ def keeps(conjunct: Conjunct) -> bool:
 
 
 def demo_scene(intent: Intent, rng_of: Callable[[int], np.random.Generator]) -> tuple[int, Scene]:
-    """A demo scene, and the number of its draw: the first in which an episode can start.
+    """A demo scene, and the number of its draw: the first where an episode can start.
 
     Args:
         intent: the intent.
@@ -253,6 +253,6 @@ def redrawn(intent: Intent, rng: np.random.Generator, scene: Scene, *rules: Rule
 
 
 def _first_grounded(intent: Intent, scene: Scene, draw: Callable[[float], Scene]) -> Scene:
-    """The first draw in which every relation applies to an object. Without one, the scene itself."""
+    """The first draw where every relation applies to an object. Without one, the scene itself."""
     draws = (draw(number / REDRAWS) for number in range(REDRAWS))
     return next((drawn for drawn in draws if intent.grounded(drawn)), scene)

@@ -45,7 +45,7 @@ class Findings:
         missing: a sentence for each run and environment with missing episodes; the last one counts those beyond
             `MOST_SENTENCES`.
         unfit: sentences about all other deviations from this version's protocol.
-        solved: the environment and the seed of scenes that start with score 1. They are no problem.
+        solved: the environment and the seed of scenes that start with score 1. This is not an error.
     """
 
     episodes: int = 0

@@ -1,4 +1,4 @@
-"""Names of methods, which readers must be able to tell apart: they stand beside each other on the leaderboard."""
+"""Names of methods, which readers must be able to tell apart: the leaderboard shows them in one list."""
 
 from __future__ import annotations
 

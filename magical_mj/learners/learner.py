@@ -157,7 +157,7 @@ class Learner(Method):
 
     @property
     def other_tasks(self) -> tuple[str, ...]:
-        """Tasks that are not in the settings, but that an encoder or a reward was trained on."""
+        """Tasks outside of the settings that an encoder or a reward was trained on."""
         return ()
 
     def policy(self) -> TrainedPolicy:

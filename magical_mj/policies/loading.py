@@ -69,7 +69,7 @@ The name of an entry point is the name of a file in such folders.
 
 
 class Learnt(NamedTuple):
-    """What a policy's training used, as far as it is known.
+    """The data that a policy's training used, as far as it is known.
 
     Attributes:
         demonstration_set: the set of the package's demonstrations.
@@ -190,7 +190,7 @@ class Source:
 
     @property
     def loaded(self) -> str:
-        """What the policy was made of: built in, an object, code, a folder, or a kind of file, such as onnx."""
+        """The kind of origin: built in, an object, code, a folder, or a kind of file, such as onnx."""
         if not isinstance(self.origin, str):
             return "object"
         if self.origin in AGENTS:

@@ -314,7 +314,7 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
 def _arguments(data: dict[str, Any]) -> dict[str, Any] | None:
     """The arguments of a network's constructor. None if only the archive's pickles contain them, or the class.
 
-    If a value is not plain JSON, its text stands beside the pickle of all arguments.
+    If a value is not plain JSON, its text is stored next to the pickle of all arguments.
     """
     import torch
 

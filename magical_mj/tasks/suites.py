@@ -1,4 +1,4 @@
-"""Suites beside the benchmark: tasks whose environments, experts and states are their own.
+"""Additional suites: tasks with their own environments, experts and states.
 
 An installed package announces a suite by an entry point, ``xmagical = "magical_mj.xmagical.suite:SUITE"``. A task of a
 suite needs no checks, and has its name alone. Other packages announce single tasks: see `magical_mj.tasks.registry`.

@@ -34,7 +34,7 @@ def read_lines(path: Path, error: type[MagicalError]) -> Iterator[tuple[int, byt
 
 @contextmanager
 def appending(path: Path, *, busy: Exception | None = None) -> Iterator[Appender]:
-    """A context in which this process alone appends to a file, which is created if it is missing.
+    """A context that lets this process alone append to a file, which is created if it is missing.
 
     If another process is in the context, this one waits, or raises `busy`.
     """

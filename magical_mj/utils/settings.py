@@ -58,7 +58,7 @@ class Setting(NamedTuple):
     least: float | None
     """The smallest allowed number, for numbers with a lower bound."""
     observes: str
-    """The observations for which it has an effect, such as "pictures"; empty: all."""
+    """The observations that it affects, such as "pictures"; empty: all."""
 
 
 @dataclass(frozen=True)

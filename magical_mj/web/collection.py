@@ -122,7 +122,7 @@ class Collection:
     Args:
         folder: the folder. It is created if it is missing; demonstrations that it already contains count.
         study: the study's settings.
-        clock: returns the time in seconds since 1970, for the log and the times at which the study opens and closes.
+        clock: returns the time in seconds since 1970, for the log and for the study's opening and closing.
         timer: returns a time in seconds that nobody sets, for the validity of offers.
 
     Raises:

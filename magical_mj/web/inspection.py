@@ -76,7 +76,7 @@ def model_files(path: Path, folders: Sequence[Path] = ()) -> dict[str, bytes]:
 
     Args:
         path: the model.
-        folders: other folders from which the model may use files.
+        folders: other folders whose files the model may use.
 
     Raises:
         OSError: if the model cannot be read.

@@ -32,7 +32,7 @@ class Pursued:
 
     Attributes:
         sentence: in English.
-        moved: the blocks that moved, and for which there is something to say.
+        moved: the blocks that moved and that the sentence names.
         intended: the blocks to move (one or all of them).
     """
 

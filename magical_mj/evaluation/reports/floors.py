@@ -32,7 +32,7 @@ def floors(rules: Rules = "paper") -> Mapping[Pair, float]:
 
 @cache
 def refuting_seeds() -> Mapping[Pair, frozenset[int]]:
-    """The seeds of the test scenes in which a policy that follows the shortcut is wrong.
+    """The seeds of the test scenes that refute the shortcut: a policy that follows it is wrong there.
 
     Environments without such scenes are left out.
     """

@@ -28,7 +28,7 @@ the paths of episodes' films, relative to the folder."""
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a section is made from. The first three fields are arguments of `reports.report.report`."""
+    """The inputs of a section. The first three fields are arguments of `reports.report.report`."""
 
     folders: Sequence[Path]
     rules: Rules | None

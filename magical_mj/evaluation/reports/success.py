@@ -37,7 +37,7 @@ PAGE: Final = "success.md"
 ENVIRONMENT: Final = ["task", "variant", "shift"]
 
 First = tuple[EpisodeResult, int | None, str | None]
-"""An episode, the number of steps after which its score was 1 for the first time, and the problem of its replay."""
+"""An episode, the number of steps until its score was 1 for the first time, and the problem of its replay."""
 
 
 def first_successes(episodes: Iterable[EpisodeResult], *, jobs: int | None = None) -> Iterator[First]:

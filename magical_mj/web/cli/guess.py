@@ -37,7 +37,7 @@ def guess(
 ) -> None:
     """Watch two demonstrations of TASK, an intent, or of a random one. Then do the same in VARIANT.
 
-    The keys are those of `magical-mj play`. What the demonstrations want is shown at the end.
+    The keys are those of `magical-mj play`. The intent of the demonstrations is shown at the end.
     """
     from magical_mj.web.puzzles import DEMONSTRATIONS, puzzle_of, puzzles  # imported late: it loads the simulator
 

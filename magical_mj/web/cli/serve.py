@@ -112,7 +112,7 @@ def check_environments(environments: Sequence[Pair]) -> None:
 
 
 def checked_origin(origin: str | None) -> str | None:
-    """The public address in the form in which browsers send and compare it."""
+    """The public address in the form that browsers send and compare."""
     if origin is not None and not ORIGIN.fullmatch(origin):
         raise SettingsError(
             f"--origin must be an address such as https://study.example.org, without a path, not {origin!r}"
