@@ -76,7 +76,7 @@ def inference() -> str:
         sets = (f"{np.mean([one.solved for one in by_set[name]]):.2f}" for name in TESTS)
         more = "" if kind == "one scene" else _text(estimate([whole, first]))
         rows.append((kind, _text(estimate([relations])), *sets, _text(estimate([whole])), more))
-    return table(("Demonstrations in", "Relations found", *TESTS, "Solved", "More than in one scene"), rows)
+    return table(("Demonstrations in", "Relations found", *TESTS, "Solved", "Gain over one scene"), rows)
 
 
 def _cell(by_set: Mapping[str, list[Found]], measure: str, weight: float = 1.0) -> Cell:
