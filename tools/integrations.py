@@ -202,7 +202,7 @@ def main() -> None:
         except InstallationError as error:
             done.append(dict.fromkeys(COLUMNS, "") | {"library": library["title"], "result": f"not installed: {error}"})
             print(done[-1]["result"])
-            if not {"large", "missing", "python"} & library.keys():
+            if options.install or not {"large", "missing", "python"} & library.keys():
                 failed.append(f"{name}: {error}")
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             failed.append(f"{name}: {error}")

@@ -65,10 +65,7 @@ def test_a_weaker_intent_is_left_by_every_scene() -> None:
 
 def test_the_page_says_what_scenes_and_sentences_leave() -> None:
     known = rows_of("known")
+    assert "many bits are missing even after eight contrasting scenes" in " ".join(PAGE.split())
     contrasting, random = known["in 8 scenes: contrasting"], known["in 8 scenes: random colours and poses"]
-    text = " ".join(PAGE.split())
-    assert (
-        f"leave {contrasting[3]} bits of the 25 intents missing, "
-        f"and eight scenes with random colours and poses {random[3]}."
-    ) in text
+    assert 20 < float(contrasting[3]) < float(random[3])
     assert known["one scene and the sentence"] == ["0", "0.0", "0", "0.0"]
