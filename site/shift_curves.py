@@ -27,7 +27,7 @@ def shift_curves() -> str:
         elif tables and cells and cells[0][:1].isdigit() and len(cells) >= len(STRENGTHS):
             list(tables.values())[-1][name] = [float(cell) for cell in cells[: len(STRENGTHS)]]
     if not all(tables.values()) or not tables:
-        raise SystemExit(f"{PAGE} has no tables of scores over strengths any more, of which the site makes curves")
+        raise SystemExit(f"{PAGE} no longer has tables of scores over strengths for the site's curves")
     charts = []
     for name, lines in tables.items():
         scores = {line: [Estimate(value) for value in values] for line, values in lines.items()}

@@ -277,7 +277,7 @@ Chances = Mapping[tuple[str, str], float]
 
 
 def _comparison(methods: Mapping[str, Standing], beats: Chances) -> str:
-    """A form in which two methods are chosen; site.js fills in their scores, and shows their episodes."""
+    """A form to choose two methods; site.js fills in their scores, and shows their episodes."""
     data = {
         "scores": {name: {column: text(one.scores[column]) for column in COLUMNS} for name, one in methods.items()},
         "beats": {f"{a} {b}": f"{chance:.2f}" for (a, b), chance in beats.items()},

@@ -26,7 +26,7 @@ ENDED: Final = Path(__file__).parent.parent / "docs" / "endings.csv"
 SCENES: Final = 5
 """The number of scenes of each environment that the file covers."""
 BLIND: Final = "random"
-"""The entry that every share is beside."""
+"""The entry that every card shows for comparison."""
 UNINTENDED: Final = (*READINGS, *ELSEWHERE)
 MOST: Final = 3
 METHODS: Final = 3
@@ -106,7 +106,7 @@ def _card(task: str, kind: str, methods: Mapping[str, Standing], media: Path) ->
 
 
 def _example(task: str, kind: str, methods: Mapping[str, Standing]) -> tuple[EpisodeResult, str, Pursued]:
-    """An episode that ended in this way and in no other; else one for which this is the largest share."""
+    """An episode with this ending alone. Without one, the episode where this ending has the largest share."""
     best, found = 0.0, None
     for name, method in methods.items():
         for episode in failures(method, task):

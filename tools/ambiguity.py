@@ -81,7 +81,7 @@ def sample() -> list[Case]:
 
 
 def left(case: Case, possible: Iterable[Intent]) -> Left:
-    """What is still possible, if these intents are. The true one always is, also if it is longer than `BITS`."""
+    """The intents that are still possible. The true one always is, also if it is longer than `BITS`."""
     bits = np.array([rival.bits for rival in possible if rival != case.intent])
     return Left(len(bits), float(np.log2(1.0 + np.exp2(case.intent.bits - bits).sum())))
 
@@ -113,7 +113,7 @@ def scenes(case: Case, kind: str) -> list[Scene]:
 
 
 def by_picture(case: Case) -> Left:
-    """What a picture of the solved scene leaves: the blocks may have started anywhere."""
+    """The intents that a picture of the solved scene leaves: the blocks may have started anywhere."""
     start, end = case.first[0]
     rng, shape = np.random.default_rng(0), (STARTS, len(end.blocks) + 1, 3)
     poses = rng.uniform(-START_RANGE, START_RANGE, shape).tolist()
@@ -147,7 +147,7 @@ def joined(one: Conjunct, other: Conjunct) -> bool:
 
 
 def nothing(case: Case) -> Left:
-    """What is possible before anything is shown."""
+    """The intents that are possible before anything is shown."""
     number, weight = language()
     return Left(number, math.log2(weight) + case.intent.bits)
 
@@ -163,7 +163,7 @@ Curves = dict[str, list[list[Left]]]
 
 
 def known() -> str:
-    """What is left by what is known, as medians over the eight tasks and a sample of intents. Draws the picture."""
+    """Rivals left by each kind of evidence: medians over the eight tasks and a sample of intents. Draws the picture."""
     groups = [list(eight().values()), sample()]
     curves: list[Curves] = [{kind: [curve(case, kind) for case in group] for kind in KINDS} for group in groups]
     draw(curves, ["The eight tasks", f"{len(groups[1])} test intents"])

@@ -68,9 +68,9 @@ def left_open() -> str:
 
 
 def identifiability() -> str:
-    """The shares of test scenes in which acting by a reading is wrong.
+    """The shares of test scenes that refute each reading.
 
-    Two tables: the environments in which some blocks have to be moved, and the demonstrations' final places in the
+    Two tables: the environments where some blocks have to be moved, and the demonstrations' final places in the
     others.
     """
     rows, others = [], []

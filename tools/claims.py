@@ -61,7 +61,7 @@ Weights = Mapping[tuple[str, Pair], float]
 
 
 class Claim(NamedTuple):
-    """What the paper says of two figures, which are weighted sums of mean scores. The first is larger, or equal."""
+    """A claim of the paper about two figures, which are weighted sums of mean scores. The first is larger, or equal."""
 
     text: str
     first: Weights
@@ -179,7 +179,7 @@ WITHOUT_DATA: Final = (
     "In new colours, in the wrong direction",
     "In MoveToRegion, ego turns until the region is ahead",
 )
-"""What the paper says, but we have not measured, or in other scenes."""
+"""The paper's claims that we have not measured, or measured in other scenes."""
 
 
 def compared(methods: Mapping[str, Standing]) -> list[Compared]:
@@ -246,7 +246,7 @@ def _papers(weights: Weights, spreads: Mapping[tuple[str, Pair], tuple[float, fl
 
 
 def _seen(methods: Mapping[str, Standing]) -> list[tuple[str, float, float, Estimate]]:
-    """The claims about what policies do, for which the paper has no figures."""
+    """The claims about policies' behaviour, without figures in the paper."""
     bc, allo = methods["BC (ST)"], methods["BC (ST, allo.)"]
     region = ("MoveToRegion",)
     freezes = "BC freezes in new colours (unsolved episodes that end without movement: Colour, Demo)"

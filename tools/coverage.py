@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-if __name__ == "coverage":  # numba looks for the library of this name, in scripts beside this file too
+if __name__ == "coverage":  # numba looks for the library of this name, also in scripts next to this file
     raise ImportError("this is tools.coverage")
 
 from magical_mj.evaluation.reports.intervals import Cell, Floats, estimate

@@ -42,7 +42,7 @@ IN_TURN: Final = 2
 LONGEST: Final = 180
 """The CPU seconds that a library's tests may take."""
 HANGING: Final = 1200
-"""The seconds after which tests are stopped."""
+"""The time limit of tests in seconds."""
 LINK: Final = "development.pth"
 """The file that adds the packages of the development environment to a library's own."""
 

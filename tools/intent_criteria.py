@@ -38,9 +38,9 @@ CONTRASTING_DEMOS: Final = 4
 MATCHED: Final = ("seen", "combined", "selector", "relation")
 TEST_VARIANTS: Final = ("Layout", "All")
 SCENES: Final = 20
-"""The number of scenes of each of Layout and All in which shortcuts are tried."""
+"""Shortcuts are tried in so many scenes of Layout, and as many of All."""
 FLOOR: Final = 0.1
-"""The largest share of the scenes in which a shortcut satisfies a test intent."""
+"""A shortcut satisfies a test intent in at most this share of the scenes."""
 GLANCE, GLANCE_MOST = 4, 0.25
 """The same in a first look, in fewer scenes."""
 CHANCE: Final = 0.34

@@ -42,7 +42,7 @@ from tools.pages import ROOT, filled
 from tools.tables import table
 
 MEASURED: Final = 5
-"""The number of scenes of each of Layout and All in which shortcuts are measured. They are other scenes than those in
+"""Shortcuts are measured in so many scenes of Layout, and as many of All. They are other scenes than those in
 which the sets were chosen."""
 PICTURED: Final = (
     "in(colour=red, region) & untouched(others)",
@@ -57,7 +57,7 @@ PICTURED: Final = (
 
 
 def satisfied(draws: Draws) -> dict[str, float]:
-    """Shortcut -> the share of some scenes of an intent in which its plan satisfies the intent."""
+    """Shortcut -> how often its plan satisfies an intent: a share of some scenes."""
     intent, spec = task_of(draws.task).intent, spec_of(task_of(draws.task), draws)
     scenes = test_scenes(spec, SCENES + MEASURED)[-MEASURED * len(TEST_VARIANTS) :]
     return {

@@ -29,14 +29,14 @@ PAGE: Final = ROOT / "docs" / "failures.md"
 COMMAND: Final = "python -m tools.last_solvable"
 VARIANTS: Final = ("All", "Layout")
 ORDER: Final = ("MoveToRegion", "FixColour", "FindDupe", "MoveToCorner", "MatchRegions", "MakeLine", *LONG)
-"""The tasks, those first in which the measurement is fastest."""
+"""The tasks, beginning with the fastest to measure."""
 EACH: Final = 3
 """The most episodes of each entry, task and variant."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """Where a failed episode was lost: the fields of `LastSolvable`, with the number of its steps."""
+    """The last solvable step of a failed episode: the fields of `LastSolvable`, with the number of its steps."""
 
     entry: str
     task: str
@@ -78,7 +78,7 @@ def _failed(name: str) -> dict[tuple[str, str], list[EpisodeResult]]:
 
 
 def loss_of(name: str, episode: EpisodeResult) -> Loss:
-    """Where a failed episode of an entry was lost."""
+    """The last solvable step of a failed episode of an entry."""
     (attribution,) = replayed([episode])
     found = last_solvable_step(attribution)
     place = (name, episode.task, episode.variant, episode.run, episode.seed)

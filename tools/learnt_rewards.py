@@ -72,7 +72,7 @@ def collect_policies(folders: list[Path]) -> None:
 def means() -> pd.DataFrame:
     """The rank correlations without the expert's episodes, as means over the tasks with new layouts.
 
-    Rows are methods, columns variants. Environments in which only the expert scores have no correlation.
+    Rows are methods, columns variants. Environments where only the expert scores have no correlation.
     """
     found = pd.read_csv(FILE).query("task != @SAME_LAYOUT")
     return found.groupby(["method", "variant"])["others"].mean().unstack().reindex(NAMES)

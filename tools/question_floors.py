@@ -3,9 +3,9 @@
     python -m tools.question_floors 1 2 4 8 --limit 25
     python -m tools.question_floors 2 4 8 --contrasting --limit 25
 
-A cue answers without an understanding of the intent, such as by the option in which the most blocks have moved. Exact
+A cue answers without an understanding of the intent, such as by the option with the most moved blocks. Exact
 inference knows the language: it gives each intent that all demonstrations allow a prior of 2 to the power of minus its
-bits, and chooses the option in which the greatest share holds. Replaces
+bits, and chooses the option that fulfils the greatest share. Replaces
 the rows of these settings in docs/question-floors.csv, and the table of docs/models.md.
 """
 

@@ -4,7 +4,7 @@
     python -m tools.test_scenes floors     # or some
 
 `floors` and `refuting` are read by reports and the leaderboard, `blocks` (docs/first-blocks.csv) by the tables of
-results and by the site. It has a row for each entry and environment in which a policy can choose a block: of its first
+results and by the site. It has a row for each entry and environment with a choice of blocks: of its first
 run, in the first scenes that refute the shortcut. See `magical_mj.evaluation.reports.floors`.
 """
 

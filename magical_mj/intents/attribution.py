@@ -1,4 +1,4 @@
-"""Attribution: the goals that stored episodes pursued, and the last step before which failed episodes could be solved.
+"""Attribution: the goals that stored episodes pursued, and the last solvable step of failed episodes.
 
 Episodes are replayed in worker processes, and each ending is classified from the initial and the final scene. Rivals of
 a task's intent are other intents that its demonstrations also reach. For each failed episode, the rivals that it
@@ -217,7 +217,7 @@ class LastSolvable:
     """The last step of a failed episode from where it could still be solved, and why it failed.
 
     Attributes:
-        last: the largest number of the episode's actions after which the expert still solves the task in the remaining
+        last: the largest number of actions that still lets the expert solve the task in the remaining
             steps. None: it does not even solve the initial scene.
         failure: one of `FAILURES`.
     """

@@ -407,7 +407,7 @@ def _chosen(
 
 
 def _less_probable(allowed: Sequence[Intent], scene: Scene, right: Scene, wrong: Sequence[Option]) -> list[Option]:
-    """The wrong options in which fewer of the allowed readings hold than in the right end, weighted by their prior."""
+    """The wrong options that fulfil fewer of the allowed readings than the right end, weighted by their prior."""
     judge, prior = Judge(allowed), weights(allowed)
     most = float(prior @ judge.reached(scene, right))
     return [option for option in wrong if float(prior @ judge.reached(scene, option.end)) < most]

@@ -137,7 +137,7 @@ def read_policy(folder: Path | str) -> TrainedPolicy:
 
 
 def stopped_at(folder: Path) -> str:
-    """The update at which the training in a folder stopped. Empty if it is finished, or without a checkpoint."""
+    """The last update of an unfinished training in a folder. Empty if it is finished, or without a checkpoint."""
     last = checkpoint.plain_values(folder / checkpoint.CHECKPOINT)
     update, updates = last.get("update", 0), last.get("updates", 0)
     return f"update {update} of {updates}" if update < updates else ""

@@ -132,7 +132,7 @@ class TaskSpec(VariationRules):
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"the expert cannot solve {self.title} with the body {body!r}, so there are no demonstrations: use "
+                f"the expert cannot solve {self.title} with the body {body!r}, so no demonstrations exist: use "
                 f"{', '.join(self.bodies)} (docs/bodies.md). Environments accept every body, for policies that learn"
             )
 

@@ -304,7 +304,7 @@ class Collection:
             The value of `answered`.
 
         Raises:
-            MagicalError: if there is no such question or option, or the study is closed to the participant.
+            MagicalError: if the question or option does not exist, or the study is closed to the participant.
             OSError: if the answer cannot be saved.
         """
         with self._lock:

@@ -199,7 +199,7 @@ def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
 
 
 def pursuits() -> Iterator[dict[str, Any]]:
-    """First and last scenes of each environment, in which up to three blocks moved, and what was pursued."""
+    """First and last scenes of each environment, with up to three blocks moved, and the pursued goal."""
     rng = np.random.default_rng(3)
     for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS * PURSUITS):
         initial = magical_mj.sample_scene(task, variant, number)
