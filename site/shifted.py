@@ -10,7 +10,7 @@ import numpy as np
 from magical_mj import demos
 from magical_mj.assets.mjcf import numbers, parsed
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.experts import expert_of

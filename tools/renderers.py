@@ -27,7 +27,7 @@ import numpy as np
 import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.observations import VIEWS
 from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.opengl import OpenGLRenderer, opengl_name

@@ -8,12 +8,10 @@ from __future__ import annotations
 from functools import cache, lru_cache
 from typing import Final
 
-import mujoco
-
 from magical_mj.assets import style
-from magical_mj.assets.contacts import DEBRIS_MASS, SETTINGS, PhysicsSettings, floor_pair, foot, foot_friction, vertex
+from magical_mj.assets.contacts import DEBRIS_MASS, SETTINGS, PhysicsSettings, floor_pair, foot, vertex
 from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
-from magical_mj.assets.mjcf import comment, index_of, move_body, numbers, planar_body, planar_name
+from magical_mj.assets.mjcf import comment, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.scene import Block, Dynamics, Pebble
 from magical_mj.scene import constants as c
@@ -60,21 +58,6 @@ def block_inertia(shape: Shape, mass: float) -> float:
 def block_pair(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contact of the block's foot with the floor."""
     return floor_pair(f"block{index}_foot", dynamics.block_friction_force, block.mass, settings)
-
-
-def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
-    """Writes pose, colour and friction of a block into a compiled model, with the same result as compiling.
-
-    For `scope`, see `planar_name`.
-    """
-    name = f"block{index}"
-    move_body(model, name, block.pose, scope)
-    outline, fill = style.levels(BLOCK_OUTLINE[block.colour]), style.levels(BLOCK_FILL[block.colour])
-    for part, colour in (("outline", outline), ("fill", fill), ("sides", outline)):
-        model.geom_rgba[index_of(model, "geom", f"{scope}{name}_{part}")] = colour
-    model.pair_friction[index_of(model, "pair", f"{name}_foot"), :2] = foot_friction(dynamics.block_friction_force)
-    spin = model.jnt_dofadr[index_of(model, "joint", planar_name(f"{name}_angle", scope))]
-    model.dof_frictionloss[spin] = dynamics.block_friction_torque
 
 
 @lru_cache(128)

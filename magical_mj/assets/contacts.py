@@ -126,18 +126,13 @@ def foot(name: str) -> str:
     return f'<geom name="{name}" class="foot"/>'
 
 
-def foot_friction(force: Floats) -> Floats:
-    """The friction coefficient of a foot that resists with at most this force. Accepts arrays."""
-    return force / PRESS
-
-
 def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings) -> str:
     """The contact of a foot with the floor: it presses with `PRESS`, so friction resists with at most `friction_force`.
 
     Friction is the same in all directions. An explicit pair saves MuJoCo the search for the foot's contacts. `mass` is
     the mass of the body.
     """
-    friction = numbers(*[foot_friction(friction_force)] * 2)
+    friction = numbers(*[friction_force / PRESS] * 2)
     stiffness = _foot_stiffness(mass, settings)
     own = "" if mass == c.BLOCK_MASS else f'solref="{_solref(stiffness, settings.foot_impedance)}"'
     return f'<pair name="{name}" class="foot" geom1="floor" geom2="{name}" friction="{friction}" {own}/>'

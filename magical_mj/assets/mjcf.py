@@ -8,16 +8,12 @@ from collections.abc import Iterable
 from typing import Final
 from xml.etree.ElementTree import Element, TreeBuilder, XMLParser, fromstring
 
-import mujoco
 import numpy as np
 
 from magical_mj.scene import Pose
-from magical_mj.utils.errors import SettingsError
 
 AXES: Final = ("x", "y", "angle")
 """The joints of a planar body are named after the body, with one of these appended."""
-_KINDS: Final = {name.removeprefix("mjOBJ_").lower(): kind.value for name, kind in mujoco.mjtObj.__members__.items()}
-"""Kind of object -> MuJoCo's number for it. Reading the enum takes longer than finding an object."""
 
 
 def numbers(*values: float) -> str:
@@ -71,56 +67,6 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
         f'<joint name="{name}_angle" {hinge} type="hinge" axis="0 0 1" ref="{numbers(angle)}"/>'
         f"{content}</body>"
     )
-
-
-def planar_name(name: str, scope: str) -> str:
-    """The name of a planar body's joint in a compiled model.
-
-    Args:
-        name: the joint's name.
-        scope: "", or the prefix of names, such as "block0/", if dm_control attached the body as a model of its own.
-            dm_control puts the planar joints into the attachment frame, and appends "/" to names in that frame.
-    """
-    return f"{scope}{name}/" if scope else name
-
-
-def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
-    """The index of an object in a compiled model. Faster than the model's own accessors.
-
-    Args:
-        model: a compiled model.
-        kind: "joint", "geom" and so on, as in `mujoco.mjtObj`.
-        name: the object's name.
-
-    Raises:
-        SettingsError: if no object has this name: users of a composer environment can remove elements.
-    """
-    index = mujoco.mj_name2id(model, _KINDS[kind], name)
-    if index < 0:
-        raise SettingsError(
-            f"the MJCF tree lacks the {kind} {name!r}, which its scene needs: do not remove or rename it"
-        )
-    return index
-
-
-def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> None:
-    """Writes the reference pose of a planar body into a compiled model, with the same result as compiling.
-
-    For `scope`, see `planar_name`.
-    """
-    joints = [index_of(model, "joint", planar_name(f"{name}_{axis}", scope)) for axis in AXES]
-    body = model.jnt_bodyid[joints[0]]
-    model.body_pos[body, :2] = pose[:2]
-    model.body_quat[body] = quaternion(pose[2])
-    model.jnt_axis[joints[:2]] = slide_axes(pose[2])
-    model.qpos0[model.jnt_qposadr[joints]] = pose
-
-
-def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
-    """Writes the reference angle of a body with one hinge into a compiled model. The hinge has the body's name."""
-    joint = index_of(model, "joint", name)
-    model.body_quat[model.jnt_bodyid[joint]] = quaternion(angle)
-    model.qpos0[model.jnt_qposadr[joint]] = angle
 
 
 def parsed(text: str) -> Element:

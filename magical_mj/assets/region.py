@@ -9,13 +9,12 @@ from __future__ import annotations
 from functools import cache, lru_cache
 from typing import Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import Faces, mesh_mjcf
-from magical_mj.assets.mjcf import index_of, numbers, single
+from magical_mj.assets.mjcf import numbers, single
 from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
 from magical_mj.scene import GoalRegion
 
@@ -88,7 +87,7 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
-    """The skins of regions with these numbers of quads; `rewrite_region` writes their vertices and colours later."""
+    """The skins of regions with these numbers of quads; `SceneModel.rewrite` writes vertices and colours later."""
     parts = ((index, *part) for index, count in enumerate(dashes) for part in (("fill", 1), ("border", count)))
     return "".join(
         _skin(f"region{index}_{name}", style.WHITE, "0 " * 12 * count, count) for index, name, count in parts
@@ -99,19 +98,6 @@ def _skin(name: str, rgb: style.Rgb, corners: str, count: int) -> str:
     """A flat skin of `count` quads."""
     look = f'rgba="{rgba(rgb)}" group="{style.DRAWN_GROUP}"'
     return f'<skin name="{name}" {look} vertex="{corners}" {_connection(count)}</skin>'
-
-
-def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
-    """Writes box and colour of a region into a compiled model, with the same result as compiling.
-
-    Raises:
-        ValueError: if the model has fewer quads than the region needs. Models of equal `Structure` have enough.
-    """
-    for part, palette in (("fill", REGION_FILL), ("border", REGION_BORDER)):
-        skin = index_of(model, "skin", f"region{index}_{part}")
-        model.skin_rgba[skin] = style.levels(palette[region.colour])
-        first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
-        model.skin_vert[first : first + count] = region_corners(region, index, count // 4)
 
 
 @lru_cache(16)

@@ -20,7 +20,6 @@ import math
 from functools import lru_cache
 from typing import Final, Literal
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,10 +34,9 @@ from magical_mj.assets.contacts import (
     PhysicsSettings,
     floor_pair,
     foot,
-    foot_friction,
     vertex,
 )
-from magical_mj.assets.mjcf import bend_body, comment, index_of, move_body, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import comment, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, Body, body_named
@@ -228,22 +226,6 @@ def actuators_mjcf(body: str = GRIPPER) -> str:
         for joints, kind in classes.items()
         for joint in joints
     )
-
-
-def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope: str = "") -> None:
-    """Changes pose and force caps of the robot in a compiled model, with the same result as compiling.
-
-    `scope` is that of `planar_name`.
-    """
-    move_body(model, "robot", robot.pose, scope)
-    for wheel, force in wheel_caps(dynamics.drive_force).items():
-        model.pair_friction[index_of(model, "pair", wheel), :2] = foot_friction(force)
-    caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque)
-    for motor in actuators(robot.body)[len(WHEELS) :]:
-        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = caps[motor]
-    if body_named(robot.body).fingers:
-        for side, angle in zip(MOTORS, robot.fingers, strict=True):
-            bend_body(model, f"{scope}{side}_finger", angle)
 
 
 @lru_cache(16)

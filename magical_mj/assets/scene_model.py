@@ -1,4 +1,4 @@
-"""The model of a scene: its MJCF text, its compiled model, and the coordinates of its objects.
+"""The compiled model of a scene, and the coordinates of its objects.
 
 Parsing MJCF text takes longer than compiling it. The models of scenes with the same number of blocks and regions differ
 only in the shapes of blocks and in numbers. So specs are assembled from parts that are parsed once, and
@@ -24,126 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.block import (
-    SIDES,
-    block_inertia,
-    block_mjcf,
-    block_pair,
-    collision_geoms,
-    pebble_library,
-    pebble_mjcf,
-    pebble_pair,
-    rewrite_block,
-)
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, default_classes
-from magical_mj.assets.meshes import library
-from magical_mj.assets.mjcf import AXES, index_of, move_body, numbers, planar_name
-from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
-from magical_mj.assets.robot import (
-    actuators,
-    actuators_mjcf,
-    joints,
-    rewrite_robot,
-    robot_mjcf,
-    robot_pairs,
-    tendons_mjcf,
-)
-from magical_mj.scene import Block, Pebble, Robot, Scene
+from magical_mj.assets.block import SIDES, block_inertia, collision_geoms
+from magical_mj.assets.contacts import PRESS, default_classes
+from magical_mj.assets.mjcf import AXES, quaternion, slide_axes
+from magical_mj.assets.region import blank_regions_mjcf, dash_count, region_corners
+from magical_mj.assets.robot import MOTORS, ROTORS, actuators, joints, torque_caps, wheel_caps
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.scene import Block, Dynamics, GoalRegion, Pebble, Pose, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
-
-MEMORY: Final = '<size memory="33M"/>'
-"""MuJoCo's arena. Only about 50 kB are used, and unused memory costs nothing. glibc returns allocations above 32 MiB to
-the system. Smaller ones would fragment memory as models are created and freed: 1 MB per 300 models."""
-APART: Final = '<exclude body1="left_finger" body2="right_finger"/>'
-"""The fingers do not touch each other."""
-WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
-"""Wall -> the unit vector from the middle of the arena towards it."""
-
-
-def scene_mjcf(
-    scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None, *, empty: bool = False
-) -> str:
-    """The MJCF text of a scene, whose poses are the reference poses. The robot follows the blocks: it is drawn on top.
-
-    Args:
-        scene: the scene.
-        settings: parameters of the simulation.
-        regions: the skins of the regions, as MJCF; None: those of the scene.
-        empty: write only the arena, and the meshes that the scene needs.
-
-    Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
-    integrator; implicit damping would soften servos whose gain is chosen for this step. The model has few geoms, so
-    testing all pairs is faster than the mid-phase. Sparse matrices make piles of blocks cheaper. Blocks at rest sleep
-    until something touches them, which saves time: most blocks rest most of the time.
-    """
-    dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
-    bodies = contacts = tendons = actuators = meshes = ""
-    if not empty:
-        blocks, pebbles = list(enumerate(scene.blocks)), list(enumerate(scene.pebbles))
-        bodies = "".join(block_mjcf(index, block, dynamics, settings) for index, block in blocks)
-        bodies += robot_mjcf(robot, settings, half)
-        bodies += "".join(pebble_mjcf(index, pebble) for index, pebble in pebbles)
-        contacts = "".join(block_pair(index, block, dynamics, settings) for index, block in blocks)
-        contacts += robot_pairs(robot, dynamics, settings)
-        contacts += "".join(pebble_pair(index, settings) for index, _ in pebbles)
-        contacts += APART if body_named(robot.body).fingers else ""
-        tendons, actuators = tendons_mjcf(robot, dynamics, settings), actuators_mjcf(robot.body)
-        meshes = pebble_library() if pebbles else ""
-        regions = regions_mjcf(scene.regions) if regions is None else regions
-    integrator = f'timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic"'
-    limits = f'iterations="{settings.iterations}" tolerance="{settings.tolerance}"'
-    return f"""
-<mujoco model="magical_mj">
-  <!-- Ten steps of 12.5 ms are one action. Blocks at rest sleep until something touches them. -->
-  <compiler angle="radian" autolimits="true" usethread="false"/>
-  <option {integrator} solver="Newton" jacobian="sparse" {limits} impratio="{numbers(settings.impratio)}">
-    <flag eulerdamp="disable" midphase="disable" sleep="enable"/>
-  </option>
-  {MEMORY}
-  {style.LOOK}
-  <!-- Classes. Two geoms collide if the contype of one shares a bit with the conaffinity of the other -->
-  <default>{default_classes(settings)}</default>
-  <!-- Colours -->
-  <asset>{style.SKY}</asset>
-  <!-- The arena, the blocks and the robot -->
-  <worldbody>{_arena(half)}{bodies}</worldbody>
-  <deformable>{regions or ""}</deformable>
-  <!-- Friction with the ground: force cap / pressure -->
-  <contact>{contacts}</contact>
-  <!-- Servos -->
-  <tendon>{tendons}</tendon>
-  <actuator>{actuators}</actuator>
-  <!-- Meshes: the flat polygons that the cameras ego and allo see, and the sides of pentagons and stars -->
-  <asset>{library(robot.body, half)}{meshes}</asset>
-</mujoco>"""
-
-
-def _arena(half: float) -> str:
-    """The static part of the model: floor, walls, lamps, the camera allo, and the body of the regions."""
-    sides = "".join(style.wall_sides(f"{wall}_wall_sides", x, y, half) for wall, (x, y) in WALLS.items())
-    walls = ""
-    for wall, (x, y) in WALLS.items():
-        pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
-        for kind in ("wall", "finger_wall"):  # separate bodies: the broad phase skips distant pairs of bodies
-            geom = f'<geom name="{wall}_{kind}" class="{kind}" type="box" size="{size}"/>'
-            walls += f'<body name="{wall}_{kind}" pos="{pos}">{geom}</body>'
-    return f"""
-<!-- The arena: the ground, the white workspace, the grey area around it in flat pictures, the line between them -->
-<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>
-{style.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE)}
-{style.visual_geom("surround", "surround", style.LIGHT_GREY, f'group="{style.TASK_GROUP}"')}
-{style.visual_geom("border", "border", style.ARENA_BORDER)}
-{sides}
-<!-- Two walls on each side, for the fingers and for the rest: MuJoCo uses the larger friction of two geoms -->
-{walls}
-<!-- Four lamps, for soft shadows -->
-{style.lamps_mjcf()}
-<!-- The camera that sees the whole workspace from above; the other camera is on the robot -->
-{style.allo_camera(half)}
-<!-- Goal regions: drawn, without collisions -->
-<body name="{BONE}"/>"""
+from magical_mj.utils.errors import SettingsError
 
 
 class Structure(NamedTuple):
@@ -248,6 +139,9 @@ def _parsed(geoms: str) -> _Geoms:
 
 Indices = NDArray[np.int64]
 
+_KINDS: Final = {name.removeprefix("mjOBJ_").lower(): kind.value for name, kind in mujoco.mjtObj.__members__.items()}
+"""Kind of object -> MuJoCo's number for it. Reading the enum takes longer than finding an object."""
+
 FINGERS: Final = ("left_finger", "right_finger")
 
 
@@ -264,6 +158,25 @@ class Coordinates(NamedTuple):
     """Indices into `qpos`: x, y and angle of each pebble. Shape (pebbles, 3)."""
     ctrl: Indices
     """The robot's actuators. Shape (6,), without fingers (4,)."""
+
+
+def index_of(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """The index of an object in a compiled model. Faster than the model's own accessors.
+
+    Args:
+        model: a compiled model.
+        kind: "joint", "geom" and so on, as in `mujoco.mjtObj`.
+        name: the object's name.
+
+    Raises:
+        SettingsError: if no object has this name: users of a composer environment can remove elements.
+    """
+    index = mujoco.mj_name2id(model, _KINDS[kind], name)
+    if index < 0:
+        raise SettingsError(
+            f"the MJCF tree lacks the {kind} {name!r}, which its scene needs: do not remove or rename it"
+        )
+    return index
 
 
 @lru_cache(64)
@@ -295,7 +208,7 @@ def find_coordinates(model: mujoco.MjModel, blocks: int, body: str = GRIPPER, pe
         return np.array([index_of(model, kind, name) for name in names], np.int64)
 
     def planar(*bodies: str) -> Indices:
-        names = (planar_name(f"{body}_{axis}", f"{body}/") for body in bodies for axis in AXES)
+        names = (f"{body}/{body}_{axis}/" for body in bodies for axis in AXES)
         return find(*names).reshape(-1, len(AXES))
 
     poses = planar("robot", *(f"block{index}" for index in range(blocks)))
@@ -365,12 +278,12 @@ class SceneModel:
             change: a function that changes further numbers of the model.
         """
         scene = self.scene
-        rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
+        _rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
         for index, block in enumerate(scene.blocks):
-            rewrite_block(model, index, block, scene.dynamics, f"block{index}/" if nested else "")
+            _rewrite_block(model, index, block, scene.dynamics, f"block{index}/" if nested else "")
         for index, pebble in enumerate(scene.pebbles):
             name = f"pebble{index}"
-            move_body(model, name, (pebble.x, pebble.y, 0.0), f"{name}/" if nested else "")
+            _move_body(model, name, (pebble.x, pebble.y, 0.0), f"{name}/" if nested else "")
         for index, region in enumerate(scene.regions):
             rewrite_region(model, index, region)
         if change is not None:
@@ -402,3 +315,58 @@ class SceneModel:
             positions = qpos[self.coordinates.pebbles[:, :2]].tolist()
             now = dataclasses.replace(now, pebbles=tuple(Pebble(x, y) for x, y in positions))
         return now
+
+
+# All functions that rewrite a model have the same result as compiling. `scope` is "", or the prefix of names, such as
+# "block0/", if dm_control attached the body as a model of its own. dm_control then puts the joints x, y and angle into
+# the attachment frame, and appends "/" to names in that frame.
+
+
+def _rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope: str) -> None:
+    """Writes pose and force caps of the robot into a compiled model."""
+    _move_body(model, "robot", robot.pose, scope)
+    for wheel, force in wheel_caps(dynamics.drive_force).items():
+        model.pair_friction[index_of(model, "pair", wheel), :2] = force / PRESS
+    caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque)
+    fingers = body_named(robot.body).fingers
+    for motor in (*ROTORS, *MOTORS.values()) if fingers else ROTORS:
+        model.tendon_frictionloss[index_of(model, "tendon", f"{scope}{motor}")] = caps[motor]
+    for side, angle in zip(MOTORS, robot.fingers, strict=True) if fingers else ():
+        joint = index_of(model, "joint", f"{scope}{side}_finger")
+        model.body_quat[model.jnt_bodyid[joint]] = quaternion(angle)
+        model.qpos0[model.jnt_qposadr[joint]] = angle
+
+
+def _rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str) -> None:
+    """Writes pose, colour and friction of a block into a compiled model."""
+    name = f"block{index}"
+    spin = _move_body(model, name, block.pose, scope)
+    model.dof_frictionloss[model.jnt_dofadr[spin]] = dynamics.block_friction_torque
+    model.pair_friction[index_of(model, "pair", f"{name}_foot"), :2] = dynamics.block_friction_force / PRESS
+    outline, fill = style.levels(style.BLOCK_OUTLINE[block.colour]), style.levels(style.BLOCK_FILL[block.colour])
+    for part, colour in (("outline", outline), ("fill", fill), ("sides", outline)):
+        model.geom_rgba[index_of(model, "geom", f"{scope}{name}_{part}")] = colour
+
+
+def _move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str) -> int:
+    """Writes the reference pose of a planar body into a compiled model. Returns the index of its joint "angle"."""
+    joints = [index_of(model, "joint", f"{scope}{name}_{axis}{'/' if scope else ''}") for axis in AXES]
+    body = model.jnt_bodyid[joints[0]]
+    model.body_pos[body, :2] = pose[:2]
+    model.body_quat[body] = quaternion(pose[2])
+    model.jnt_axis[joints[:2]] = slide_axes(pose[2])
+    model.qpos0[model.jnt_qposadr[joints]] = pose
+    return joints[2]
+
+
+def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
+    """Writes box and colour of a region into a compiled model.
+
+    Raises:
+        ValueError: if the model has fewer quads than the region needs. Models of equal `Structure` have enough.
+    """
+    for part, palette in (("fill", style.REGION_FILL), ("border", style.REGION_BORDER)):
+        skin = index_of(model, "skin", f"region{index}_{part}")
+        model.skin_rgba[skin] = style.levels(palette[region.colour])
+        first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
+        model.skin_vert[first : first + count] = region_corners(region, index, count // 4)

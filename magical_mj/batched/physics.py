@@ -24,9 +24,10 @@ import warp as wp
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
+from magical_mj.assets.contacts import PRESS, SETTINGS, SUBSTEPS
 from magical_mj.assets.robot import controls, torque_caps, wheel_caps
-from magical_mj.assets.scene_model import own_coordinates, scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.assets.scene_model import own_coordinates
 from magical_mj.batched.scenes import ABSENT, BatchScenes
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES, Shape
@@ -163,7 +164,7 @@ class Physics:
         drive, turn, finger, force, torque = dynamics.T
         feet = {f"block{number}_foot": force for number in range(len(self._slots))}
         for name, forces in (wheel_caps(drive) | feet).items():
-            fields["pair_friction"][:, self.model.pair(name).id, :2] = foot_friction(forces)[:, None]
+            fields["pair_friction"][:, self.model.pair(name).id, :2] = (forces / PRESS)[:, None]
         for name, torques in torque_caps(turn, finger).items():
             fields["tendon_frictionloss"][:, self.model.tendon(name).id] = torques
         for slot in self._slots:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.batched.frames import COSINE, FIRST_BLOCK, LEFT_FINGER, RIGHT_FINGER, SINE, VISIBLE, WORLD, X, Y
 from magical_mj.batched.frames import ROBOT as ROBOT_BODY
 from magical_mj.batched.scenes import BatchScenes, EpisodeArrays

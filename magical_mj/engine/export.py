@@ -27,7 +27,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.mjcf import elements, numbers, parsed
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.assets.style import MATERIALS, rgba
 from magical_mj.engine.engine import Engine
 from magical_mj.engine.simulation import Simulation, different_numbers

@@ -18,7 +18,7 @@ from magical_mj import demos
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.engine.export import mjcf_text
 from magical_mj.intents.names import EIGHT
 from magical_mj.policies.interface import letters_of

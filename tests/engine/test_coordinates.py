@@ -8,7 +8,8 @@ import pytest
 
 from magical_mj.assets.mjcf import AXES
 from magical_mj.assets.robot import actuators, controls
-from magical_mj.assets.scene_model import FINGERS, own_coordinates, scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.assets.scene_model import FINGERS, own_coordinates
 from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene.bodies import BODIES, body_named
 

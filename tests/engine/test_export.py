@@ -21,7 +21,7 @@ from magical_mj._version import __version__
 from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SUBSTEPS
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.engine import Engine
 from magical_mj.engine.export import DECIMALS, LINE
 from magical_mj.protocol import PROTOCOL

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import magical_mj
-from magical_mj.assets.region import DASHES, dash_count, rewrite_region
-from magical_mj.assets.scene_model import SceneModel, scene_mjcf, scene_spec
+from magical_mj.assets.region import DASHES, dash_count
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.assets.scene_model import SceneModel, rewrite_region, scene_spec
 from magical_mj.engine.simulation import Simulation
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import task_spec

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, PhysicsSettings
 from magical_mj.assets.robot import controls
-from magical_mj.assets.scene_model import SceneModel, scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline

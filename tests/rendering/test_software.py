@@ -18,7 +18,7 @@ from numba import njit
 
 import magical_mj
 from magical_mj.assets import style
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.rendering import scanlines
 from magical_mj.rendering.backend import check_renderer, drawn_by
 from magical_mj.rendering.opengl import OpenGLRenderer

@@ -17,7 +17,7 @@ import numpy as np
 import rollouts
 from rollouts import Rollouts, family_errors, recordings
 
-from magical_mj.assets.scene_model import scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import SHAPES
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from magical_mj import sample_scene, score
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, SUBSTEPS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.robot import JOINTS, MOTORS, ROTORS, WHEELS, controls
-from magical_mj.assets.scene_model import SceneModel, scene_mjcf
+from magical_mj.assets.scene_mjcf import scene_mjcf
+from magical_mj.assets.scene_model import SceneModel
 from magical_mj.scene import Block, Robot, Scene
 
 Array = NDArray[np.float64]

@@ -28,7 +28,8 @@ from magical_mj.assets.robot import (
     robot_pairs,
     tendons_mjcf,
 )
-from magical_mj.assets.scene_model import APART, FINGERS, scene_mjcf
+from magical_mj.assets.scene_mjcf import APART, scene_mjcf
+from magical_mj.assets.scene_model import FINGERS
 from magical_mj.envs.composer.observables import (
     ArenaObservables,
     BlockObservables,
