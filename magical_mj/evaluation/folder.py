@@ -19,6 +19,7 @@ import msgspec
 from msgspec import Struct
 
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, StoredInt, method_name, open_scores, read
+from magical_mj.policies.facts import Learnt
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
@@ -73,7 +74,7 @@ def other_format(path: Path) -> ResultFormat | None:
     return next((known for known in _formats() if known.holds(path)), None)
 
 
-class PlayedPolicy(Struct):
+class PlayedPolicy(Learnt, frozen=True, kw_only=True):
     """The fields of a policy in the settings of an evaluation that reports and entries read."""
 
     name: str
@@ -81,11 +82,7 @@ class PlayedPolicy(Struct):
     sha256: str = ""
     code: str = ""
     given: str = ""
-    demonstration_set: StoredInt = 1
-    played_in: str = "Demo"
-    other_tasks: list[str] = []
-    unfinished: str = ""
-    uses: list[str] = []
+    uses: list[str] = []  # noqa: RUF012 (msgspec copies it)
     loaded: str = ""
 
 

@@ -38,8 +38,7 @@ from magical_mj.policies.interface import (
     policy_name,
     policy_task,
     reason,
-    uses_instruction,
-    uses_simulation,
+    uses_of,
 )
 from magical_mj.shifts.registry import Effect, check_noticed, parse_shifts
 from magical_mj.tasks.registry import split_of, task_name, task_spec
@@ -132,7 +131,7 @@ def _checked_facts(
     """The facts about the environment that played, as fields of `EpisodeResult`. Several environments must agree."""
     each = _conditions(env)
     space = env.single_action_space if isinstance(env, gymnasium.vector.VectorEnv) else env.action_space
-    unread: frozenset[Effect] = frozenset() if uses_instruction(policy) else frozenset({"instruction"})
+    unread: frozenset[Effect] = frozenset() if "instruction" in uses_of(policy) else frozenset({"instruction"})
     for conditions in each:
         check_noticed(parse_shifts(conditions["shift"]), policy_name(policy), unread)
     if not isinstance(space, Discrete):
@@ -205,7 +204,7 @@ def play_episode(env: Env, policy: Act | BatchPolicy, episode: Episode, seconds:
         Exception: any other error of the environment.
     """
     engine, over = engine_of(env), False
-    given = engine if uses_simulation(policy) else None
+    given = engine if "simulation" in uses_of(policy) else None
     with _attempt(seconds) as (outcome, check_time):
         observation = _observation(_reset(env, episode.seed))
         replacement = episode.instruction
@@ -261,7 +260,7 @@ def play_side_by_side(
 
 def _sentence(policy: object, episode: Episode, sentence: str) -> str:
     """The instruction for a policy. Empty if the task's name is hidden, unless the policy uses instructions."""
-    return "" if episode.task == NEUTRAL and not uses_instruction(policy) else sentence
+    return "" if episode.task == NEUTRAL and "instruction" not in uses_of(policy) else sentence
 
 
 def _with_instruction(observation: Any, replacement: str | tuple[str, ...]) -> Any:

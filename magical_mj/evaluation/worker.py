@@ -22,7 +22,8 @@ from magical_mj.evaluation.playing import Env, late, play_episode, play_side_by_
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.policies.interface import Act, Episode, policy_task, uses_observations
+from magical_mj.policies.facts import learnt_from
+from magical_mj.policies.interface import Act, Episode, policy_task, uses_of
 from magical_mj.policies.loading import Source, also_fitting, check_fit, common_preset, sources, statistics_of
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -54,7 +55,7 @@ def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], E
     preset = common_preset(act for _, act in loaded) if settings.preset is None else settings.preset
     for source, act in loaded:
         check_fit(act, settings.environments, preset, settings.like)
-        if settings.batched and not uses_observations(act):
+        if settings.batched and "observations" not in uses_of(act):
             raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
         for doubt in _doubts(source, act, preset, is_chosen=settings.preset is None):
             warnings.warn(doubt, stacklevel=4)  # the call of `evaluate`
@@ -73,7 +74,7 @@ def _doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Ite
             f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
             "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
         )
-    if stopped := getattr(policy, "unfinished", ""):
+    if stopped := learnt_from(source.origin, policy).unfinished:
         yield (
             f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
             "of an unfinished training: magical-mj train --resume finishes it"

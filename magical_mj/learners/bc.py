@@ -19,6 +19,7 @@ from magical_mj.learners.networks import Actor, Torso, as_input
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
+from magical_mj.policies.facts import Learnt
 from magical_mj.policies.models import torch_settings
 from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils import files
@@ -94,16 +95,13 @@ class BehaviouralCloning(Learner):
         return self._actor
 
     @property
-    def played_in(self) -> str:
-        """The variants of the given demonstrations, as far as they are known, and of the encoder's training."""
-        encoder = set() if self._encoder is None else set(self._encoder.played_in.split(","))
-        return ",".join(variant for variant in EVERY_VARIANT if variant in self._variants | encoder)
-
-    @property
-    def other_tasks(self) -> tuple[str, ...]:
-        """The encoder's tasks that are not in the settings."""
-        known = () if self._encoder is None else self._encoder.tasks
-        return tuple(task for task in known if task not in self.settings.tasks)
+    def learnt(self) -> Learnt:
+        """With the variants of the given demonstrations, as far as they are known, and the encoder's training."""
+        variants, others = set(self._variants), list[str]()
+        if self._encoder is not None:
+            variants |= set(self._encoder.played_in.split(","))
+            others = [task for task in self._encoder.tasks if task not in self.settings.tasks]
+        return Learnt(self.settings.demos.set, ",".join(filter(variants.__contains__, EVERY_VARIANT)), others)
 
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
         """New training data, for `data`."""

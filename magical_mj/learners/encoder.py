@@ -14,8 +14,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import Torso
 from magical_mj.learners.policy import POLICY, load_policy
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.facts import check_tasks, check_variants
-from magical_mj.policies.loading import CONFIG
+from magical_mj.policies.facts import CONFIG, check_tasks, check_variants
 from magical_mj.utils import files
 from magical_mj.utils.errors import MissingFileError, SettingsError, TrainingError, as_integer, short_repr
 
@@ -103,7 +102,8 @@ def _of_run(folder: Path) -> Encoder:
     policy = load_policy(folder)
     weights = policy.actor.state_dict()
     kept = {name.removeprefix(PREFIX): values for name, values in weights.items() if name.startswith(PREFIX)}
-    return Encoder(kept, (*policy.tasks, *policy.other_tasks), policy.played_in, policy.demonstration_set)
+    learnt = policy.learnt
+    return Encoder(kept, (*policy.tasks, *learnt.other_tasks), learnt.played_in, learnt.demonstration_set)
 
 
 def _in_file(path: Path) -> Encoder:

@@ -18,6 +18,7 @@ from magical_mj.learners.data import chosen
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
 from magical_mj.learners.settings import ALL_PARTS, STATE, PPOSettings, TrainingSettings
+from magical_mj.policies.facts import Learnt
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
 
@@ -83,6 +84,11 @@ class Method(ABC):
         cls.check_settings(settings)
         for task in settings.tasks:
             chosen(settings, task)
+
+    @property
+    def learnt(self) -> Learnt:
+        """What the training uses."""
+        return Learnt(self.settings.demos.set, self.settings.reward.variant)
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:
@@ -150,27 +156,9 @@ class Learner(Method):
     def actor(self) -> Actor:
         """The policy that is evaluated and saved. It is updated in place."""
 
-    @property
-    def played_in(self) -> str:
-        """The variants of the scenes in its training, separated by commas."""
-        return self.settings.reward.variant
-
-    @property
-    def other_tasks(self) -> tuple[str, ...]:
-        """Tasks outside of the settings that an encoder or a reward was trained on."""
-        return ()
-
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the network's probabilities."""
-        settings = self.settings
-        return TrainedPolicy(
-            self.actor,
-            settings.tasks,
-            settings.preset,
-            demonstration_set=settings.demos.set,
-            played_in=self.played_in,
-            other_tasks=self.other_tasks,
-        )
+        return TrainedPolicy(self.actor, self.settings.tasks, self.settings.preset, self.learnt)
 
     def save_policy(self, folder: Path) -> None:
         """Writes the network."""

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -18,8 +19,9 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.observations import STATE_NAMES
+from magical_mj.policies.facts import Learnt, learnt_from
 from magical_mj.policies.interface import HISTORY, Episode
-from magical_mj.policies.loading import learnt_from, loader_in, policy_in
+from magical_mj.policies.loading import loader_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
@@ -40,27 +42,12 @@ class TrainedPolicy(Model):
         actor: the network. It returns logits (n, 18) for observations and tasks, like `networks.Actor`.
         tasks: the tasks of the training, in the order of the network's heads.
         preset: the preset of the training's observations.
-        demonstration_set: the set of the package's demonstrations that it was trained on.
-        played_in: the variants of the scenes in its training, separated by commas.
-        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
-        unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
+        learnt: what its training used.
     """
 
-    def __init__(
-        self,
-        actor: nn.Module,
-        tasks: Sequence[str],
-        preset: str,
-        *,
-        demonstration_set: int = 1,
-        played_in: str = "Demo",
-        other_tasks: Sequence[str] = (),
-        unfinished: str = "",
-    ) -> None:
+    def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str, learnt: Learnt) -> None:
         super().__init__(self._draw_actions, remembers=preset == STATE)
-        self.demonstration_set, self.played_in, self.other_tasks = demonstration_set, played_in, tuple(other_tasks)
-        self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
-        self.unfinished = unfinished
+        self.actor, self.tasks, self.preset, self.learnt = actor, tuple(tasks), preset, learnt
         self._device = next(actor.parameters()).device
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -112,8 +99,8 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         SettingsError: if the training's settings are damaged.
     """
     policy = read_policy(folder)
-    if policy.unfinished:
-        warnings.warn(f"the training in {folder} has stopped at {policy.unfinished}", stacklevel=2)
+    if stopped := policy.learnt.unfinished:
+        warnings.warn(f"the training in {folder} has stopped at {stopped}", stacklevel=2)
     return policy
 
 
@@ -132,15 +119,14 @@ def read_policy(folder: Path | str) -> TrainedPolicy:
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy: {error}") from error
-    learnt = learnt_from(path.parent)._asdict()
-    return TrainedPolicy(actor, tasks, preset, unfinished=stopped_at(path.parent), **learnt)
+    return TrainedPolicy(actor, tasks, preset, learnt_in(path.parent))
 
 
-def stopped_at(folder: Path) -> str:
-    """The last update of an unfinished training in a folder. Empty if it is finished, or without a checkpoint."""
+def learnt_in(folder: Path) -> Learnt:
+    """What the training in a folder used, and its last update if it is unfinished, as far as there is a checkpoint."""
     last = checkpoint.plain_values(folder / checkpoint.CHECKPOINT)
     update, updates = last.get("update", 0), last.get("updates", 0)
-    return f"update {update} of {updates}" if update < updates else ""
+    return replace(learnt_from(folder), unfinished=f"update {update} of {updates}" if update < updates else "")
 
 
 class _Logits(nn.Module):
@@ -183,8 +169,8 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
     policy = None if loader_in(folder) is None else policy_in(folder)
     if not isinstance(policy, TrainedPolicy):
         raise SettingsError(f"{folder} contains no trained network: export a folder written by magical-mj train")
-    if policy.unfinished:
-        warnings.warn(f"the training in {folder} has stopped at {policy.unfinished}", stacklevel=2)
+    if stopped := policy.learnt.unfinished:
+        warnings.warn(f"the training in {folder} has stopped at {stopped}", stacklevel=2)
     if out.suffix != ".onnx":
         raise SettingsError(f"the file name must end in .onnx, not {out.name!r}")
     if not task:
@@ -200,10 +186,8 @@ def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwr
         program = _traced(network, example)
         for part in (program.model.graph, *program.model.graph.all_nodes()):
             part.metadata_props.clear()  # they are as large as the weights, and contain this machine's paths
-        learnt = learnt_from(folder)._asdict()
-        learnt["other_tasks"] = "\n".join(learnt["other_tasks"])
-        texts = {name: str(value) for name, value in learnt.items()}
-        texts |= {"unfinished": policy.unfinished} if policy.unfinished else {}
+        texts = {"demonstration_set": str(policy.learnt.demonstration_set), "played_in": policy.learnt.played_in}
+        texts |= {"other_tasks": "\n".join(policy.learnt.other_tasks)} | ({"unfinished": stopped} if stopped else {})
         program.model.metadata_props.update(task=task, preset=policy.preset, **texts)
         program.save(unfinished, external_data=False)
     return out

@@ -26,6 +26,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 import torch
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 from torch import Tensor
@@ -44,6 +45,7 @@ from magical_mj.learners.networks import as_input
 from magical_mj.learners.ppo import RewardLearner
 from magical_mj.learners.run_folder import CONFIG, RunFolder
 from magical_mj.learners.settings import TrainingSettings
+from magical_mj.policies.facts import Learnt
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings
 from magical_mj.tasks.registry import SPLITS, environments, task_spec
@@ -283,9 +285,10 @@ class OnLearntReward(RewardLearner):
             )
 
     @property
-    def other_tasks(self) -> tuple[str, ...]:
-        """The tasks of the reward that are not in the settings."""
-        return tuple(task for task in self._rewarded.settings.tasks if task not in self.settings.tasks)
+    def learnt(self) -> Learnt:
+        """With the tasks of the reward that are not in the settings."""
+        others = [task for task in self._rewarded.settings.tasks if task not in self.settings.tasks]
+        return replace(super().learnt, other_tasks=others)
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Does nothing."""

@@ -29,8 +29,9 @@ from magical_mj.learners.data import digest
 from magical_mj.learners.encoder import encoder_digest
 from magical_mj.learners.learner import Method, threads_for
 from magical_mj.learners.settings import TrainingSettings
+from magical_mj.policies.facts import CONFIG
 from magical_mj.policies.interface import Policy
-from magical_mj.policies.loading import CONFIG, LEARNT, Learnt, loader_in, sources
+from magical_mj.policies.loading import loader_in, sources
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import code_digest
@@ -293,9 +294,7 @@ def _joined(digests: Iterable[str]) -> str:
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:
     """The time, command, versions, threads and external inputs of a run's start, as a table of TOML."""
-    usual = Learnt()
-    read = {name: getattr(method, name, getattr(usual, name)) for name in LEARNT if (START, name) in LEARNT[name]}
-    learnt = usual._replace(**read).unusual()
+    learnt = msgspec.structs.replace(method.learnt, demonstration_set=1)  # which is a setting
     start = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -307,6 +306,6 @@ def _provenance(settings: TrainingSettings, method: Method) -> str:
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
         **{name: now for name, (_, now) in _sources(settings).items() if now},
-        **learnt,
+        **msgspec.to_builtins(learnt),
     }
     return as_toml({START: start})

@@ -1,37 +1,91 @@
-"""Checks of what files say about the training of a policy. Files may come from an untrusted source."""
+"""What is known about the training of a policy. Files that say it may come from an untrusted source."""
 
 from __future__ import annotations
 
+import os
 import re
+from pathlib import Path
+from typing import Final
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from magical_mj.tasks.registry import EVERY_VARIANT
 from magical_mj.utils.errors import SettingsError, as_integer, short_repr
+from magical_mj.utils.files import read_toml
+from magical_mj.utils.settings import LARGEST_SETTING
+
+CONFIG: Final = "config.toml"
+"""The file with the settings of a training in its folder."""
+SETTINGS: Final = {
+    ("demos", "set"): "demonstration_set",
+    ("reward", "variant"): "played_in",
+    ("made", "played_in"): "played_in",
+    ("made", "other_tasks"): "other_tasks",
+}
+"""A setting of a run, as (table, name) -> the field of `Learnt` that it determines. Later ones come first."""
 
 
-def check_set(value: object, where: str) -> int:
-    """The number of a set of the package's demonstrations. Raises a `SettingsError` if the value is not a number."""
-    number = as_integer(value, 1)
-    if number is None:
-        raise SettingsError(f"{where} must be a number of a set, not {short_repr(value)}")
-    return number
+class Learnt(Struct, frozen=True, omit_defaults=True):
+    """The data that a policy's training used, and whether it has ended, as far as it is known.
+
+    Attributes:
+        demonstration_set: the set of the package's demonstrations.
+        played_in: the variants of the scenes that it was trained in, separated by commas.
+        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
+        unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
+
+    Raises:
+        SettingsError: if a value is not as described.
+    """
+
+    demonstration_set: int = 1
+    played_in: str = "Demo"
+    other_tasks: list[str] = []
+    unfinished: str = ""
+
+    def __post_init__(self) -> None:
+        if as_integer(self.demonstration_set, 1, LARGEST_SETTING) is None:
+            raise SettingsError(
+                f"demonstration_set must be a number of a set, not {short_repr(self.demonstration_set)}"
+            )
+        check_variants(self.played_in, "played_in")
+        check_tasks(self.other_tasks, "other_tasks")
+        if self.unfinished and not re.fullmatch(r"\w+ \d{1,12} of \d{1,12}", self.unfinished):
+            raise SettingsError(f"unfinished must be such as 'update 225 of 3000', not {short_repr(self.unfinished)}")
 
 
-def check_variants(value: object, where: str) -> str:
-    """Variants, separated by commas. Raises a `SettingsError` if the value contains anything else."""
+def learnt_from(origin: object, policy: object = None) -> Learnt:
+    """What a policy's training used.
+
+    Args:
+        origin: the policy's origin. If it is the folder of a training, its settings decide, as far as they say it.
+        policy: the policy. Otherwise, the record is its attribute `learnt`, if it has one.
+    """
+    learnt = getattr(policy, "learnt", Learnt())
+    if not isinstance(learnt, Learnt):
+        raise SettingsError(f"the policy's attribute learnt must be a {Learnt.__name__}, not {short_repr(learnt)}")
+    path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
+    if not path.is_file():
+        return learnt
+    facts, settings = asdict(learnt), read_toml(path)
+    for (table, name), fact in SETTINGS.items():
+        known = settings.get(table)
+        if isinstance(known, dict) and name in known:
+            facts[fact] = known[name]
+    try:
+        return Learnt(**facts)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None
+
+
+def check_variants(value: object, where: str) -> None:
+    """Raises a `SettingsError` unless the value has variants, separated by commas."""
     if not isinstance(value, str) or not set(value.split(",")) <= set(EVERY_VARIANT):
         raise SettingsError(f"{where} must be variants, separated by commas, not {short_repr(value)}")
-    return value
 
 
-def check_tasks(value: object, where: str) -> tuple[str, ...]:
-    """Names of tasks, which need not exist here. Raises a `SettingsError` if the value contains anything else."""
+def check_tasks(value: object, where: str) -> None:
+    """Raises a `SettingsError` unless the value has names of tasks, which need not exist here."""
     if not isinstance(value, list | tuple) or not all(isinstance(task, str) and task for task in value):
         raise SettingsError(f"{where} must be a list of tasks, not {short_repr(value)}")
-    return tuple(value)
-
-
-def check_stopped(value: str, where: str) -> str:
-    """Where a training stopped. Raises a `SettingsError` unless it is such as "update 225 of 3000"."""
-    if not re.fullmatch(r"\w+ \d{1,12} of \d{1,12}", value):
-        raise SettingsError(f"{where} must be such as 'update 225 of 3000', not {short_repr(value)}")
-    return value

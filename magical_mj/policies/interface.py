@@ -97,7 +97,7 @@ def policy_task(task: str, policy: object, like: str = "") -> str:
     if isinstance(tasks, str):
         tasks = (tasks,)
     is_new_intent = in_language(task) and task not in tasks
-    if uses_demonstrations(policy) or is_new_intent:
+    if is_new_intent or "demonstrations" in uses_of(policy):
         return NEUTRAL
     return task_spec(task).like or task
 
@@ -185,36 +185,17 @@ def batch_of_one(observation: Any) -> Any:
     return (observation,) if isinstance(observation, str) else np.asarray(observation)[None]
 
 
-def uses_simulation(policy: object) -> bool:
-    """Whether the policy uses the engine instead of observations."""
-    return bool(getattr(policy, "uses_simulation", False))
-
-
-def uses_observations(policy: object) -> bool:
-    """Whether the policy uses observations."""
-    return bool(getattr(policy, "uses_observations", True)) and not uses_simulation(policy)
-
-
-def uses_instruction(policy: object) -> bool:
-    """Whether the policy reads the sentence that describes the task."""
-    return bool(getattr(policy, "uses_instruction", False))
-
-
-def uses_demonstrations(policy: object) -> bool:
-    """Whether demonstrations describe the task for the policy."""
-    return bool(getattr(policy, "uses_demonstrations", False))
-
-
 def uses_of(policy: object) -> frozenset[str]:
     """What a policy uses, of `USES`. It has a memory if it can be reset."""
-    known = {
-        "observations": uses_observations(policy),
-        "simulation": uses_simulation(policy),
-        "demonstrations": uses_demonstrations(policy),
-        "instruction": uses_instruction(policy),
-        "memory": any(hasattr(policy, name) for name in ("reset", "reset_batch")),
+    simulation = getattr(policy, "uses_simulation", False)
+    used = {
+        "simulation": simulation,
+        "observations": not simulation and getattr(policy, "uses_observations", True),
+        "demonstrations": getattr(policy, "uses_demonstrations", False),
+        "instruction": getattr(policy, "uses_instruction", False),
+        "memory": hasattr(policy, "reset") or hasattr(policy, "reset_batch"),
     }
-    return frozenset(name for name in USES if known[name])
+    return frozenset(filter(used.get, USES))
 
 
 def policy_name(policy: object) -> str:

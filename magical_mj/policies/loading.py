@@ -13,10 +13,12 @@ from functools import cache
 from importlib.metadata import EntryPoint
 from inspect import ismethod
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
+
+import msgspec
 
 from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, observation_space, preset_named
-from magical_mj.policies.facts import check_set, check_tasks, check_variants
+from magical_mj.policies.facts import Learnt, learnt_from
 from magical_mj.policies.interface import (
     AGENTS,
     NEUTRAL,
@@ -25,15 +27,12 @@ from magical_mj.policies.interface import (
     policy_name,
     policy_task,
     reason,
-    uses_instruction,
-    uses_observations,
     uses_of,
 )
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.shifts.registry import Effect
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import MissingFileError, SettingsError, short_repr, unknown_name
-from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import announced, imported, reference_in_folder, source_digest, source_of
 
 ACCEPTED_POLICIES: Final = (
@@ -41,16 +40,6 @@ ACCEPTED_POLICIES: Final = (
 )
 WEIGHTS: Final = (".bin", ".ckpt", ".pt", ".pth", ".safetensors")
 """The suffixes of files with the weights of a network."""
-CONFIG: Final = "config.toml"
-"""The file with the settings of a training in its folder."""
-LEARNT: Final = {
-    "demonstration_set": [("demos", "set")],
-    "played_in": [("reward", "variant"), ("made", "played_in")],
-    "other_tasks": [("made", "other_tasks")],
-}
-"""A field of `Learnt` -> where a run's settings contain it: (table, name)."""
-CHECKS: Final = {"demonstration_set": check_set, "played_in": check_variants, "other_tasks": check_tasks}
-"""A field of `Learnt` -> the function that checks its value."""
 _POLICY: Final = re.compile(r"^(?:class|def) (\w*(?:policy|agent))\b", re.IGNORECASE | re.MULTILINE)
 """A line of a module that probably defines a policy."""
 _COMMA: Final = re.compile(r"(?<!\\),")
@@ -68,29 +57,6 @@ The name of an entry point is the name of a file in such folders.
 """
 
 
-class Learnt(NamedTuple):
-    """The data that a policy's training used, as far as it is known.
-
-    Attributes:
-        demonstration_set: the set of the package's demonstrations.
-        played_in: the variants of the scenes that it was trained in, separated by commas.
-        other_tasks: tasks that it cannot play, but that its encoder or its reward was trained on.
-    """
-
-    demonstration_set: int = 1
-    played_in: str = "Demo"
-    other_tasks: tuple[str, ...] = ()
-
-    def unusual(self) -> dict[str, Any]:
-        """The fields without a default value, as JSON holds them."""
-        usual = self._field_defaults
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in self._asdict().items()
-            if value != usual[name]
-        }
-
-
 @dataclass(frozen=True)
 class Source:
     """The origin of one policy to be evaluated. It is small, and picklable unless the origin is the policy itself.
@@ -103,12 +69,10 @@ class Source:
         digest: the expected hash of the policy's file ("sha256") or module ("code"). Empty without a file, or if the
             hash is not checked.
         batches: whether it acts in batches of observations. Set by `checked`, like the attributes below.
-        preset: the preset of its observations.
         unnoticed: the effects of shifts that it cannot notice. With "instruction", it does not read the instruction.
         uses: what it uses in episodes, of `magical_mj.policies.interface.USES`.
-        learnt: what its training used.
+        learnt: what is known about its training.
         needs_plan: whether it is an expert, which follows the task's plan.
-        unfinished: where its training stopped before its end, such as "update 225 of 3000"; otherwise empty.
     """
 
     name: str
@@ -117,25 +81,26 @@ class Source:
     trust: bool = False
     digest: Mapping[str, str] = field(default_factory=dict)
     batches: bool = False
-    preset: str = DEFAULT_PRESET
     unnoticed: frozenset[Effect] = frozenset()
     uses: frozenset[str] = frozenset(("observations",))
     learnt: Learnt = field(default_factory=Learnt)
     needs_plan: bool = False
-    unfinished: str = ""
 
     def checked(self, policy: Act, preset: str) -> Source:
         """The source with the attributes of its policy, which is played with this preset."""
+        uses, unnoticed = uses_of(policy), set[Effect]()
+        if "observations" in uses and preset_named(preset).layout == "state":
+            unnoticed.add("pictures")
+        if "instruction" not in uses:
+            unnoticed.add("instruction")
         return replace(
             self,
             digest=self._hash(),
-            batches=isinstance(policy, BatchPolicy) and uses_observations(policy),
-            preset=preset,
-            unnoticed=_unnoticed(policy, preset),
-            uses=uses_of(policy),
+            batches="observations" in uses and isinstance(policy, BatchPolicy),
+            unnoticed=frozenset(unnoticed),
+            uses=uses,
             needs_plan=getattr(policy, "needs_plan", False),
             learnt=learnt_from(self.origin, policy),
-            unfinished=getattr(policy, "unfinished", ""),
         )
 
     def load(self) -> Act:
@@ -183,8 +148,7 @@ class Source:
     def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        stopped = {"unfinished": self.unfinished} if self.unfinished else {}
-        known = {**self.digest, **self.learnt.unusual(), **stopped}
+        known = {**self.digest, **msgspec.to_builtins(self.learnt)}
         facts = {"uses": sorted(self.uses), "loaded": self.loaded}
         return {"name": self.name, "run": self.run, "origin": origin, **known, **facts}
 
@@ -235,26 +199,6 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     return listed
 
 
-def learnt_from(origin: object, policy: object = None) -> Learnt:
-    """What a policy's training used.
-
-    Args:
-        origin: the policy's origin. If it is the folder of a training, the fields are read from its settings.
-        policy: the policy. Otherwise, they are its attributes with these names, if it has them.
-    """
-    path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
-    settings = read_toml(path) if path.is_file() else {}
-    facts: dict[str, Any] = {}
-    for name, tables in LEARNT.items():
-        if hasattr(policy, name):
-            facts[name] = CHECKS[name](getattr(policy, name), f"the policy's attribute {name}")
-        for part, setting in tables:
-            known = settings.get(part)
-            if isinstance(known, dict) and setting in known:
-                facts[name] = CHECKS[name](known[setting], f"{part}.{setting} in {path}")
-    return Learnt(**facts)
-
-
 def statistics_of(origin: object) -> Path | None:
     """The file of VecNormalize's statistics next to a stable-baselines3 archive, or in the folder with its name."""
     path = Path(origin) if isinstance(origin, str) else Path()
@@ -271,7 +215,7 @@ def common_preset(policies: Iterable[object]) -> str:
     """
     known = set[str]()
     for policy in policies:
-        if hasattr(policy, "preset") or uses_observations(policy):
+        if hasattr(policy, "preset") or "observations" in uses_of(policy):
             shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
             fitting = [] if shapes is None else _fitting(list(shapes))
             known.add(getattr(policy, "preset", fitting[0] if len(fitting) == 1 else DEFAULT_PRESET))
@@ -284,15 +228,6 @@ def also_fitting(policy: object, preset: str) -> list[str]:
     if shapes is None or hasattr(policy, "preset"):
         return []
     return [name for name in _fitting(list(shapes)) if name not in ("", preset)]
-
-
-def _unnoticed(policy: object, preset: str) -> frozenset[Effect]:
-    """The effects of shifts that a policy cannot notice. Pictures do not count as unnoticed if it uses the engine."""
-    missing: dict[Effect, bool] = {
-        "pictures": preset_named(preset).layout == "state" and uses_observations(policy),
-        "instruction": not uses_instruction(policy),
-    }
-    return frozenset(effect for effect, is_missing in missing.items() if is_missing)
 
 
 def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
@@ -405,7 +340,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
     _check_tasks(policy, pairs, like)
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    if shapes is not None and uses_observations(policy):
+    if shapes is not None and "observations" in uses_of(policy):
         _check_shape(list(shapes), preset)
 
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from magical_mj.actions import ACTIONS
 from magical_mj.observations import STATE_NAMES
-from magical_mj.policies.facts import check_stopped, check_tasks, check_variants
+from magical_mj.policies.facts import Learnt
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
 from magical_mj.policies.onnx_files import check_onnx
 from magical_mj.utils.environment import environment_restored
@@ -79,16 +79,12 @@ class Model:
         remembers: whether observations are state vectors, and `act` takes the last few of them (`History.states`).
 
     Attributes:
-        tasks, preset, demonstration_set, played_in, other_tasks, unfinished: facts about its training. Missing if the
-            file lacks them.
+        tasks, preset, learnt: facts about its training. Missing if the file lacks them.
     """
 
     tasks: tuple[str, ...]
     preset: str
-    demonstration_set: int
-    played_in: str
-    other_tasks: tuple[str, ...]
-    unfinished: str
+    learnt: Learnt
 
     def __init__(
         self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
@@ -404,13 +400,16 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     known = session.get_modelmeta().custom_metadata_map  # written by `export_policy`
     if {"task", "preset"} <= known.keys():
         model.tasks, model.preset = (known["task"],), known["preset"]
-        learnt = known.get("demonstration_set", "")
-        model.demonstration_set = int(learnt) if learnt.isdecimal() else 1
-        model.played_in = known.get("played_in", "Demo")
-        check_variants(model.played_in, f"played_in in {path}")
-        model.other_tasks = check_tasks(known.get("other_tasks", "").splitlines(), f"other_tasks in {path}")
-        if stopped := known.get("unfinished", ""):
-            model.unfinished = check_stopped(stopped, f"unfinished in {path}")
+        number = known.get("demonstration_set", "")
+        try:
+            model.learnt = Learnt(
+                int(number) if number.isdecimal() else 1,
+                known.get("played_in", "Demo"),
+                known.get("other_tasks", "").splitlines(),
+                known.get("unfinished", ""),
+            )
+        except SettingsError as error:
+            raise SettingsError(f"{path}: {error}") from None
     return model
 
 

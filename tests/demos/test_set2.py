@@ -96,7 +96,7 @@ def test_cloning_them_needs_the_set_in_the_settings() -> None:
     given = {"MoveToRegion": magical_mj.demos.load("MoveToRegion", set=2)[:2]}
     with pytest.raises(DemonstrationError, match=r"MoveToRegion are of set 2: give settings with demos\.set=2"):
         clone(from_states(), given)
-    assert clone(from_states(**{"demos.set": 2}), given).demonstration_set == 2
+    assert clone(from_states(**{"demos.set": 2}), given).learnt.demonstration_set == 2
 
 
 @EXPORTS

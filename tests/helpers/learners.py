@@ -148,7 +148,7 @@ def check_readers(method: str, changes: dict[str, Any], folder: Path) -> None:
     where = {"tasks": settings.tasks, "variants": "Demo", "preset": settings.preset, "jobs": 1, "episodes": 1}
     played, again = (evaluate(one, **where)["actions"].tolist() for one in (policy, folder))
     assert played == again
-    for fact in ("tasks", "preset", "demonstration_set", "played_in", "other_tasks"):
+    for fact in ("tasks", "preset", "learnt"):
         assert getattr(policy_in(folder), fact) == getattr(policy, fact)
     if METHODS[method].learns_reward:
         with closing(learner_of_reward(folder, settings)) as loaded:

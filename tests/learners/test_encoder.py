@@ -97,7 +97,7 @@ def test_a_trainings_own_encoder_is_used_again(shell: Shell, tmp_path: Path) -> 
     assert code == 0, error
     second = convolutions_of(Path("second"))
     assert all(torch.equal(values, second[name]) for name, values in convolutions_of(tmp_path / "first").items())
-    assert load_policy("second").played_in == "Demo,Layout,All"
+    assert load_policy("second").learnt.played_in == "Demo,Layout,All"
 
 
 def test_a_training_with_an_encoder_resumes(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_policies_declare_the_scenes_and_tasks_of_their_encoder(tmp_path: Path) 
     """Those in memory, in a run's folder, and exported; an entry that does not declare them is refused."""
     random_encoder(tmp_path / "encoder.safetensors", "Demo,Layout,All", task="FindDupe")
     settings = using(tmp_path / "encoder.safetensors")
-    assert clone(settings, out=tmp_path / "run").played_in == "Demo,Layout,All"
+    assert clone(settings, out=tmp_path / "run").learnt.played_in == "Demo,Layout,All"
     (tmp_path / "encoder.safetensors").unlink()  # the run's folder is enough
     export_policy(tmp_path / "run", tmp_path / "exported.onnx")
     seen = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), np.uint8)
@@ -148,16 +148,16 @@ def test_encoders_of_another_set_are_refused(encoder: int, training: int, tmp_pa
         with pytest.raises(SettingsError, match=problem):
             train(using(path, **sets[1]), tmp_path / "new")
     save_encoder(file, found._replace(demonstration_set=0), overwrite=True)
-    assert clone(using(file, **sets[1])).demonstration_set == training
+    assert clone(using(file, **sets[1])).learnt.demonstration_set == training
 
 
 def test_entries_name_the_other_tasks_of_an_encoder(tmp_path: Path) -> None:
     """Also those of the encoder's own encoder, and in entries whose card is changed later."""
     random_encoder(tmp_path / "encoder.safetensors", task="FindDupe")
-    assert clone(using(tmp_path / "encoder.safetensors"), out=tmp_path / "first").other_tasks == ("FindDupe",)
+    assert clone(using(tmp_path / "encoder.safetensors"), out=tmp_path / "first").learnt.other_tasks == ["FindDupe"]
     random_encoder(tmp_path / "encoder.safetensors", task="MakeLine")
     settings = using(tmp_path / "first", tasks="FixColour")
-    assert clone(settings, out=tmp_path / "second").other_tasks == ("MoveToRegion", "FindDupe")
+    assert clone(settings, out=tmp_path / "second").learnt.other_tasks == ["MoveToRegion", "FindDupe"]
     where = {"tasks": "FixColour", "variants": "Demo", "episodes": 1, "jobs": 1}
     evaluate({"BC": tmp_path / "second"}, out=tmp_path / "scores", **where)
     card, entry = tmp_path / "entry" / "card.toml", tmp_path / "entry" / "bc.json.xz"

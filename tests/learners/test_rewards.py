@@ -29,6 +29,7 @@ from magical_mj.learners.rewards import (
     rewards,
 )
 from magical_mj.observations import STATE_NAMES
+from magical_mj.policies.facts import Learnt
 from magical_mj.utils.errors import EvaluationError, SettingsError, TrainingError, UnknownNameError
 from tests.helpers.commands import Shell
 from tests.helpers.learners import EXPORTS, check_resumes, from_states, playing, stopped
@@ -172,9 +173,11 @@ def test_attributes_about_a_policys_training_are_checked(variants: object, tmp_p
     def policy(_: object) -> int:
         return 0
 
-    policy.played_in = variants  # pyright: ignore[reportFunctionMemberAccess]
+    policy.learnt = {"played_in": variants}  # pyright: ignore[reportFunctionMemberAccess]
     where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
-    with pytest.raises(SettingsError, match=r"the policy's attribute played_in must be variants, .* not"):
+    with pytest.raises(SettingsError, match=r"played_in must be variants, .* not"):
+        Learnt(played_in=variants)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(SettingsError, match="the policy's attribute learnt must be a Learnt, not"):
         evaluate({"X": policy}, out=tmp_path / "scores", **where)
 
 
@@ -194,7 +197,7 @@ def test_ppo_records_the_demonstrations_of_its_reward(tmp_path: Path) -> None:
 def test_ppo_records_the_other_tasks_of_its_reward(tmp_path: Path) -> None:
     train(from_states(method="iq-learn", tasks="FixColour,MoveToRegion"), tmp_path / "iq")
     train(playing("ppo", preset="State", **{"reward.run": str(tmp_path / "iq")}), tmp_path / "ppo")
-    assert load_policy(tmp_path / "ppo").other_tasks == ("FixColour",)
+    assert load_policy(tmp_path / "ppo").learnt.other_tasks == ["FixColour"]
 
 
 def test_ppo_does_not_continue_on_another_reward(tmp_path: Path) -> None:

@@ -499,6 +499,6 @@ def test_an_interrupted_training_is_not_evaluated_as_if_it_were_finished(tmp_pat
         load_policy(run)
     with pytest.warns(UserWarning, match=r"the training in .* has stopped"):
         file = export_policy(run, tmp_path / "early.onnx")
-    assert load_onnx(file).unfinished == policy["unfinished"]
+    assert load_onnx(file).learnt.unfinished == policy["unfinished"]
     with pytest.warns(UserWarning, match=r"the training of early in .*early\.onnx has stopped at update \d+ of \d+"):
         magical_mj.evaluate(file, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1)

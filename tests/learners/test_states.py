@@ -229,7 +229,7 @@ def test_cloning_records_the_variants_of_given_demonstrations(tmp_path: Path) ->
     """An entry must declare them."""
     given = [demonstrate("MoveToRegion", variant, 10_000_000) for variant in ("Demo", "Jitter", "All")]
     policy = clone(tiny(preset="State"), {"MoveToRegion": given}, out=tmp_path / "run")
-    assert policy.played_in == load_policy(tmp_path / "run").played_in == "Demo,Jitter,All"
+    assert policy.learnt.played_in == load_policy(tmp_path / "run").learnt.played_in == "Demo,Jitter,All"
     magical_mj.evaluate(
         {"BC": policy}, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, out=tmp_path / "scores"
     )

@@ -122,7 +122,7 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     learner = BehaviouralCloning(settings, {task: chosen})
     for _ in range(learner.updates):
         learner.update()
-    policy = TrainedPolicy(learner.actor, settings.tasks, settings.preset)
+    policy = TrainedPolicy(learner.actor, settings.tasks, settings.preset, learner.learnt)
     played = {"tasks": task, "variants": "Demo,Jitter", "split": "dev", "episodes": episodes, "preset": "State"}
     frame = evaluate(policy, jobs=1, **played)
     scores = frame.groupby("variant")["score"].mean()

@@ -177,7 +177,7 @@ class Relational(Method):
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the networks' probabilities."""
         settings = self.settings
-        return TrainedPolicy(self._actor, settings.tasks, settings.preset, demonstration_set=settings.demos.set)
+        return TrainedPolicy(self._actor, settings.tasks, settings.preset, self.learnt)
 
     def save_policy(self, folder: Path) -> None:
         """Writes the networks, and the report on assumptions."""

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Final
 
 from magical_mj.learners import checkpoint
-from magical_mj.learners.policy import TrainedPolicy, stopped_at
+from magical_mj.learners.policy import TrainedPolicy, learnt_in
 from magical_mj.learners.settings import STATE
-from magical_mj.policies.loading import learnt_from
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError
@@ -41,7 +40,6 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         chosen = {name: contents["relational"][name] for name in PLAYED}
         actor = Ensemble(changed(RelationalSettings(), chosen))
         actor.load_state_dict(contents["weights"])
-        learnt = learnt_from(path.parent)._asdict()
-        return TrainedPolicy(actor, contents["tasks"], STATE, unfinished=stopped_at(path.parent), **learnt)
+        return TrainedPolicy(actor, contents["tasks"], STATE, learnt_in(path.parent))
     except Exception as error:
         raise TrainingError(f"{path} does not contain a policy of relational: {error}") from error
