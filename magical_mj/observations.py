@@ -73,6 +73,9 @@ FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index
 """The indices of the two fingers' angles in the state vector."""
 
 
+_BLOCKS: Final = slice(len(_ROBOT), len(_ROBOT) + MAX_BLOCKS * len(_BLOCK))
+
+
 class StateEncoder:
     """Computes the state vectors of one episode. With `start`, the poses of the initial scene follow in the vector.
 
@@ -96,7 +99,7 @@ class StateEncoder:
         if start:
             poses = self.fixed[len(STATE_NAMES) :].reshape(-1, len(_POSE))
             poses[: 1 + len(scene.blocks)] = [scene.robot.pose, *(block.pose for block in scene.blocks)]
-        blocks = self._block_rows(self.fixed)
+        blocks = self.fixed[_BLOCKS].reshape(MAX_BLOCKS, -1)
         regions = self.fixed[len(_ROBOT) + blocks.size : len(STATE_NAMES)].reshape(MAX_REGIONS, len(_REGION))
         for row, block in zip(blocks, scene.blocks, strict=False):
             row[[0, _BLOCK.index(block.shape), _BLOCK.index(block.colour)]] = 1.0
@@ -115,10 +118,6 @@ class StateEncoder:
         """
         state = self.fixed.copy()
         state[:3], state[3:6], state[6 : 6 + len(fingers)] = poses[0], velocities[0], fingers
-        blocks = self._block_rows(state)[: self._count]
+        blocks = state[_BLOCKS].reshape(MAX_BLOCKS, -1)[: self._count]
         blocks[:, 1:4], blocks[:, 4:7] = poses[1:], velocities[1:]
         return state
-
-    @staticmethod
-    def _block_rows(state: NDArray[np.float32]) -> NDArray[np.float32]:
-        return state[len(_ROBOT) :][: MAX_BLOCKS * len(_BLOCK)].reshape(MAX_BLOCKS, len(_BLOCK))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Iterable
 from typing import Final
@@ -11,6 +10,7 @@ from xml.etree.ElementTree import Element, TreeBuilder, XMLParser, fromstring
 import numpy as np
 
 from magical_mj.scene import Pose
+from magical_mj.scene.geometry import quaternion, slide_axes
 
 AXES: Final = ("x", "y", "angle")
 """The joints of a planar body are named after the body, with one of these appended."""
@@ -33,17 +33,6 @@ def single(values: Iterable[float]) -> str:
 
 def _readable(value: float, smallest: float) -> float:
     return 0.0 if 0 < abs(value) < smallest else value
-
-
-def quaternion(angle: float) -> tuple[float, float, float, float]:
-    """The rotation about z by `angle` (rad) as a quaternion w, x, y, z."""
-    return math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)
-
-
-def slide_axes(angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The x and y axes of the world frame, in the frame of a body rotated by `angle` (rad)."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    return (cosine, -sine, 0.0), (sine, cosine, 0.0)
 
 
 def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:

@@ -36,10 +36,11 @@ from magical_mj.assets.contacts import (
     foot,
     vertex,
 )
-from magical_mj.assets.mjcf import comment, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import comment, numbers, planar_body
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, Body, body_named
+from magical_mj.scene.geometry import quaternion
 
 Side = Literal["left", "right"]
 SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from magical_mj.assets import style
 from magical_mj.assets.block import SIDES, block_inertia, collision_geoms
 from magical_mj.assets.contacts import PRESS, default_classes
-from magical_mj.assets.mjcf import AXES, quaternion, slide_axes
+from magical_mj.assets.mjcf import AXES
 from magical_mj.assets.region import blank_regions_mjcf, dash_count, region_corners
 from magical_mj.assets.robot import MOTORS, ROTORS, actuators, joints, torque_caps, wheel_caps
 from magical_mj.assets.scene_mjcf import scene_mjcf
@@ -34,6 +34,7 @@ from magical_mj.scene import Block, Dynamics, GoalRegion, Pebble, Pose, Robot, S
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
+from magical_mj.scene.geometry import quaternion, slide_axes
 from magical_mj.utils.errors import SettingsError
 
 

@@ -12,9 +12,10 @@ from functools import cache
 from types import MappingProxyType
 from typing import Final
 
-from magical_mj.assets.mjcf import numbers, quaternion
+from magical_mj.assets.mjcf import numbers
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import Colour, Shape
+from magical_mj.scene.geometry import quaternion
 
 Rgb = tuple[int, int, int]
 Palette = Mapping[Colour, Rgb]

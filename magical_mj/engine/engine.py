@@ -26,7 +26,7 @@ from magical_mj.utils.errors import ClosedError, CopyError, PhysicsError, Settin
 from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
-_EPISODE: Final = ("scene_model", "_model", "_data", "episode_shifts", "_steps", "trajectory", "_renderers")
+_EPISODE: Final = ("scene_model", "model", "data", "episode_shifts", "steps", "trajectory", "_renderers")
 """The attributes of an engine that `close` frees."""
 
 
@@ -55,6 +55,12 @@ class Engine(Simulation):
         speeds: whether vectors of x-magical's speeds are also actions (`magical_mj.assets.robot.speed_signal`).
 
     Attributes:
+        task: the task; None for plain scenes.
+        variant: the variant.
+        rules: the rules of score and horizon.
+        horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
+        seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
+        shifts: the strengths of the shifts by name, without `body`.
         limit: the largest number of actions in an episode of this engine: the horizon, or fewer.
 
     Raises:
@@ -88,7 +94,7 @@ class Engine(Simulation):
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
         self._begin(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
-        self._seed = seed
+        self.seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
@@ -108,46 +114,20 @@ class Engine(Simulation):
         """Initialises the engine at the start of an episode with this scene and these shifts."""
         check_renderer(renderer)
         super().__init__(setup, SceneModel(scene), renderer=renderer)
+        self.task, self.variant, self.rules, self.horizon = setup.task, setup.variant, setup.rules, setup.horizon
+        self.limit, self.shifts = setup.horizon, FrozenDict(strengths)
         self.start(scene, episode_shifts)
-        self.limit = setup.horizon
-        self._shifts: Mapping[str, int] = FrozenDict(strengths)
-        self._seed: int | None = None
-        self._broken = False
 
-    @property
-    def task(self) -> str | None:
-        """The task; None for plain scenes."""
-        return self.setup.task
-
-    @property
-    def variant(self) -> str:
-        """The variant."""
-        return self.setup.variant
-
-    @property
-    def rules(self) -> Rules:
-        """The rules of score and horizon."""
-        return self.setup.rules
-
-    @property
-    def horizon(self) -> int | None:
-        """The number of actions of an episode; None if it never ends, as in plain scenes."""
-        return self.setup.horizon
-
-    @property
-    def seed(self) -> int | None:
-        """The seed of the current episode's scene; None if the scene was not drawn from a seed."""
-        return self._seed
-
-    @property
-    def shifts(self) -> Mapping[str, int]:
-        """The strengths of the shifts by name, without `body`."""
-        return self._shifts
+    def start(self, scene: Scene, shifts: EpisodeShifts | None = None, seed: int | None = None) -> None:
+        """Starts an episode in a scene that `Setup.scene_and_shifts` returned. `seed` is that of the scene, if any."""
+        self._broken = True  # until the start has succeeded
+        super().start(scene, shifts)
+        self.seed, self._broken = seed, False
 
     @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        steps = self._steps  # an error if the engine is closed
+        steps = self.steps  # an error if the engine is closed
         return self._broken or (self.limit is not None and steps >= self.limit)
 
     def reset(
@@ -180,10 +160,7 @@ class Engine(Simulation):
             seed = check_seed(seed)
         elif scene is None:
             scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
-        start = self.setup.scene_and_shifts(self._shifts, seed, scene, draws)
-        self._broken = True  # until the start has succeeded
-        self.start(*start)
-        self._seed, self._broken = seed, False
+        self.start(*self.setup.scene_and_shifts(self.shifts, seed, scene, draws), seed)
 
     def step(self, action: Any) -> bool:
         """Executes one action of 1/8 s. Returns whether the episode has ended.
@@ -231,10 +208,8 @@ class Engine(Simulation):
         """
         self.setup.check_state(state)  # before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
-            start = self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws)
+            self.start(*self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws))
             self._broken = True  # until everything below has succeeded
-            self.start(*start)
-            self._seed = None
         self.resume(state)
         self._broken = False
 
@@ -304,5 +279,5 @@ def restored(
     engine = Engine.__new__(Engine)
     engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
-    engine._seed, engine._broken, engine.limit = seed, broken, limit
+    engine.seed, engine._broken, engine.limit = seed, broken, limit
     return engine

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,24 @@ class State:
         return self.scene, self.steps, self.simulation.tobytes(), *shifts, self.trajectory
 
 
+def _no_score(*_: object) -> float:
+    raise InvalidSceneError(
+        "a plain scene has no task, and so no score: give a task, or use magical_mj.score(task, ...)"
+    )
+
+
+NO_TASK: Final = TaskSpec(
+    name="plain",
+    summary="",
+    demo=Scene(Robot(0.0, 0.0, 0.0)),
+    steps=1,
+    check=lambda _: None,
+    score=_no_score,
+    distance=_no_score,
+)
+"""The definition of plain scenes, which have neither score nor horizon."""
+
+
 @dataclass(frozen=True)
 class Setup:
     """An environment's task, variant, rules and body, checked. They determine horizon, score and initial scenes."""
@@ -84,24 +102,25 @@ class Setup:
     speeds: bool = False
     """Whether vectors of x-magical's speeds are also actions. They always are in its own task."""
 
+    spec: TaskSpec = field(init=False, repr=False, compare=False)
+    """The task's definition."""
+    horizon: int | None = field(init=False, repr=False, compare=False)
+    """The number of actions of an episode; None if it never ends."""
+
     def __post_init__(self) -> None:
-        """Checks the names."""
-        if self.task is not None:
-            object.__setattr__(self, "variant", variant_name(self.variant))
-            varied_axes(self.spec, self.variant)  # an error if the task does not have the variant
-            check_body_name(self.body)
-        object.__setattr__(self, "speeds", self.speeds or self.spec.speeds)
-        check_rules(self.rules)
+        """Checks the names, and sets what follows from them."""
+        spec = NO_TASK if self.task is None else task_spec(self.task)
+        variant = variant_name(self.variant)
+        varied_axes(spec, variant)  # an error if the task does not have the variant
+        check_body_name(self.body)
+        horizon = None if self.task is None else spec.horizon(check_rules(self.rules), self.body)
+        follows = {"spec": spec, "variant": variant, "speeds": self.speeds or spec.speeds, "horizon": horizon}
+        for name, value in follows.items():
+            object.__setattr__(self, name, value)
 
-    @property
-    def spec(self) -> TaskSpec:
-        """The task's definition."""
-        return NO_TASK if self.task is None else task_spec(self.task)
-
-    @property
-    def horizon(self) -> int | None:
-        """The number of actions of an episode; None if it never ends."""
-        return None if self.task is None else self.spec.horizon(self.rules, self.body)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickling, without the task's functions."""
+        return Setup, (self.task, self.variant, self.rules, self.body, self.speeds)
 
     def check(self, scene: object) -> Scene:
         """The scene. Raises `InvalidSceneError` unless an episode can start in it."""
@@ -114,12 +133,6 @@ class Setup:
                 f"{self.body!r}: make another environment with body={scene.robot.body!r}"
             )
         return scene
-
-    def sample(self, seed: int) -> Scene:
-        """The scene of this seed. Raises a `SettingsError` without a task."""
-        if self.task is None:
-            raise SettingsError("a plain scene has no seeds: give a scene or a state")
-        return drawn_scene(self.spec, self.variant, seed, self.body)
 
     def scene_and_shifts(
         self,
@@ -134,13 +147,16 @@ class Setup:
 
         Raises:
             InvalidSceneError: if an episode cannot start in the scene.
+            SettingsError: if a seed is given without a task.
         """
         if draws is None and shifts:
             draws = draw_shifts(shifts, seed if scene is None and seed is not None else 0)
         episode = EpisodeShifts(draws or {})
         if scene is not None or seed is None:
             return self.check(scene), episode
-        return episode.scene(self.sample(seed), str(self.task)), episode
+        if self.task is None:
+            raise SettingsError("a plain scene has no seeds: give a scene or a state")
+        return episode.scene(drawn_scene(self.spec, self.variant, seed, self.body), self.task), episode
 
     def check_start(
         self, *, seed: object = None, scene: object = None, state: State | None = None, limit: int | None = None
@@ -190,21 +206,5 @@ class Setup:
             )
 
 
-def _no_score(*_: object) -> float:
-    raise InvalidSceneError(
-        "a plain scene has no task, and so no score: give a task, or use magical_mj.score(task, ...)"
-    )
-
-
-NO_TASK: Final = TaskSpec(
-    name="plain",
-    summary="",
-    demo=Scene(Robot(0.0, 0.0, 0.0)),
-    steps=1,
-    check=lambda _: None,
-    score=_no_score,
-    distance=_no_score,
-)
-"""The definition of plain scenes, which have neither score nor horizon."""
 PLAIN: Final = Setup(None)
 """The setup of plain scenes, with any body of the robot."""

@@ -242,34 +242,30 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
                 in its space.
         """
         seed = None if seed is None else check_seed(seed)
-        start = check_options(options, *STARTS)
-        if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
-            raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
-        scene, state = _scene_option(start, self.engine.setup.body), start.get("state")
-        variation = start.get("variation")
-        steps = 0 if self.engine.over else self.engine.steps
-        if variation is not None:
-            scene, draws = self._varied(variation, self._next_seed(seed))
-            self._check_observable(scene)
-            self.engine.reset(scene=scene, draws=draws)
-        elif scene is not None or state is not None:
-            self._check_observable(scene if state is None else getattr(state, "scene", None))
-            self.engine.reset(scene=scene, state=state)
+        scene = state = variation = draws = number = None
+        if options is not None:
+            scene, state, variation = self._start_options(check_options(options, *STARTS))
+        engine = self.engine
+        steps = 0 if engine.over or state is not None else engine.steps
+        if state is not None:
+            self._check_observable(getattr(state, "scene", None))
+            engine.reset(state=state)
         else:
-            number = self._next_seed(seed)
-            if self.engine.task not in TASKS and self._preset.layout == "state":  # scenes of the benchmark's tasks fit
-                self._check_observable(self.engine.setup.sample(number))
-            self.engine.reset(seed=number)
+            if variation is not None:
+                scene, draws = self._varied(variation, self._next_seed(seed))
+            elif scene is None:
+                number = self._next_seed(seed)
+            first, shifts = engine.setup.scene_and_shifts(engine.shifts, number, scene, draws)
+            if number is None or engine.task not in TASKS:  # drawn scenes of the benchmark's tasks fit
+                self._check_observable(first)
+            engine.start(first, shifts, number)
         super().reset(seed=seed)  # last, so that a refused reset does not change the generator
-        self._notice_cut(0 if state is not None else steps)
+        self._notice_cut(steps)
         self._begun = True
-        self._fresh_seed = seed if scene is None and state is None else None
-        self._start_stacks({} if state is None else state.frames)
-        return self.observe(out), self._info(last=False)
-
-    def _start_stacks(self, frames: Mapping[str, Images]) -> None:
+        self._fresh_seed = None if number is None else seed
         for name, stack in self._stacks.items():
-            stack.start(self.engine.draw, frames.get(name))
+            stack.start(engine.draw, None if state is None else state.frames.get(name))
+        return self.observe(out), self._info(last=False)
 
     def get_state(self) -> State:
         """The exact current state of the episode, including the frames in the stacks.
@@ -290,7 +286,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.engine.set_state(state)
         self._cut = 0, 0
         self._begun, self._fresh_seed = True, None
-        self._start_stacks(state.frames)
+        for name, stack in self._stacks.items():
+            stack.start(self.engine.draw, state.frames.get(name))
 
     def __copy__(self) -> MagicalEnv:
         """A deep copy: two environments with the same engine would disturb each other."""
@@ -373,14 +370,26 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         It warns once these episodes have together as many steps as a whole one, so that a few short trials do not.
         """
         self._cut = steps, self._cut[1] + 1 if steps == self._cut[0] else 1
-        enough = max(CUTS, math.ceil(self.limit / max(steps, 1)))
+        limit = self.engine.limit or 0
+        enough = max(CUTS, math.ceil(limit / max(steps, 1)))
         if steps and self._cut == (steps, enough):
             warnings.warn(
-                f"the last {enough} episodes were reset after {steps} of {self.limit} steps. If a wrapper such as "
+                f"the last {enough} episodes were reset after {steps} of {limit} steps. If a wrapper such as "
                 "TimeLimit ends them, their eval_score is 0.0: apply magical_mj.wrappers.ScoreAtTheEnd outside that "
                 "wrapper, or give max_episode_steps to gymnasium.make",
                 stacklevel=3,
             )
+
+    def _start_options(self, start: Mapping[str, Any]) -> tuple[Scene | None, Any, Any]:
+        """The options "scene", "state" and "variation". The scene's JSON may name the environment's own body."""
+        if len(given := [name for name in STARTS if start.get(name) is not None]) > 1:
+            raise SettingsError(f"give only one of the options {', '.join(STARTS)}, not {' and '.join(given)}")
+        scene = start.get("scene")
+        if isinstance(scene, str | bytes):
+            scene = Scene.from_json(scene, trusted=[self.engine.setup.body])
+        elif scene is not None and not isinstance(scene, Scene):
+            raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
+        return scene, start.get("state"), start.get("variation")
 
     def _next_seed(self, seed: int | None) -> int:
         """The seed of an episode: the given seed, the seed of the last reset if no step followed, or a drawn seed."""
@@ -391,7 +400,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The scene and the shifts' values of an episode with this variation; see `reset`."""
         engine, space = self.engine, self.variation_space
         if not isinstance(variation, Mapping):
-            return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
+            return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.scene_and_shifts({}, seed)[0])
         seed = check_seed(variation.get("seed", seed))
         scene, shifts = engine.setup.scene_and_shifts(engine.shifts, seed)
         values = space.values_of(scene, shifts.draws, seed % MAX_SEED)
@@ -434,16 +443,6 @@ def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:
         return values.copy()
     np.copyto(out, values)
     return out
-
-
-def _scene_option(options: Mapping[str, Any], body: str) -> Scene | None:
-    """The option "scene". Its JSON may name the environment's own body."""
-    scene = options.get("scene")
-    if scene is None or isinstance(scene, Scene):
-        return scene
-    if isinstance(scene, str | bytes):
-        return Scene.from_json(scene, trusted=[body])
-    raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
 
 
 def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:

@@ -117,7 +117,8 @@ class VariationSpace(spaces.Dict):
             if not everything and name not in names:
                 values.update({factor: 0 for factor in values if factor != "seed" and f"{name}.{factor}" not in names})
         setup = replace(self._setup, variant="All") if everything or "scene" in names else self._setup
-        return self.values_of(EpisodeShifts(draws).scene(setup.sample(seed), str(setup.task)), draws, seed)
+        scene, _ = setup.scene_and_shifts({}, seed)
+        return self.values_of(EpisodeShifts(draws).scene(scene, str(setup.task)), draws, seed)
 
     def episode(self, values: Mapping[str, Any], scene: Scene) -> tuple[Scene, Draws]:
         """The scene and the shifts' values of a variation.

@@ -112,6 +112,17 @@ def placed(outline: Outline, pose: Pose) -> Outline:
     return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
 
 
+def quaternion(angle: float) -> tuple[float, float, float, float]:
+    """The rotation about z by `angle` (rad) as a quaternion w, x, y, z."""
+    return math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)
+
+
+def slide_axes(angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """The x and y axes of the world frame, in the frame of a body rotated by `angle` (rad)."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return (cosine, -sine, 0.0), (sine, cosine, 0.0)
+
+
 def block_solid(shape: Shape, pose: Pose) -> Solid:
     """A block at `pose`."""
     import shapely

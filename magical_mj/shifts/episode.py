@@ -18,7 +18,7 @@ from magical_mj.shifts.registry import METHODS, SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw, overrides
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
-from magical_mj.utils.frozen import frozen
+from magical_mj.utils.frozen import FrozenDict
 from magical_mj.utils.imports import errors_of_task, with_location
 
 SURROUNDINGS: Final = (231, 231, 234)
@@ -48,10 +48,11 @@ class EpisodeShifts:
     """
 
     def __init__(self, draws: Draws = MappingProxyType({})) -> None:
-        self.draws: Draws = frozen(draws)
-        self._shifts = dict[str, Shift]()
-        for name, values in self.draws.items():
-            self._shifts[name] = shift_class(name)(values)
+        frozen, self._shifts = dict[str, Values](), dict[str, Shift]()
+        for name, values in draws.items():
+            frozen[name] = FrozenDict(values)
+            self._shifts[name] = shift_class(name)(frozen[name])
+        self.draws: Draws = FrozenDict(frozen)
         self._with = _overriding(tuple(self._shifts), tuple(map(type, self._shifts.values())))
         self._ground: tuple[float, Picture] | None = None
         self.changes_ground = bool(self._with["ground"])

@@ -33,7 +33,7 @@ from magical_mj.utils.errors import (
     short_repr,
     unknown_name,
 )
-from magical_mj.variants import OTHER_VARIANTS, Axis, variants_of, varied_axes, vary
+from magical_mj.variants import OTHER_VARIANTS, Axis, check_seed, variants_of, varied_axes, vary
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
@@ -261,12 +261,13 @@ def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Sce
         TaskError: if the task of another package draws an invalid scene, or its code raises an error.
     """
     spec, variant = task_spec(task), variant_name(variant)
+    varied_axes(spec, variant)  # an error if the task does not have the variant
     check_body_name(body)
-    return drawn_scene(spec, variant, seed, body)
+    return drawn_scene(spec, variant, check_seed(seed), body)
 
 
 def drawn_scene(spec: TaskSpec, variant: str, seed: int, body: str) -> Scene:
-    """As `sample_scene`, for a known variant and body."""
+    """As `sample_scene`, whose arguments are checked already."""
     if spec.name in KNOWN:
         return vary(spec, variant, seed, body)  # the benchmark's tasks need no checks
     with imports.errors_of_task(f"{spec.title}-{variant} cannot be drawn from seed {short_repr(seed)}"):

@@ -13,8 +13,8 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
-from typing import Final, NamedTuple
+from functools import lru_cache, partial
+from typing import Final
 
 import numpy as np
 
@@ -30,42 +30,12 @@ MAX_ROUNDS: Final = 11
 """The number of rounds before placement fails."""
 
 
-class Box(NamedTuple):
-    """A uniform distribution of poses over a box. Both corners are (x, y, angle)."""
-
-    low: Pose
-    high: Pose
-
-    def draw(self, rng: np.random.Generator, tries: int) -> Pose:
-        """One joint draw of x, y and angle. It does not depend on the number of `tries` before."""
-        del tries
-        (x, y, angle), (x_high, y_high, angle_high) = self
-        u, v, w = rng.random(3).tolist()
-        return x + (x_high - x) * u, y + (y_high - y) * v, angle + (angle_high - angle) * w
-
-
-class Near(NamedTuple):
-    """Random poses near a given one. The first is the pose itself; the range grows with each try."""
-
-    pose: Pose
-    home: GoalRegion | None
-
-    def draw(self, rng: np.random.Generator, tries: int) -> Pose:
-        """A pose that differs at most by `STRIDE` times the tries in each coordinate. The centre stays in `home`."""
-        (x, y, angle), home = self.pose, self.home
-        u, v, w = (min(STRIDE * tries, c.ARENA_HALF_WIDTH) * (2 * rng.random(3) - 1)).tolist()
-        x, y = x + u, y + v
-        if home is not None:
-            x, y = min(max(x, home.x_min), home.x_max), min(max(y, home.y_min), home.y_max)
-        return x, y, angle + w
-
-
 STRIDE: Final = 0.001
-"""The growth of the range of poses with each try, in world units and in rad."""
+"""The growth of the range of poses with each try in `along`, in world units and in rad."""
 
 Object = Robot | Block | GoalRegion
-Ranges = Callable[[Object, GoalRegion | None], Box | Near]
-"""(an object, the placed region that it belongs in, or None) -> the distribution of its pose."""
+Draw = Callable[[Object, GoalRegion | None, int], Pose]
+"""(an object, the placed region that it belongs in, or None, the number of tries so far) -> a random pose."""
 
 
 def jitter(scene: Scene, rng: np.random.Generator, region_size: tuple[float, float]) -> Scene:
@@ -81,7 +51,7 @@ def jitter(scene: Scene, rng: np.random.Generator, region_size: tuple[float, flo
         height = min(max(region.height + _between(rng, -step, step), low), high)
         width = min(max(region.width + _between(rng, -step, step), low), high)
         regions.append(replace(region, x_max=region.x_min + width, y_min=region.y_max - height))
-    return _place(scene, regions, _around, rng)
+    return _place(scene, regions, partial(_around, rng))
 
 
 def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, float], inner_margin: float) -> Scene:
@@ -101,13 +71,18 @@ def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, flo
         height, width = _between(rng, *region_size), _between(rng, *region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
-    def anywhere(_: Object, home: GoalRegion | None) -> Box:
-        if home is None:
-            return Box((-scene.half_width, -scene.half_width, -math.pi), (scene.half_width, scene.half_width, math.pi))
-        (x, y), half = home.centre, min(home.height, home.width) / 2 - inner_margin
-        return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
+    def anywhere(_: Object, home: GoalRegion | None, tries: int) -> Pose:
+        del tries
+        (x, y), half = (0.0, 0.0), scene.half_width
+        if home is not None:
+            (x, y), half = home.centre, min(home.height, home.width) / 2 - inner_margin
+        return (
+            _between(rng, x - half, x + half),
+            _between(rng, y - half, y + half),
+            _between(rng, -math.pi, math.pi),
+        )
 
-    return _place(scene, regions, anywhere, rng)
+    return _place(scene, regions, anywhere)
 
 
 def along(scene: Scene, other: Scene, fraction: float, rng: np.random.Generator) -> Scene:
@@ -146,7 +121,7 @@ def along(scene: Scene, other: Scene, fraction: float, rng: np.random.Generator)
         return direct
     poses: dict[Object, Pose] = {region: (*region.centre, 0.0) for region in regions}
     poses |= dict(zip((scene.robot, *scene.blocks), (robot, *blocks), strict=True))
-    return _place(scene, regions, lambda item, home: Near(poses[item], home), rng)
+    return _place(scene, regions, lambda item, home, tries: _near(rng, poses[item], home, tries))
 
 
 @lru_cache(maxsize=100)
@@ -164,7 +139,8 @@ def with_room(scene: Scene) -> Scene:
     others = list(solids(scene).values())[1:]
     rng = np.random.Generator(np.random.PCG64(0))
     try:
-        pose, _ = _find(scene.robot, Near(scene.robot.pose, None), areas + others, scene.half_width, rng)
+        draw = partial(_near, rng, scene.robot.pose, None)
+        pose, _ = _find(scene.robot, draw, areas + others, scene.half_width)
     except _NoRoomError as error:
         raise PlacementError(f"found no room for {error} in the demo scene: move blocks and regions apart") from None
     return scene.moved(robot=pose)
@@ -192,27 +168,41 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return low + (high - low) * rng.random()
 
 
-def _around(item: Object, home: GoalRegion | None) -> Box:
-    """The poses close to that of an object. If it belongs in a region, its centre stays there."""
+def _around(rng: np.random.Generator, item: Object, home: GoalRegion | None, tries: int) -> Pose:
+    """A pose close to that of an object. If it belongs in a region, its centre stays there."""
+    del tries
     x, y, angle = (*item.centre, 0.0) if isinstance(item, GoalRegion) else item.pose
     step, turn = c.JITTER_POSITION, c.JITTER_ANGLE
     xs, ys = (x - step, x + step), (y - step, y + step)
     if home is not None:
         xs = [min(max(x, home.x_min), home.x_max) for x in xs]
         ys = [min(max(y, home.y_min), home.y_max) for y in ys]
-    return Box((xs[0], ys[0], angle - turn), (xs[1], ys[1], angle + turn))
+    return _between(rng, *xs), _between(rng, *ys), _between(rng, angle - turn, angle + turn)
+
+
+def _near(rng: np.random.Generator, pose: Pose, home: GoalRegion | None, tries: int) -> Pose:
+    """The pose itself at first, then random poses that differ at most by `STRIDE` times the tries in each coordinate.
+
+    The centre stays in `home`.
+    """
+    x, y, angle = pose
+    u, v, w = (min(STRIDE * tries, c.ARENA_HALF_WIDTH) * (2 * rng.random(3) - 1)).tolist()
+    x, y = x + u, y + v
+    if home is not None:
+        x, y = min(max(x, home.x_min), home.x_max), min(max(y, home.y_min), home.y_max)
+    return x, y, angle + w
 
 
 class _NoRoomError(Exception):
     """No legal pose was found for an object, which is the argument."""
 
 
-def _place(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng: np.random.Generator) -> Scene:
-    """The scene with its regions replaced by `regions` and all poses drawn from `ranges`."""
+def _place(scene: Scene, regions: Sequence[GoalRegion], draw: Draw) -> Scene:
+    """The scene with its regions replaced by `regions` and all poses drawn by `draw`."""
     stuck: object = None
     for _ in range(MAX_ROUNDS):
         try:
-            return _place_once(scene, regions, ranges, rng)
+            return _place_once(scene, regions, draw)
         except _NoRoomError as error:
             stuck = error
     raise PlacementError(
@@ -222,12 +212,12 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng: np.
     )
 
 
-def _place_once(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng: np.random.Generator) -> Scene:
+def _place_once(scene: Scene, regions: Sequence[GoalRegion], draw: Draw) -> Scene:
     """One round of `_place`. Raises `_NoRoomError` if no legal pose is found for an object."""
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
-        pose, area = _find(region, ranges(region, None), areas, scene.half_width, rng)
+        pose, area = _find(region, partial(draw, region, None), areas, scene.half_width)
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
@@ -237,7 +227,7 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], ranges: Ranges, rng
         item, home = items[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + areas if home is None else placed + areas[:home] + areas[home + 1 :]
-        poses[index], solid = _find(item, ranges(item, own_region), obstacles, scene.half_width, rng)
+        poses[index], solid = _find(item, partial(draw, item, own_region), obstacles, scene.half_width)
         placed.append(solid)
     robot, *blocks = map(poses.__getitem__, range(len(items)))
     return replace(scene.moved(robot, blocks), regions=tuple(placed_regions))
@@ -262,27 +252,21 @@ def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
     return GoalRegion(region.colour, *box, region.border)
 
 
-def _solid(item: Object, pose: Pose) -> Solid:
-    """The area that an object would cover at `pose`."""
-    if isinstance(item, Robot):
-        return robot_solid(pose, item.fingers, item.body)
-    if isinstance(item, Block):
-        return block_solid(item.shape, pose)
-    return region_solid(_at(item, pose))
-
-
-def _find(
-    item: Object, poses: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
-) -> tuple[Pose, Solid]:
+def _find(item: Object, draw: Callable[[int], Pose], obstacles: Sequence[Solid], half: float) -> tuple[Pose, Solid]:
     """The first drawn pose where an object touches neither walls nor obstacles, and the area that it covers there.
 
     The walls are at the distance `half` from the origin. Raises `_NoRoomError` if `MAX_TRIES` draws are not enough.
     """
     for tries in range(MAX_TRIES):
-        pose = poses.draw(rng, tries)
+        pose = draw(tries)
         if isinstance(item, Robot) and item.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
             continue  # a shortcut: the disc touches a wall, so the fingers' outlines are not needed
-        solid = _solid(item, pose)
+        if isinstance(item, Robot):
+            solid = robot_solid(pose, item.fingers, item.body)
+        elif isinstance(item, Block):
+            solid = block_solid(item.shape, pose)
+        else:
+            solid = region_solid(_at(item, pose))
         if inside_walls(solid, half_width=half) and not any(touch(solid, other) for other in obstacles):
             return pose, solid
     raise _NoRoomError(item)

@@ -221,16 +221,13 @@ def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) ->
     """The initial scene of a task's variant for a seed, with this body of the robot.
 
     Each axis has its own random generator, so that adding a draw to one axis never changes another. If the task does
-    not accept the scene, all axes are drawn again.
+    not accept the scene, all axes are drawn again. `varied_axes` checks the variant, and `check_seed` the seed.
 
     Raises:
-        UnknownNameError: if the task does not have this variant.
-        InvalidSeedError: if the seed is not an integer, or negative.
         PlacementError: if no legal placement was found.
         TaskError: if a rule of the task does not return a scene.
     """
-    seed = check_seed(seed)
-    axes = varied_axes(rules, variant)
+    axes = rules.variants[variant]
     rngs: dict[Axis, np.random.Generator] = {axis: axis_generator(rules.name, axis, seed) for axis in axes}
     demo = rules.demo if rngs else rules.demos[seed % len(rules.demos)]
     if body != demo.robot.body:

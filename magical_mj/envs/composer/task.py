@@ -27,11 +27,10 @@ from magical_mj.observations import OBSERVATIONS, STATE_NAMES, StateEncoder
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.shifts.episode import EpisodeShifts
-from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward
 from magical_mj.utils import errors
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
-from magical_mj.utils.frozen import frozen
+from magical_mj.utils.frozen import FrozenDict
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """View -> the name of its camera in the compiled tree, if the two differ."""
@@ -61,10 +60,10 @@ class LoadSettings:
         for name in names:
             check_name("observation", name, OBSERVATIONS)
         object.__setattr__(self, "observations", tuple(names))
-        object.__setattr__(self, "strengths", frozen(self.strengths))
+        object.__setattr__(self, "strengths", FrozenDict(self.strengths))
         check_name("reward", self.reward, REWARDS)
         if self.setup.task is not None:
-            task_spec(self.setup.task).check_reward(self.reward)
+            self.setup.spec.check_reward(self.reward)
 
 
 class SceneTask(composer.Task):
