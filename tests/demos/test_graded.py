@@ -1,4 +1,4 @@
-"""The graded demonstrations: what is in them, that they are those of their tool, and their exports."""
+"""The graded demonstrations: what is in them, and their exports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import Shell
-from tools.graded_demonstrations import mistaken, still
 
 SETS = [(task, body) for task in KNOWN for body in (task_spec(task).bodies if task_spec(task).speeds else ("gripper",))]
 FREE = {"MoveToRegion": 2, "FixColour": 2, "FindDupe": 3, "MakeLine": 3}
@@ -52,17 +51,6 @@ def test_they_are_played_again_to_their_scores(task: str, body: str) -> None:
         assert demo.score == demo.rescored()
         assert len(demo.actions) == task_spec(task).horizon(body=body)
     assert magical_mj.demos.verify(demos[7]).exact
-
-
-def test_stopped_ones_begin_as_shipped_ones_and_mistaken_ones_are_those_of_the_tool() -> None:
-    shipped = [still(demo, 40) for demo in magical_mj.demos.load("MoveToRegion")]
-    graded = magical_mj.demos.load("MoveToRegion", set="graded")
-    for demo in graded:
-        if demo.demonstrator == "stopped":
-            acting = int(np.flatnonzero(demo.acts)[-1]) + 1
-            assert any(np.array_equal(demo.actions[:acting], actions[:acting]) for actions in shipped)
-    made = mistaken("MoveToRegion", 0, 40)
-    assert any(np.array_equal(demo.actions, made) for demo in graded if demo.demonstrator == "mistaken")
 
 
 def test_they_are_shown_and_exported_like_others(shell: Shell) -> None:

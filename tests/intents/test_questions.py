@@ -18,8 +18,6 @@ from magical_mj.intents.relations import RELATIONS
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.utils.errors import SettingsError
-from tools import question_floors
-from tools.pages import filled
 
 SETTINGS = {"scenes": 2, "limit": 6}
 
@@ -238,13 +236,3 @@ def test_files_contain_questions_with_pictures(made: list[Question], tmp_path: P
     assert {field["name"] for field in described["recordSet"][0]["field"]} == set(lines[0])
     with pytest.raises(SettingsError):
         write(made[:1], tmp_path / "out", "test")
-
-
-def test_the_page_has_the_measured_floors() -> None:
-    page = question_floors.PAGE.read_text("utf-8")
-    assert filled(page, {"floors": question_floors.floors()}, question_floors.COMMAND) == page
-    logic = [row for row in question_floors.rows() if row["kind"] == "logic"]
-    assert len(logic) == 6
-    for row in logic:
-        assert float(row["exact inference"]) >= 0.97
-        assert max(float(row["same place"]), float(row["nearest"])) <= 0.3

@@ -1,12 +1,9 @@
-"""Readings: which blocks demonstrations may have meant, what an episode did by them, and what test scenes can tell."""
+"""Readings: which blocks demonstrations may have meant, and what an episode did by them."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from magical_mj import ENVIRONMENTS
 from magical_mj.intents import EIGHT, parse
 from magical_mj.intents.readings import (
     DemonstratedBlocks,
@@ -19,9 +16,7 @@ from magical_mj.intents.readings import (
 )
 from magical_mj.scene import Scene
 from tests.intents.test_language import START, moved
-from tools.attribution import refuted
 
-CARD = Path(__file__).parents[2] / "docs" / "benchmark-card.md"
 INTENT = parse("in(colour=blue, region) & out(colour!=blue)")
 OUTSIDE, INSIDE = (-0.8, -0.3), (0.1, 0.2)
 
@@ -139,36 +134,6 @@ def test_the_demonstrated_places_are_taken_block_by_block() -> None:
     assert (final.blocks[0].x, final.blocks[0].y) == INSIDE
     assert final.robot.pose[:2] == (0.9, 0.0)
     assert final.blocks[1:] == START.blocks[1:]
-
-
-def test_the_benchmark_card_says_what_test_scenes_can_tell() -> None:
-    _, block, _ = CARD.read_text("utf-8").split("identifiability")  # between its markers
-    lines = [line.strip("| ").split("|") for line in block.splitlines() if line.startswith("| ")]
-    cells = [tuple(map(str.strip, line)) for line in lines]
-    chosen, others = ("MatchRegions", "FindDupe", "FixColour"), ("ClusterColour", "ClusterShape")
-    rows = {
-        f"{task} {variant}": values for task, names, *values in cells if task in chosen for variant in names.split(", ")
-    }
-    places = {task: values for task, *values in cells if task in others}
-    assert set(rows) == {f"{task} {variant}" for task, variant in ENVIRONMENTS if task in chosen and variant != "Demo"}
-    for task in ("MatchRegions", "FindDupe"):
-        assert {
-            float(rows[f"{task} {variant}"][0]) for variant in ("Jitter", "Layout", "Colour", "Shape", "Dynamics")
-        } == {0}
-    assert [
-        rows[f"{task} {variant}"][0] for task in ("MatchRegions", "FindDupe") for variant in ("CountPlus", "All")
-    ] == [
-        "0.58",
-        "0.58",
-        "0.85",
-        "0.85",
-    ]
-    assert (rows["FixColour Colour"][0], rows["FixColour All"][0]) == ("0.66", "0.84")
-    for task, variant in (("FixColour", "Colour"), ("FindDupe", "All")):
-        values = refuted(task, variant, range(100))
-        assert ["" if value is None else f"{value:.2f}" for value in values] == rows[f"{task} {variant}"]
-    for task in others:  # Colour is the third test variant
-        assert f"{refuted(task, 'Colour', range(100))[-1]:.2f}" == places[task][2]
 
 
 def test_other_blocks_may_be_intended() -> None:

@@ -12,7 +12,7 @@ import pytest
 import magical_mj
 from tools import publish
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not (ROOT / "site" / "policies").exists(), reason="the sdist has no policies")
 
 

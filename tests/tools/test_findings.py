@@ -27,7 +27,7 @@ from tools.test_scenes import right_first
 
 pytestmark = pytest.mark.xdist_group("results")  # which are read once
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 RELEASED = " by released rules"
 REPLAYED = 0.7
 """From this mean score on, replaying a demonstration counts as enough in an environment."""
