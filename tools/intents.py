@@ -113,20 +113,16 @@ class Wanted(NamedTuple):
 def wanted() -> Iterator[Wanted]:
     """Those of the test sets, the most needed first.
 
-    Four in one scene, in four contrasting and in four random ones, and four more in one scene. The first is the same in
-    all three, since the first demo scene is.
+    For each intent four in one scene and four in contrasting ones; then for each four in random ones; then four more in
+    one scene. The first is the same in all three, since the first demo scene is.
     """
     tasks = [f"{PREFIX}{task}" for each in zip(*map(tasks_in, TESTS), strict=True) for task in each]
-    kinds = (
-        (1, False, range(4)),
-        (4, True, range(4)),
-        (4, False, range(4)),
-        (1, False, range(4, DEMONSTRATIONS_GIVEN)),
-    )
-    for scenes, contrasting, numbers in kinds:
-        for task, number in itertools.product(tasks, numbers):
-            key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
-            yield Wanted(key, key if number else (task, "Demo", 0))
+    first = (1, False, range(4)), (4, True, range(4))
+    for kinds in (first, ((4, False, range(4)),), ((1, False, range(4, DEMONSTRATIONS_GIVEN)),)):
+        for task, (scenes, contrasting, numbers) in itertools.product(tasks, kinds):
+            for number in numbers:
+                key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
+                yield Wanted(key, key if number else (task, "Demo", 0))
 
 
 def demonstrations(first: int, jobs: int) -> None:

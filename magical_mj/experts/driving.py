@@ -85,10 +85,11 @@ class Lookahead:
 
     def __init__(self, engine: Engine) -> None:
         self._simulation, self._scene_model = engine.physics_copy(), engine.scene_model
-        self._shifts = engine.episode_shifts.copy()
-        self._commands: list[int | None] = []
         self._keeps_trajectory = engine.setup.spec.trajectory
-        self._scenes = list(engine.scored_scenes) if self._keeps_trajectory else [engine.initial_scene]
+        scenes = engine.scored_scenes if self._keeps_trajectory else (engine.initial_scene,)
+        self._here = SavedState(self._simulation.save(), engine.episode_shifts.copy(), (), tuple(scenes))
+        self._root = self._simulated = self._here
+        self._known: dict[tuple[int, int], tuple[SavedState, SavedState]] = {}
         self.body = body_named(self._scene_model.scene.robot.body)
         """The robot's body. Without fingers, it cannot grip blocks and pushes them."""
         self.trace: list[int] = []
@@ -98,18 +99,21 @@ class Lookahead:
         self.execution: HumanExecution | None = None
         """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
-        """The total number of simulated steps."""
+        """The total number of actions."""
         self.pending = [self.state]
         """The states from the engine's state to the lookahead's first one. Their commands are already given."""
-        while self._shifts.delay > len(self._commands):
+        while self._here.shifts.delay > len(self._here.commands):
             self._take(NOOP)
             self.pending.append(self.state)
 
     def restore(self, state: SavedState) -> None:
-        """Restores a state, with an empty history."""
-        self._simulation.restore(state.simulation)
-        self._shifts, self._commands = state.shifts.copy(), list(state.commands)
-        self._scenes = list(state.scenes)
+        """Restores a state, with an empty history.
+
+        The results of actions are kept until another state is restored, since manoeuvres from one state begin alike.
+        """
+        if state is not self._root:
+            self._root, self._known = state, {}
+        self._here = state
         self.trace, self.states = [], []
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
@@ -124,43 +128,59 @@ class Lookahead:
 
     def _take(self, wanted: int) -> None:
         """Executes an action, or the action that was already commanded for this step."""
-        delay = self._shifts.delay
-        at = len(self._commands) - delay
-        self._commands.append(None)
-        if at >= 0 and self._commands[at] is None:
-            self._commands[at] = wanted
+        key = id(self._here), wanted
+        if key not in self._known:
+            self._known[key] = self._here, self._after(wanted)  # with the first state, so that its id stays its own
+        self._here = self._known[key][1]
+
+    def _after(self, wanted: int) -> SavedState:
+        """The state after an action, by simulation."""
+        if self._simulated is not self._here:
+            self._simulation.restore(self._here.simulation)
+        shifts, commands, scenes = self._here.shifts.copy(), [*self._here.commands, None], self._here.scenes
+        delay = shifts.delay
+        at = len(commands) - 1 - delay
+        if at >= 0 and commands[at] is None:
+            commands[at] = wanted
             if delay:
-                self._shifts.revise(delay, wanted)
-        self._simulation.act(self._shifts.action(NOOP if delay else wanted))
+                shifts.revise(delay, wanted)
+        self._simulation.act(shifts.action(NOOP if delay else wanted))
         if self._keeps_trajectory:
-            self._scenes.append(self.scene())
+            scenes = (*scenes, self._scene_model.read(self._simulation.data.qpos))
+        self._simulated = SavedState(self._simulation.save(), shifts, tuple(commands), scenes)
+        return self._simulated
 
     @property
     def state(self) -> SavedState:
         """The current state."""
-        return SavedState(self._simulation.save(), self._shifts.copy(), tuple(self._commands), tuple(self._scenes))
+        return self._here
 
     @property
     def commands(self) -> list[int]:
         """The commands that lead from the engine's current state to the lookahead's current state."""
-        return [NOOP if command is None else command for command in self._commands]
+        return [NOOP if command is None else command for command in self._here.commands]
 
     @property
     def robot(self) -> Pose:
         """The robot's pose."""
-        x, y, angle = self._scene_model.poses(self._simulation.data.qpos)[0].tolist()
+        x, y, angle = self._scene_model.poses(self._positions)[0].tolist()
         return x, y, angle
 
     @property
     def speed(self) -> tuple[float, float]:
         """The robot's speed forwards (units/s) and its turning speed to the left (rad/s)."""
-        vx, vy, spin = self._scene_model.velocities(self._simulation.data.qvel)[0].tolist()
+        velocities = self._simulation.coordinates(self._here.simulation)[1]
+        vx, vy, spin = self._scene_model.velocities(velocities)[0].tolist()
         angle = self.robot[2]
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
 
+    @property
+    def _positions(self) -> NDArray[np.float64]:
+        return self._simulation.coordinates(self._here.simulation)[0]
+
     def block(self, index: int) -> Point:
         """A block's position."""
-        x, y, _ = self._scene_model.poses(self._simulation.data.qpos)[1 + index].tolist()
+        x, y, _ = self._scene_model.poses(self._positions)[1 + index].tolist()
         return x, y
 
     def relative(self, point: Point) -> Point:
@@ -176,11 +196,12 @@ class Lookahead:
 
     def scene(self) -> Scene:
         """The current scene."""
-        return self._scene_model.read(self._simulation.data.qpos)
+        return self._scene_model.read(self._positions)
 
     def scenes_to(self, scene: Scene) -> tuple[Scene, ...]:
         """The scenes that determine the score of `scene`, which is the current one or follows it."""
-        return tuple(self._scenes) if scene == self._scenes[-1] else (*self._scenes, scene)
+        before = self._here.scenes
+        return before if scene == before[-1] else (*before, scene)
 
 
 def steer(

@@ -22,6 +22,7 @@ from magical_mj.experts.navigation import (
     cell_costs,
     cells,
     explore,
+    farthest,
     points_ahead,
 )
 from magical_mj.scene import Pose, Scene
@@ -45,7 +46,6 @@ TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
 WALLED: Final = 12  # the cost of cells where a finger would touch a wall by the estimate; gripping sometimes succeeds
 DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
 CORNER_COST: Final = 4.0  # actions for each point of a route except the last
-SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
 
 # Executing a manoeuvre
 REACHED: Final = (0.36, 0.1)  # ahead, to the side: within these distances, the block is between the fingers
@@ -158,19 +158,9 @@ def simplified(path: Sequence[Pose], costs: Ints) -> list[Point]:
     """The shortest list of a path's points that the robot can connect by straight lines, without the first point."""
     route, at = [], 0
     while at < len(path) - 1:
-        following = range(len(path) - 1, at + 1, -1)
-        at = next((then for then in following if _clear(path[at], path[then], costs)), at + 1)
+        at = max(farthest(path, at, costs), at + 1)
         route.append(path[at][:2])
     return route
-
-
-def _clear(start: Pose, end: Pose, costs: Ints) -> bool:
-    """Whether the straight line from one pose to another is free."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    count = max(2, math.ceil(math.hypot(dx, dy) / SAMPLE))
-    line = np.linspace((start[0], start[1]), (end[0], end[1]), count)
-    heading = np.full((count, 1), math.atan2(-dx, dy))
-    return bool((costs[cells(np.concatenate([line, heading], axis=1))] == 0).all())
 
 
 def _relative(poses: NDArray[np.float64], block: Pose) -> NDArray[np.float64]:
@@ -288,7 +278,7 @@ def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
     distance = math.hypot(dx, dy)
     share = 1 - goal.ahead / distance if distance else 0.0
     end = (x + share * dx, y + share * dy, 0.0)
-    if share <= 0 or _clear((x, y, 0.0), end, costs):
+    if share <= 0 or farthest([(x, y, 0.0), end], 0, costs):
         return [(goal.x, goal.y)]
     tree = explore(scene.robot.pose, costs, limit, goal)
     gaps = np.hypot(*(points_ahead(tree.poses, goal.ahead) - (goal.x, goal.y)).T)

@@ -7,6 +7,7 @@ it, so that the robot can drive the path through the pose's parents.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -14,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import Drive, Turn
+from magical_mj.experts.grid import CELL, HEADINGS, MOTIONS, SIDE, SPINS, cells
 from magical_mj.scene import Pose
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import Body
@@ -23,17 +24,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Discs = tuple[tuple[float, float, float], ...]
 
-HEADINGS: Final = 20  # the number of headings; one action turns by about one of them
-CELL: Final = 0.05  # world units, cell size of the search
-SIDE: Final = round(2 * c.ARENA_HALF_WIDTH / CELL)
 FINE: Final = 0.02  # world units, cell size of the clearance map
 FINE_REACH: Final = 1.4  # world units from the centre to the border of the clearance map
 FINE_SIDE: Final = round(2 * FINE_REACH / FINE)
 
 GRIP: Final = 0.32  # from the robot's centre to that of a block between its fingers
-TURN_STEP: Final = c.SPEED_TURN / c.CONTROL_RATE
 AFTERWARDS: Final = 4  # actions explored after the goal is first reached, to find a better path
-SWITCH_COST: Final = 2  # actions lost when the robot reverses its direction
 
 EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
 """The robot with closed fingers as discs in its frame: x, y, radius."""
@@ -43,16 +39,6 @@ WALL_MARGIN: Final = -0.01
 PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
 """Pairs (clearance to blocks, cost in actions). Cells with less clearance cost more: blocks must be pushed aside."""
 PUSH_LIMIT: Final = -0.2
-
-MOTIONS: Final = tuple(
-    (turn, drive) for drive in (Drive.FORWARD, Drive.BACK, Drive.NONE) for turn in Turn if turn or drive
-)
-_ADVANCE: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: -c.SPEED_BACKWARD}
-_SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
-_STEP: Final = np.array([_ADVANCE[drive] / c.CONTROL_RATE for _, drive in MOTIONS])
-_TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
-_SPINS, _SPUN = np.unique(_TURN, return_inverse=True)  # the different turns, and the index of each motion's turn
-_GEAR: Final = np.select([_STEP > 0, _STEP < 0], [0, 1], -1)  # 0 forwards, 1 backwards, -1 turning on the spot
 
 
 class Goal(NamedTuple):
@@ -148,63 +134,40 @@ def _samples(dx: float, dy: float) -> Ints:
     return (column * FINE_SIDE + row).ravel()
 
 
-def cells(poses: Floats) -> Ints:
-    """The cell of each pose, -1 outside the arena. Shape (n,)."""
-    column, row = (np.floor((axis + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64) for axis in poses.T[:2])
-    heading = np.round(poses[:, 2] * (HEADINGS / (2 * math.pi))).astype(np.int64) % HEADINGS
-    inside = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
-    return np.where(inside, (heading * SIDE + column) * SIDE + row, -1)
-
-
 def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> SearchTree:
     """The shortest paths from `start` to all cells within `limit` actions, including the cells' costs.
 
     After a goal is reached, only a few more actions are explored.
     """
-    visited = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
-    owner = np.empty(2 * len(costs), np.int64)
-    waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
-    waiting[0] = [(np.array([start]), np.array([-1]), cells(np.array([start])))]
-    poses, parents, steps, count = [], [], [], 0
+    from magical_mj.experts.search import PARENT, POSES, expand, settle  # imported late: numba takes 0.3 s
+
+    slots = 2 * len(costs)  # two per cell: reached forwards and reached backwards
+    visited, owner = np.zeros(slots, bool), np.empty(slots, np.int64)
+    poses, tree = np.empty((slots, 3)), np.empty((2, slots), np.int64)
+    after, arrivals = np.empty((1 + slots * len(MOTIONS), 3)), np.empty((3, 1 + slots * len(MOTIONS)), np.int64)
+    levels = np.full((2, limit + 1), -1)
+    after[0], arrivals[:, 0], levels[:, 0] = start, (-1, *cells(np.array([start])), -1), 0
+    counts = np.array([0, 1])
+    first, steps = 0, []
     for level in range(limit + 1):
         if level > limit:
             break
-        if not waiting[level]:
-            continue
-        here, above, slots = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
-        new = np.flatnonzero(~visited[slots])
-        owner[slots[new]] = new
-        new = new[owner[slots[new]] == new]  # one pose for each cell
-        here, above, slots = here[new], above[new], slots[new]
-        visited[slots] = True
+        settle(level, after, arrivals, levels, owner, visited, poses, tree, counts)
+        here = poses[first : counts[POSES]]
+        steps.append(np.full(len(here), level))
         if goal is not None and goal.reached(here).any():
             limit, goal = min(limit, level + AFTERWARDS), None
-        poses.append(here)
-        parents.append(above)
-        steps.append(np.full(len(new), level))
-        after = _moved(here)
-        entered = cells(after.reshape(-1, 3))
-        inside = np.flatnonzero(entered >= 0)
-        inside = inside[costs[entered[inside]] >= 0]
-        origin, motion = np.divmod(inside, len(MOTIONS))
-        before = slots[origin] >= len(costs)
-        gears = np.where(_GEAR[motion] < 0, before, _GEAR[motion])
-        arrival = level + 1 + costs[entered[inside]] + SWITCH_COST * (gears != before)
-        then = gears * len(costs) + entered[inside]
-        allowed = (arrival <= limit) & ~visited[then]
-        for time in range(level + 1, min(limit, int(arrival.max(initial=0))) + 1):
-            at = np.flatnonzero(allowed & (arrival == time))
-            if len(at):
-                waiting[time].append((after.reshape(-1, 3)[inside[at]], count + origin[at], then[at]))
-        count += len(new)
-    return SearchTree(np.concatenate(poses), np.concatenate(parents), np.concatenate(steps))
+        middles = here[:, 2, None] + SPINS / 2
+        sines, cosines = np.sin(middles), np.cos(middles)
+        expand(level, limit, first, sines, cosines, poses, tree, costs, visited, after, arrivals, levels, counts)
+        first += len(here)
+    return SearchTree(poses[:first].copy(), tree[PARENT, :first].copy(), np.concatenate(steps))
 
 
-def _moved(poses: Floats) -> Floats:
-    """The poses after each of the motions. Shape (n, motions, 3)."""
-    middles = poses[:, 2, None] + _SPINS / 2
-    after = np.empty((len(poses), len(MOTIONS), 3))
-    after[:, :, 0] = poses[:, 0, None] + (-np.sin(middles))[:, _SPUN] * _STEP
-    after[:, :, 1] = poses[:, 1, None] + np.cos(middles)[:, _SPUN] * _STEP
-    after[:, :, 2] = poses[:, 2, None] + _TURN
-    return after
+def farthest(path: Sequence[Pose], at: int, costs: Ints) -> int:
+    """The last pose of a path that the robot reaches from the pose `at` in a straight line, by its number, or `at`."""
+    from magical_mj.experts.search import look  # imported late: numba takes 0.3 s
+
+    found = np.zeros(1, np.int64)
+    look(np.array(path), at, costs, found)
+    return int(found[0])

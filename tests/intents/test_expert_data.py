@@ -23,6 +23,8 @@ from magical_mj.utils.errors import DemonstrationError, IntentError, SettingsErr
 from tests.helpers.commands import Shell
 
 TEXTS = ("robot in()", "wall(any, all, any)")
+QUICK = ("intent:wall(any, like=both, top) & near(nearest=circle, to=blue) & untouched(others)", "Demo", 2)
+"""A shipped demonstration that the expert makes in half a second."""
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +87,8 @@ def test_demonstrations_of_test_sets_come_with_the_package(tmp_path: Path) -> No
         assert demo.score == 1.0
         assert demo.scene == task_spec(demo.task).demo
     assert not path.exists()
+    (fresh,) = stored.complete([QUICK], path)
+    assert fresh == shipped[QUICK]
 
 
 def test_a_larger_data_set_adds_to_the_file(made: Path, tmp_path: Path) -> None:
