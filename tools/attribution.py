@@ -21,8 +21,7 @@ from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents import EIGHT
 from magical_mj.intents.attribution import Attribution, attribute, demonstrated_blocks, task_ends, task_rivals
 from magical_mj.intents.explained import shares
-from magical_mj.intents.readings import ENDINGS, READINGS, readings, refutes, same_places
-from magical_mj.intents.relations import RELATIONS
+from magical_mj.intents.readings import ENDINGS, READINGS, readings, refutes, same_places, selects_some
 from magical_mj.leaderboard.entry import Entry, read_entry
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import SPLITS
@@ -80,7 +79,7 @@ def identifiability() -> str:
             for known, variant in ENVIRONMENTS
             if known == task and variant != "Demo"
         }
-        if chosen(task):
+        if selects_some(EIGHT[task]):
             alike: dict[tuple[str, ...], list[str]] = {}
             for variant, values in shares.items():
                 alike.setdefault(tuple(values), []).append(variant)
@@ -98,7 +97,8 @@ def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]
     intent, demonstrated = EIGHT[task], demonstrated_blocks(task)
 
     def share(blocks: Callable[[Scene], frozenset[int]]) -> float | None:
-        return float(np.mean([refutes(intent, blocks(scene), scene) for scene in scenes])) if chosen(task) else None
+        wrong = [refutes(intent, blocks(scene), scene) for scene in scenes]
+        return float(np.mean(wrong)) if selects_some(intent) else None
 
     finals = [final for _, final in task_ends(task)]
     solved = [np.mean([intent.holds(scene, same_places(final, scene)) for final in finals]) for scene in scenes]
@@ -107,12 +107,6 @@ def refuted(task: str, variant: str, seeds: Iterable[int]) -> list[float | None]
         *(share(lambda scene, name=name: readings(demonstrated, scene)[name]) for name in READINGS),
         float(np.mean([part < 0.5 for part in solved])),
     ]
-
-
-def chosen(task: str) -> bool:
-    """Whether a task's intent selects some of the blocks."""
-    relations = [RELATIONS[conjunct.relation] for conjunct in EIGHT[task].conjuncts]
-    return all(relation.each is not None for relation in relations) and len(relations) > 1
 
 
 def endings() -> str:

@@ -23,12 +23,13 @@ from magical_mj import ENVIRONMENTS, sample_scene
 from magical_mj.evaluation.reports.floors import BLIND, FLOORS, REFUTING, refuting_seeds
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.intents import EIGHT
-from magical_mj.intents.attribution import demonstrated_blocks, task_ends
-from magical_mj.intents.readings import readings, refutes, same_places
+from magical_mj.intents.attribution import task_ends
+from magical_mj.intents.first_blocks import misplaced
+from magical_mj.intents.readings import same_places, selects_some
 from magical_mj.leaderboard.entry import Entry, read_entry
 from magical_mj.leaderboard.standings import standing
 from tools import released
-from tools.attribution import CHOICES, RESULTS, chosen, replayed
+from tools.attribution import CHOICES, RESULTS, replayed
 from tools.pages import ROOT
 
 PACKAGE: Final = ROOT / "magical_mj" / "evaluation"
@@ -75,8 +76,8 @@ def refuting() -> None:
 def is_refuted(task: str, variant: str, seed: int) -> bool:
     """Whether a policy that follows the shortcut is wrong in a test scene."""
     scene, intent = sample_scene(task, variant, seed), EIGHT[task]
-    if chosen(task):
-        return refutes(intent, readings(demonstrated_blocks(task), scene)["same place"], scene)
+    if selects_some(intent):
+        return misplaced(task, scene)
     return bool(np.mean([intent.holds(scene, same_places(final, scene)) for _, final in task_ends(task)]) < 0.5)
 
 

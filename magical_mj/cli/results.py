@@ -68,17 +68,17 @@ def make_report(
             raise SettingsError(f"--videos: {refused[0]}")
         for problem in refused:
             complain(problem)
-    writers = []
+    prepared = []
     for section in wanted:
         with counting(screen, "replaying episodes") as watch:
-            writers.append(section.prepare(Inputs(folders, rules, may_name, jobs, watch)))
+            prepared.append(section.prepare(Inputs(folders, rules, may_name, jobs, watch)))
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, [*by_file_name(episodes), *(section.folder for section in wanted)])
     links = film_episodes(episodes, out)
     films = {score.key: f"../{name}" for name, (_, score) in by_file_name(episodes).items()}
-    for section, write in zip(wanted, writers, strict=True):
+    for section, (write, _) in zip(wanted, prepared, strict=True):
         links = {section.title: f"{section.folder}/{write(out / section.folder, films).name}", **links}
-    page = write_report(data, out, links)
+    page = write_report(data, out, links, [table for one in prepared for table in one.tables])
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
 

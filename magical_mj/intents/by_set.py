@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
 from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.draws import in_sets
@@ -173,10 +173,10 @@ class IntentsSection(ReportSection):
         Meta(description="Rows by set of intents: success, clean success and score; see docs/intents-evaluation.md."),
     ] = False
 
-    def prepare(self, inputs: Inputs) -> Write:
+    def prepare(self, inputs: Inputs) -> Prepared:
         """Computes the rows of all episodes of intents."""
         how = {"jobs": inputs.jobs, "watch": inputs.watch}
         every = [one for path in inputs.folders for one in episodes_of(path, inputs.rules, inputs.trusted, **how)]
         if not (found := rows(every)):
             raise SettingsError("--intents: no episode is of an intent")
-        return partial(write_rows, found)
+        return Prepared(partial(write_rows, found))

@@ -22,7 +22,7 @@ from PIL import Image
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
 from magical_mj.evaluation.reports.tables import Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.attribution import (
@@ -36,6 +36,7 @@ from magical_mj.intents.attribution import (
     task_rivals,
     unfit,
 )
+from magical_mj.intents.first_blocks import first_block_table
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.registry import EVERY_VARIANT, TASKS, task_spec
@@ -371,7 +372,8 @@ class ExplainSection(ReportSection):
         if self.last_solvable and not self.explain:
             raise SettingsError("--last-solvable has an effect only with --explain")
 
-    def prepare(self, inputs: Inputs) -> Write:
-        """Explains the episodes; see `explain` and `write_explanation`."""
+    def prepare(self, inputs: Inputs) -> Prepared:
+        """Explains the episodes; see `explain`, `first_block_table` and `write_explanation`."""
         how = {"lost": self.last_solvable, "jobs": inputs.jobs, "watch": inputs.watch}
-        return partial(write_explanation, explain(inputs.folders, inputs.rules, inputs.trusted, **how))
+        found = explain(inputs.folders, inputs.rules, inputs.trusted, **how)
+        return Prepared(partial(write_explanation, found), [*first_block_table(found.attributions)])

@@ -87,6 +87,11 @@ def intended_blocks(intent: Intent, initial: Scene) -> frozenset[int]:
     return frozenset(wanted)
 
 
+def selects_some(intent: Intent) -> bool:
+    """Whether an intent is about some of the blocks, and says what becomes of the others."""
+    return len(intent.conjuncts) > 1 and all(conjunct.definition.each is not None for conjunct in intent.conjuncts)
+
+
 def readings(demonstrated: DemonstratedBlocks, initial: Scene) -> dict[str, frozenset[int]]:
     """For each reading, the blocks that it would move in a scene. Empty if it does not apply.
 

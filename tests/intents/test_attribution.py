@@ -17,6 +17,7 @@ import magical_mj
 from magical_mj import Engine, demos
 from magical_mj.actions import NOOP
 from magical_mj.evaluation.reports.floors import refuting_seeds
+from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.experts import Expert
 from magical_mj.intents import EIGHT, parse
@@ -33,6 +34,7 @@ from magical_mj.intents.attribution import (
 )
 from magical_mj.intents.contrast import simplest_rivals
 from magical_mj.intents.explained import Explanation, write_explanation
+from magical_mj.intents.first_blocks import first_block_table
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.leaderboard.entry import read_entry
 from magical_mj.policies.interface import actions_of, letters_of
@@ -98,6 +100,27 @@ def test_a_demonstration_moves_a_right_block_first() -> None:
     right = attributed(played("FixColour", "Demo", demonstration.seed, list(demonstration.actions)))
     assert right.right_first
     assert not attributed(played("FixColour", "Demo", 0, [])).right_first
+
+
+def test_the_report_begins_with_how_often_a_right_block_moves_first() -> None:
+    """By hand: in run 0 twice, solved once; in run 1 never. Where the demonstrated place is right, nothing counts."""
+    wrong = sorted(refuting_seeds()["FixColour", "Colour"])[:2]
+    right = next(seed for seed in range(100) if seed not in refuting_seeds()["FixColour", "Colour"])
+    first, second, same = (attributed(played("FixColour", "Colour", seed, [])) for seed in (*wrong, right))
+    (table,) = first_block_table(
+        [
+            replace(first, right_first=True, episode=replace(first.episode, score=1.0)),
+            replace(second, right_first=True),
+            replace(first, episode=replace(first.episode, run=1)),
+            replace(same, right_first=True),
+        ]
+    )
+    ((name, right_first, solved, episodes),) = table.groups[0][1]
+    assert (name, episodes) == ("mine", "3")
+    assert right_first.startswith("0.50 [")
+    assert solved.startswith("0.50 [")
+    assert [row[2] for table in first_block_table([first]) for row in table.groups[0][1]] == [NONE]
+    assert [*first_block_table([attributed(played("MoveToRegion", "Demo", 0, []))])] == []
 
 
 def test_the_files_of_test_scenes_are_what_the_scenes_and_a_replay_give() -> None:

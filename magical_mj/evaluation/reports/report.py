@@ -23,6 +23,7 @@ from magical_mj.evaluation.reports.statistics import by_shift, curve
 from magical_mj.evaluation.reports.tables import (
     APPROXIMATE,
     DAGGER,
+    Table,
     control_tables,
     csv,
     markdown,
@@ -133,13 +134,18 @@ def report(
     return write_report(results(folders_of(folders), with_published, mixed_presets, rules, trusted), out, links)
 
 
-def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
-    """Writes the files of `report` from data that were read already. Returns the path of the page."""
+def write_report(
+    data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({}), first: Sequence[Table] = ()
+) -> Path:
+    """Writes the files of `report` from data that were read already. Returns the path of the page.
+
+    `first` are the page's first tables.
+    """
     out = files.to_path(out)
     _load_matplotlib()
     shifts = by_shift(data.scores)
     shifts = shifts.assign(split=data.scores["split"].iloc[0])
-    tables = [*result_tables(data), *(shift_tables(shifts) if len(shifts) else [])]
+    tables = [*first, *result_tables(data), *(shift_tables(shifts) if len(shifts) else [])]
     controls = [*control_tables(data)]
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}

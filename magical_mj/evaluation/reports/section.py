@@ -10,8 +10,9 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import ClassVar, Final, NamedTuple
 
+from magical_mj.evaluation.reports.tables import Table
 from magical_mj.evaluation.scores import Key
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError
@@ -24,6 +25,13 @@ SECTION_GROUP: Final = "magical_mj.report_sections"
 Write = Callable[[Path, Mapping[Key, str]], Path]
 """Writes the files of a section into a folder, over those of an earlier report, and returns its page. The mapping has
 the paths of episodes' films, relative to the folder."""
+
+
+class Prepared(NamedTuple):
+    """What a section adds to a report: a folder of its own, and the first tables of the report's page."""
+
+    write: Write
+    tables: Sequence[Table] = ()
 
 
 @dataclass(frozen=True)
@@ -55,8 +63,8 @@ class ReportSection(Settings):
         """Whether its option was given."""
         return bool(getattr(self, self.option))
 
-    def prepare(self, inputs: Inputs) -> Write:
-        """Computes everything, and returns the function that writes it. Errors come before anything is written."""
+    def prepare(self, inputs: Inputs) -> Prepared:
+        """Computes everything that is written later. Errors come before anything is written."""
         raise NotImplementedError
 
 

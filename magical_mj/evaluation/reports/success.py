@@ -21,7 +21,7 @@ from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, ReportSection, Write
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
 from magical_mj.evaluation.reports.statistics import by_run_and_scene
 from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
@@ -142,7 +142,7 @@ class SuccessSection(ReportSection):
         bool, Meta(description="Success at the end and at any time, and steps to success; episodes are replayed.")
     ] = False
 
-    def prepare(self, inputs: Inputs) -> Write:
+    def prepare(self, inputs: Inputs) -> Prepared:
         """Replays all episodes."""
         problems, playable, found = Counter[str](), list[EpisodeResult](), list[First]()
         how = {"jobs": inputs.jobs, "watch": inputs.watch}
@@ -161,4 +161,4 @@ class SuccessSection(ReportSection):
                 found.append(result)
         if not found:
             raise SettingsError(f"--success: no episode can be replayed: {next(iter(problems), 'there are none')}")
-        return partial(write_success, frame_of(found), problems)
+        return Prepared(partial(write_success, frame_of(found), problems))
