@@ -312,7 +312,7 @@ class Simulation:
 
     def coordinates(self, saved: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The positions and the velocities in a state that `save` returned. Shapes (nq,) and (nv,)."""
-        nq, nv = self._model.nq, self._model.nv  # they follow the time, the first number
+        nq, nv = self.model.nq, self.model.nv  # they follow the time, the first number
         return saved[1 : 1 + nq], saved[1 + nq : 1 + nq + nv]
 
     def restore(self, saved: NDArray[np.float64]) -> None:
