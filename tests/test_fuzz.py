@@ -14,7 +14,8 @@ import pytest
 from magical_mj.utils.errors import MagicalError
 
 FUZZ = Path(__file__).parent.parent / "tools" / "fuzz"
-CASES = {"calls": 200, "scenes": 30, "states": 30, "hands": 5, "files": 6, "commands": 6, "clients": 8, "costs": 40}
+CASES = {"calls": 100, "scenes": 15, "states": 20, "hands": 3, "files": 2, "commands": 2, "clients": 4, "costs": 40}
+"""Few of each. libraries.yml runs a longer campaign each week."""
 
 
 @pytest.mark.slow

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 ROOT: Final = Path(__file__).parent.parent
 ALL_VIEWS: Final = (*VIEWS, *SEGMENTATIONS)
+APART: Final = 7
+"""The distance of environments in turn, prime to their number: few scenes show all tasks and most variants."""
 STEPS: Final = 2
 """The number of steps before the pictures, since shifts may change with the step."""
 Pictures = dict[str, Any]
@@ -45,7 +47,7 @@ def different_bytes(count: int, size: int, shifts: str = "", device: str | None 
     """The number of bytes in which the pictures and segmentations of this many scenes differ, both views.
 
     Args:
-        count: the number of scenes: those of the seeds 0, 1, 2..., of all environments in turn.
+        count: the number of scenes: those of the seeds 0, 1, 2..., of all environments in turn, in steps of `APART`.
         size: pixels per side.
         shifts: shifts with strengths.
         device: the device that draws the batch; None: numba-cuda's simulator.
@@ -54,7 +56,7 @@ def different_bytes(count: int, size: int, shifts: str = "", device: str | None 
     from magical_mj.batched.tables import episode_tables
 
     pairs, strengths = magical_mj.ENVIRONMENTS, parse_shifts(shifts)
-    drawn = [(*pairs[index % len(pairs)], index) for index in range(count)]
+    drawn = [(*pairs[APART * index % len(pairs)], index) for index in range(count)]
     wanted: dict[str, list[NDArray[np.uint8]]] = {view: [] for view in ALL_VIEWS}
     scenes: list[magical_mj.Scene] = []
     for task, variant, seed in drawn:

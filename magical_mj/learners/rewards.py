@@ -28,7 +28,6 @@ import pandas as pd
 import torch
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 from torch import Tensor
 
 from magical_mj.actions import ACTIONS, NOOP
@@ -104,7 +103,7 @@ class Agreement(NamedTuple):
 
 def agreement(sums: Sequence[float] | NDArray[np.float64], scores: Sequence[float] | NDArray[np.float64]) -> Agreement:
     """The agreement of the sums of a reward over episodes with their scores."""
-    ranks, wanted = rankdata(sums), rankdata(scores)
+    ranks, wanted = (pd.Series(values).rank().to_numpy() for values in (sums, scores))
     solved = np.asarray(scores) == 1.0
     correlation = auc = np.nan
     if np.ptp(wanted):

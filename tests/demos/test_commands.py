@@ -222,7 +222,7 @@ def test_two_tasks_of_one_name_take_two_folders(broken: str, shell: Shell) -> No
     assert not Path("made").exists()
 
 
-@pytest.mark.parametrize("which", ["1", "2", "graded"])
+@pytest.mark.parametrize("which", ["1", "graded"])
 def test_a_data_set_of_several_environments_is_refused(shell: Shell, tmp_path: Path, which: str) -> None:
     where = ("--tasks", "MoveToCorner,MoveToRegion", "--to", "webdataset", "--preset", "State", "--force")
     code, _, error = shell("demos", "export", "--set", which, *where, "--out", str(tmp_path / "data"))

@@ -229,8 +229,8 @@ def used_after(resets: int) -> int:
         engine.render("ego", 96)
     return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
 
-before = used_after(600)  # warms up the allocator
-print(used_after(600) - before)
+before = used_after(240)  # warms up the allocator
+print(used_after(240) - before)
 """
 
 

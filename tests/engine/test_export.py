@@ -138,11 +138,11 @@ def test_the_pages_episode_ends_in_its_last_physics_step(tmp_path: Path, monkeyp
 
 
 def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -> None:
-    """Over 120 seeds, 15 of each task."""
+    """Over 40 seeds, 5 of each task."""
     page, late = run_page(LOAD, SCENES), 0
     for task, variant in dict(magical_mj.ENVIRONMENTS).items():  # keeps the last variant of each task: All
         engine = magical_mj.Engine(task, variant)
-        for seed in range(15):
+        for seed in range(5):
             engine.reset(seed=seed)
             path = magical_mj.export_mjcf(engine, tmp_path / "model.xml", overwrite=True)
             model, data, act, horizon = page["load"](str(path))
@@ -160,7 +160,7 @@ def test_the_pages_scores_and_poses_are_the_engines_to_the_bit(tmp_path: Path) -
             late += sensed_scene(initial, data) != final
             mujoco.mj_forward(model, data)
             assert sensed_scene(initial, data) == final
-    assert late > 50, "without mj_forward, sensors show an earlier state"
+    assert late > 15, "without mj_forward, sensors show an earlier state"
 
 
 def test_two_scenes_in_one_model_move_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,7 +40,7 @@ IDS = [magical_mj.env_id(*pair, preset) for pair in magical_mj.ENVIRONMENTS for 
 PRESET_IDS = [magical_mj.env_id("FindDupe", "All", preset) for preset in PRESETS]
 
 
-CHECKED = [(name, "") for name in [magical_mj.env_id(task) for task in magical_mj.TASKS] + PRESET_IDS]
+CHECKED = [(magical_mj.env_id(task), "") for task in magical_mj.TASKS]
 CHECKED += [(magical_mj.env_id("FindDupe", "All", preset), "camera:3,sensor:3,latency:2,words:5") for preset in PRESETS]
 
 

@@ -151,7 +151,7 @@ def test_no_scene_of_another_split_is_one_of_test() -> None:
         if CONTINUOUS & set(environment_axes(task, variant)):
             digests = {
                 name: {sample_scene(task, variant, first + number).digest() for number in range(count)}
-                for (name, first), count in zip(SPLITS.items(), (100, 20, 20), strict=True)
+                for (name, first), count in zip(SPLITS.items(), (100, 5, 5), strict=True)
             }
             drawn[task, variant] = digests
             assert not digests["test"] & (digests["dev"] | digests["fresh"]), (task, variant)

@@ -185,7 +185,7 @@ def test_shards_are_verified_together(shell: Shell, tmp_path: Path) -> None:
     assert (findings.episodes, findings.differing, findings.unfit) == (100, [], [])
     assert not any("Demo" in gap for gap in findings.missing)
     submit([tmp_path / "s1"], tmp_path / "entry.json.xz")
-    code, out, error = shell("verify", "s0", "entry.json.xz")
+    code, out, error = shell("verify", "s0", "entry.json.xz", "--jobs", 1)
     assert code == 1
     assert out.endswith("100 episodes replayed\n")
     assert "s0, entry.json.xz is incomplete: noop, run 0, MoveToRegion Jitter: all of the 100" in error

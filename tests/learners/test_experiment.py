@@ -220,15 +220,12 @@ SMALL = """tasks = ["MoveToRegion"]
 seeds = [0]
 [settings]
 device = "cpu"
-renderer = "software"
+preset = "State"
 evaluations = 0
 checkpoints = 2
 demonstrations = 2
-network.first_stride = 4
-network.first_channels = 4
-network.channels = 4
 network.hidden = 8
-bc.batches = 100
+bc.batches = 1000
 bc.batch_size = 4
 [evaluation]
 variants = "Demo"

@@ -183,13 +183,10 @@ def test_lookahead_leaves_the_environment_alone() -> None:
 # experts
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("variant", ["Demo", "All"])
-def test_experts_solve_every_task(task: str, variant: str) -> None:
+def test_experts_solve_every_task(task: str) -> None:
     """docs/experts.md counts 20 episodes in each of all environments."""
-    env = env_of(task, variant, 1)
-    assert played(env, task, scene_seed=1) == 1.0
+    assert played(env_of(task, "All"), task, scene_seed=0) == 1.0
 
 
 def test_the_same_seed_does_the_same_and_another_something_else() -> None:
@@ -259,10 +256,10 @@ def test_a_hopeless_scene_is_played_to_its_end() -> None:
     corner = dataclasses.replace(scene, blocks=(Block("square", "red", 0.89, -0.89, 0.0),), robot=Robot(0.0, 0.0, 0.0))
     env = magical_mj.Engine("MoveToCorner", scene=corner)
     env.reset()
-    for _ in range(60):
+    for _ in range(72):
         env.step(NOOP)
     expert = Expert(env, "MoveToCorner")
-    for _ in range(20):
+    for _ in range(8):
         last = env.step(expert())
     assert last
     assert env.score() == 0.0
