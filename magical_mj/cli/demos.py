@@ -125,7 +125,7 @@ def rollouts(
 
 def roll_out(player: Player, task: str, variant: str, seed: int) -> Demonstration:
     """The episode of a player's only policy in the scene of a seed. A `DemonstrationError` if the policy failed."""
-    from magical_mj.evaluation.units import Unit
+    from magical_mj.evaluation.worker import Unit
     from magical_mj.policies.interface import actions_of
 
     (source,) = player.policies.values()

@@ -37,8 +37,7 @@ from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.units import Unit
-from magical_mj.evaluation.worker import Player, prepared
+from magical_mj.evaluation.worker import Player, Unit, prepared
 from magical_mj.shifts.registry import axis_and_level, parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files

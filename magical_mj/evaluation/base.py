@@ -7,9 +7,8 @@ methods that they change. `magical_mj.evaluation.settings.EvaluationSettings` jo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
@@ -19,8 +18,8 @@ from msgspec import Meta
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import DEFAULT_PRESET, preset_named
-from magical_mj.evaluation.scores import MUJOCO_VERSION
-from magical_mj.evaluation.units import Starts, Watch
+from magical_mj.evaluation.scores import MUJOCO_VERSION, EpisodeResult
+from magical_mj.policies.interface import Episode
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER, check_body_name
@@ -37,6 +36,7 @@ from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
 
 if TYPE_CHECKING:
+    from magical_mj.demos.stored import Watch
     from magical_mj.policies.loading import Source
 
 Split = Literal["test", "dev", "fresh"]
@@ -47,6 +47,26 @@ UNOFFICIAL: Final = (
 )
 SIDE_BY_SIDE: Final = 10
 """The most episodes that are played in one batch. They end together, so a killed evaluation loses the current batch."""
+
+
+class Starts:
+    """What policies receive at the start of episodes: the task's name, the variant and the scene.
+
+    Subclasses can give more. They are sent to other processes before they are used.
+    """
+
+    @property
+    def recorded(self) -> dict[str, str]:
+        """Facts that a resumed evaluation must keep."""
+        return {}
+
+    def of(self, played: Episode, task: str, source: Source) -> tuple[Episode, dict[str, Any]]:  # noqa: ARG002
+        """What the policy receives in an episode, and fields of its result. `task` is the name that it receives."""
+        return replace(played, task=task), {}
+
+    def finished(self, result: EpisodeResult) -> EpisodeResult:
+        """The result with what can be computed only after the episode."""
+        return result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,12 +222,15 @@ class BaseSettings(Settings):
             SettingsError: if an axis is named that one of the policies does not notice, or if the expert plays and
                 cannot solve the task with the body.
         """
-        unnoticed = frozenset[Effect]().union(*(policy.unnoticed for policy in policies))
+        unnoticed = set[Effect]()
+        for policy in policies:
+            unnoticed |= policy.unnoticed
         settings = expand_shifts(self.shifts, task, unnoticed)
-        for policy, setting in product(policies, settings):
-            check_noticed(setting, policy.name, policy.unnoticed)
-        if any(policy.needs_plan for policy in policies):
-            for body in (self.body, *(str(setting[BODY]) for setting in settings if BODY in setting)):
+        bodies = [self.body, *(str(setting[BODY]) for setting in settings if BODY in setting)]
+        for policy in policies:
+            for setting in settings:
+                check_noticed(setting, policy.name, policy.unnoticed)
+            for body in bodies if policy.needs_plan else ():
                 task_spec(task).check_expert_body(body)
         labels = dict.fromkeys(["", *map(shift_label, settings)])
         return [label for label in labels if label != shift_label({BODY: self.body})]
@@ -220,18 +243,20 @@ class BaseSettings(Settings):
 
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
-        others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
         played = [policy.described() for policy in policies]
         for policy, facts in zip(policies, played, strict=True):
             if given := self.given(policy):
                 facts["given"] = given
-        shifts = dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task, policies))
-        own = {task: code_digest(task) for task in others}
+        shifts, own = dict[str, None](), dict[str, str]()
+        for task in dict.fromkeys(task for task, _ in self.environments):
+            shifts |= dict.fromkeys(self.shift_labels(task, policies))
+            own |= {} if task in KNOWN else {task: code_digest(task)}
         for label in (*shifts, shift_label({BODY: self.body})):
             own |= code_digests(label)
+        own |= {self.wrap: source_digest(self.wrap)} if self.wrap else {}
         return {
             **({"policies": played} if policies else {}),
-            "environments": [f"{task}-{variant}" for task, variant in self.environments],
+            "environments": list(map("-".join, self.environments)),
             "split": self.split,
             "first_seed": self.first_seed,
             "episodes": self.episodes,
@@ -250,5 +275,4 @@ class BaseSettings(Settings):
             "like": self.like,
             "body": self.body,
             **{f"code of {name}": digest for name, digest in own.items()},
-            **({f"code of {self.wrap}": source_digest(self.wrap)} if self.wrap else {}),
         }

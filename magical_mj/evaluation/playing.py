@@ -62,6 +62,8 @@ Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
 Env: TypeAlias = "Engine | gymnasium.Env[Any, Any]"
 
 USUAL_WRAPPERS: Final = (OrderEnforcing, PassiveEnvChecker, TimeLimit, ScoreAtTheEnd)
+LATE: Final = "TimeLimitError: no end within {:g} s"
+"""The failure of an episode that took longer than this."""
 NO_SCORE: Final = "only environments of this package have a score: make one with an id that begins with magical_mj/"
 
 
@@ -294,11 +296,6 @@ def _unchanged(engine: Engine | None) -> Iterator[None]:
         raise StateError("the policy changed the episode in episode.env: let it try actions in episode.env.clone()")
 
 
-def late(seconds: float) -> str:
-    """The failure message of an episode that took longer than this."""
-    return f"TimeLimitError: no end within {seconds:g} s"
-
-
 @contextmanager
 def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
     """A context that suppresses errors of the policy and of an unstable simulation, and records them in the outcome.
@@ -310,7 +307,7 @@ def _attempt(seconds: float) -> Iterator[tuple[Outcome, Callable[[], None]]]:
 
     def check_time() -> None:
         if time.perf_counter() - start > seconds:
-            raise PolicyError(late(seconds))
+            raise PolicyError(LATE.format(seconds))
 
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         try:
@@ -351,28 +348,23 @@ def _check_whole(actions: Sequence[Any], env: Env | Envs) -> None:
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:
+    """The result of a reset with a seed, or with a list of seeds. Checks that no wrapper has kept them to itself."""
     try:
         result = env.reset(seed=seed)
     except (InvalidSceneError, PlacementError) as error:
         raise TaskError(f"no episode can start in the scene of seed {seed}: {error}") from error
-    _check_seed(env, seed)
-    return result
-
-
-def _check_seed(env: Env | Envs, seed: Any) -> None:
-    """Raises an `EvaluationError` if a wrapper has not passed the seed, or the list of seeds, on."""
     inside: Any = env.unwrapped if isinstance(env, gymnasium.Env | gymnasium.vector.VectorEnv) else None
+    got = seed
     if isinstance(inside, gymnasium.Env):
         got = inside.np_random_seed
     elif hasattr(inside, "get_attr"):
         got = list(inside.get_attr("np_random_seed"))
-    else:
-        return
     if got != seed:
         raise EvaluationError(
             f"a wrapper did not pass the seed {seed} on, so that the episode started in another scene: its reset must "
             "call super().reset(seed=seed, options=options)"
         )
+    return result
 
 
 def _observation(result: Any) -> Any:

@@ -30,13 +30,13 @@ def check_repeatable(settings: EvaluationSettings, sources: Sequence[Source]) ->
     Raises:
         SettingsError: if the two differ. Errors of the shifts are left to the evaluation.
     """
-    drawn = any("observations" in source.uses and "pictures" not in source.unnoticed for source in sources)
     played: dict[tuple[str, ...], tuple[str, str, str]] = {}  # the greatest strength of each
     for task, variant in settings.environments:
         for label in settings.shift_labels(task, sources):
             if names := tuple(code_digests(label)):
                 played[names] = task, variant, label
     for names, (task, variant, label) in played.items():
+        drawn = any("observations" in source.uses and "pictures" not in source.unnoticed for source in sources)
         try:
             first, second = (_episode(settings, task, variant, label, drawn) for _ in range(2))
             pairs = zip(first, second, strict=True)

@@ -15,18 +15,20 @@ from magical_mj._version import __version__
 from magical_mj.envs.presets import observed
 from magical_mj.evaluation.folder import EvaluationFolder, check_runs
 from magical_mj.evaluation.repeatable import check_repeatable
-from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, append, frame
+from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, frame
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.evaluation.worker import Player, plan, prepared, single_env
+from magical_mj.evaluation.worker import Player, Unit, plan, prepared, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import Source
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.parallel import cores, map_here, map_unordered
 from magical_mj.utils.settings import described, with_values
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from magical_mj.demos.stored import Watch
 
 STEPS_PER_WORKER: Final = 2000
 """The smallest number of actions per process. Starting a process takes longer than playing fewer."""
@@ -125,12 +127,11 @@ class Evaluation:
     @property
     def steps(self) -> int:
         """The number of actions in the remaining units."""
-        return sum(unit.steps(self.settings.rules) for unit in self.units)
+        return sum(len(unit.seeds) * task_spec(unit.task).horizon(self.settings.rules) for unit in self.units)
 
     def in_order(self) -> list[EpisodeResult]:
         """The results of the finished episodes, in the order of the policies, environments, seeds and shifts."""
-        policies = [(source.name, source.run) for source in self._sources]
-        pairs = self.settings.environments
+        policies, pairs = list(self._player.policies), self.settings.environments
         shifts = {task: self.settings.shift_labels(task, self._sources) for task, _ in pairs}
 
         def place(result: EpisodeResult) -> tuple[int, int, int, int]:
@@ -148,7 +149,7 @@ class Evaluation:
             for results in self._trusted_results():
                 _check_versions(results)
                 if file is not None:
-                    append(file, results)
+                    file.append("".join(map(EpisodeResult.line, results)).encode())
                 self.scores += results
                 yield from results
 
@@ -159,8 +160,8 @@ class Evaluation:
         known episode of each environment and of each shift is played again. If it differs, the next two decide:
         rounding errors of a network depend on how many episodes are in one batch.
         """
-        if self.settings.batched:
-            return  # its scores are approximate
+        if self.settings.batched or not self.scores:  # scores of batches are approximate
+            return
         for source in self._sources:
             own = [result for result in self.scores if (result.policy, result.run) == (source.name, source.run)]
             known: dict[tuple[str, ...], list[EpisodeResult]] = defaultdict(list)
@@ -197,21 +198,20 @@ class Evaluation:
         of errors. If all fail with the same type, an error is raised, and none is yielded. The first planned episodes
         decide, because the first finished ones depend on the number of workers.
         """
-        planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
+        first: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
-            planned[unit.policy, unit.run] += unit.keys
+            first[unit.policy, unit.run] += map(unit.key, unit.seeds)
         proven = {(result.policy, result.run) for result in self.scores}
         held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
         for result in chain.from_iterable(self._play_units()):
             policy = result.policy, result.run
             held[policy].append(result)
             if policy not in proven:
-                first = planned[policy][:FIRST_EPISODES]
-                deciding = [result for result in held[policy] if result.key in first]
-                types = {None if result.failure is None else result.failure.partition(":")[0] for result in deciding}
+                deciding = [other for other in held[policy] if other.key in first[policy][:FIRST_EPISODES]]
+                types = {None if other.failure is None else other.failure.partition(":")[0] for other in deciding}
                 if len(types) > 1 or None in types:
                     proven.add(policy)
-                elif len(deciding) == len(first):
+                elif len(deciding) == len(first[policy][:FIRST_EPISODES]):
                     raise _all_failed_error(deciding) from self._cause
             if policy in proven:
                 yield held.pop(policy)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -263,14 +263,7 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
     return pd.DataFrame(results, columns=list(_FIELDS)).astype({"other_score": float})
 
 
-@contextmanager
-def open_scores(folder: Path) -> Iterator[Appender]:
-    """A context with the score file of a folder, open for `append`, and locked so that only one process writes."""
+def open_scores(folder: Path) -> AbstractContextManager[Appender]:
+    """A context with the score file of a folder, open for appending, and locked so that only one process writes."""
     path = folder / SCORES
-    with appending(path, busy=EvaluationError(f"another evaluation is writing to {path}")) as file:
-        yield file
-
-
-def append(file: Appender, results: Iterable[EpisodeResult]) -> None:
-    """Appends finished episodes."""
-    file.append("".join(map(EpisodeResult.line, results)).encode())
+    return appending(path, busy=EvaluationError(f"another evaluation is writing to {path}"))

@@ -8,23 +8,21 @@ and `evaluate` waits for the call.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import gymnasium
 from gymnasium.vector import VectorEnv
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.playing import Env, late, play_episode, play_side_by_side
+from magical_mj.evaluation.playing import LATE, Env, play_episode, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.units import Unit, Watch
-from magical_mj.policies.facts import learnt_from
-from magical_mj.policies.interface import Act, Episode, policy_task, uses_of
-from magical_mj.policies.loading import Source, also_fitting, check_fit, common_preset, sources, statistics_of
+from magical_mj.policies.interface import Episode, policy_task
+from magical_mj.policies.loading import Source, check_fit, common_preset, doubts, sources
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
@@ -32,12 +30,35 @@ from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed, map_here
 
+if TYPE_CHECKING:
+    from magical_mj.demos.stored import Watch
+
 T = TypeVar("T")
 Finished = tuple[list[EpisodeResult], Exception | None]
 """The results of a unit, and the error that the policy raised in it."""
 
 GRACE: Final = 1.0
 """Seconds from the time limit until a worker process is killed. It is only needed if a call does not return."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Episodes of one environment with one policy that are played together. A unit is repeatable and independent.
+
+    `shift` is the label of the shift, `retry` the number of times that the episode has failed before.
+    """
+
+    policy: str
+    run: int
+    task: str
+    variant: str
+    seeds: tuple[int, ...]
+    shift: str = ""
+    retry: int = 0
+
+    def key(self, seed: int) -> Key:
+        """The key of one of its episodes."""
+        return self.policy, self.run, self.task, self.variant, seed, self.shift
 
 
 def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], EvaluationSettings]:
@@ -53,37 +74,19 @@ def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], E
     """
     loaded = [(source, source.load()) for source in sources(policy, settings.run, settings.trust)]
     preset = common_preset(act for _, act in loaded) if settings.preset is None else settings.preset
+    listed: list[Source] = []
     for source, act in loaded:
         check_fit(act, settings.environments, preset, settings.like)
-        if settings.batched and "observations" not in uses_of(act):
+        listed.append(source.checked(act, preset))
+        if settings.batched and "observations" not in listed[-1].uses:
             raise SettingsError(f"{source.name} uses no observations: it plays in single environments only")
-        for doubt in _doubts(source, act, preset, is_chosen=settings.preset is None):
+        for doubt in doubts(listed[-1], act, preset, is_chosen=settings.preset is None):
             warnings.warn(doubt, stacklevel=4)  # the call of `evaluate`
-    listed = [source.checked(act, preset) for source, act in loaded]
     settings = replace(settings, preset=preset)
     settings.check_policies(listed)
     for task, _ in settings.environments:
         settings.shift_labels(task, listed)
     return listed, settings
-
-
-def _doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Iterator[str]:
-    """Why the scores of a policy may not be those that the user expects."""
-    if is_chosen and (others := also_fitting(policy, preset)):
-        yield (
-            f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
-            "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
-        )
-    if stopped := learnt_from(source.origin, policy).unfinished:
-        yield (
-            f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
-            "of an unfinished training: magical-mj train --resume finishes it"
-        )
-    if statistics := statistics_of(source.origin):
-        yield (
-            f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
-            "lack the normalization; docs/policies.md shows how to evaluate such a policy"
-        )
 
 
 def plan(
@@ -100,7 +103,8 @@ def plan(
             together = settings.batched or (source.batches and not settings.wrap)
             size = settings.side_by_side if together else 1
             new, again = list[int](), list[Unit]()
-            for key, seed in zip(every.keys, every.seeds, strict=True):
+            for seed in every.seeds:
+                key = every.key(seed)
                 if key in failed:
                     again.append(replace(every, seeds=(seed,), retry=failed[key]))
                 elif key not in done:
@@ -137,28 +141,34 @@ class Player:
         """
         source = self.policies[unit.policy, unit.run]
         policy = self._keep("policy", (unit.policy, unit.run), source.load)
-        env = self._env(unit, source)
-        starts = self.starts.of(unit, source, policy_task(unit.task, policy, self.settings.like))
-        recorders = self._recorders(unit, source, policy, [facts for _, facts in starts])
+        env, facts = self._env(unit, source), self._facts(unit, source, policy)
+        task = policy_task(unit.task, policy, self.settings.like)
+        episodes: list[Episode] = []
+        records: list[Callable[[Outcome], EpisodeResult]] = []
+        for seed in unit.seeds:
+            played = Episode(unit.task, unit.variant, seed, unit.run)
+            episode, own = self.starts.of(played, task, source)
+            episodes.append(episode)
+            scene = start_digest(unit.task, unit.variant, seed, unit.shift, self.settings.body)
+            records.append(partial(EpisodeResult.of, played, scene=scene, **facts, **own))
         limit = self.settings.time_limit
         seconds = limit * len(unit.seeds)
-        failed = Outcome(failure=late(limit), seconds=limit)
         split: Split[Unit] | None = None
         if len(unit.seeds) > 1:
             split = Split([replace(unit, seeds=(seed,)) for seed in unit.seeds])
 
         def play() -> Finished | Split[Unit]:
-            episodes = [episode for episode, _ in starts]
             if isinstance(env, VectorEnv):
                 outcomes = play_side_by_side(env, policy, episodes, seconds)
             else:
                 outcomes = [play_episode(env, policy, episode, seconds) for episode in episodes]
             if split and any(outcome.failure for outcome in outcomes):
                 return split
-            played = [record(outcome) for record, outcome in zip(recorders, outcomes, strict=True)]
-            return list(map(self.starts.finished, played)), outcomes[-1].cause
+            results = [record(outcome) for record, outcome in zip(records, outcomes, strict=True)]
+            return list(map(self.starts.finished, results)), outcomes[-1].cause
 
-        return Timed(seconds + GRACE, play, split or ([recorders[0](failed)], None))
+        late = Outcome(failure=LATE.format(limit), seconds=limit)
+        return Timed(seconds + GRACE, play, split or ([records[0](late)], None))
 
     def play(self, unit: Unit) -> list[EpisodeResult]:
         """Plays a unit in this process and returns its results."""
@@ -182,27 +192,22 @@ class Player:
         observed = bool(settings.wrap) or "observations" in source.uses
         return self._keep("environment", (*key, observed), lambda: single_env(unit, settings, observed, instruction))
 
-    def _recorders(
-        self, unit: Unit, source: Source, policy: object, given: Sequence[dict[str, Any]]
-    ) -> list[Callable[[Outcome], EpisodeResult]]:
-        """For each episode, the function that makes its result from its outcome. `given` are facts of their starts."""
+    def _facts(self, unit: Unit, source: Source, policy: object) -> dict[str, Any]:
+        """Fields of the results of a unit's episodes."""
         settings = self.settings
-        facts: dict[str, Any] = {
-            **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
+        return {
             "policy": unit.policy,
+            "rules": settings.rules,
             "preset": settings.observed if "observations" in source.uses else getattr(policy, "preset", None),
-            "worlds": settings.worlds,
             "gl": drawn_by(settings.renderer),
+            "worlds": settings.worlds,
+            "split": settings.split,
             "shift": unit.shift,
+            "wrap": settings.wrap,
+            "body": settings.body,
             "retry": unit.retry,
             "given": settings.given(source),
         }
-        recorders: list[Callable[[Outcome], EpisodeResult]] = []
-        for seed, own in zip(unit.seeds, given, strict=True):
-            scene = start_digest(unit.task, unit.variant, seed, unit.shift, settings.body)
-            episode = Episode(unit.task, unit.variant, seed, unit.run)
-            recorders.append(partial(EpisodeResult.of, episode, scene=scene, **facts, **own))
-        return recorders
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object for this key. It replaces one that was kept for another key."""
@@ -223,8 +228,7 @@ def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruc
 
     It has only the user's wrapper: those of `gymnasium.make` only add checks at each step.
     """
-    how: dict[str, Any] = {name: getattr(settings, name) for name in ("rules", "renderer", "body")}
-    how["shifts"] = unit.shift
+    how: Any = {"rules": settings.rules, "renderer": settings.renderer, "body": settings.body, "shifts": unit.shift}
     if observed:
         name = env_id(unit.task, unit.variant, settings.observed)
         env = gymnasium.make(name, instruction=instruction, **how).unwrapped

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from magical_mj.evaluation.base import BaseSettings
+from magical_mj.evaluation.base import BaseSettings, Starts
 from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.scores import EpisodeResult
-from magical_mj.evaluation.units import Starts, Unit, Watch
 from magical_mj.intents import EIGHT, SETS, Intent
 from magical_mj.intents.expert_data import with_scenes
 from magical_mj.intents.names import TESTS, has_intent, task_intent, tasks_in
@@ -34,7 +33,7 @@ from magical_mj.utils.settings import Count
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
-    from magical_mj.demos.stored import Stored
+    from magical_mj.demos.stored import Stored, Watch
 
 
 Control = Literal["wrong-demonstrations", "wrong-instruction"]
@@ -273,20 +272,18 @@ class GivenStarts(Starts):
         """The digests of the demonstrations."""
         return {f"demonstrations of {task}": digest_of(demos) for task, demos in self.demonstrations.items()}
 
-    def of(self, unit: Unit, source: Source, task: str) -> list[tuple[Episode, dict[str, Any]]]:
+    def of(self, played: Episode, task: str, source: Source) -> tuple[Episode, dict[str, Any]]:
         """The demonstrations in the form that the policy uses; in a control, also the other task and its sentence."""
-        received, digest = (), ""
+        received, digest, other, sentence = (), "", "", ""
         if "demonstrations" in source.uses:
-            received = self._received(unit.task, source)
-            digest = digest_of(self.demonstrations[unit.task])[:16]
-        misled, starts = self.settings.control == "wrong-instruction", []
-        for seed in unit.seeds:
-            body = self.settings.body if misled else None
-            other = other_task(unit.task, unit.variant, seed, body) if self.settings.control else ""
+            received = self._received(played.task, source)
+            digest = digest_of(self.demonstrations[played.task])[:16]
+        if self.settings.control:
+            misled = self.settings.control == "wrong-instruction"
+            other = other_task(played.task, played.variant, played.seed, self.settings.body if misled else None)
             sentence = task_spec(other).instruction if misled else ""
-            episode = Episode(task, unit.variant, seed, unit.run, sentence, demonstrations=received)
-            starts.append((episode, {"other": other, "demonstrations": digest}))
-        return starts
+        episode = replace(played, task=task, instruction=sentence, demonstrations=received)
+        return episode, {"other": other, "demonstrations": digest}
 
     def _received(self, task: str, source: Source) -> tuple[Any, ...]:
         """The demonstrations of a task for a policy. The last ones are kept."""

@@ -62,7 +62,7 @@ def learnt_from(origin: object, policy: object = None) -> Learnt:
         origin: the policy's origin. If it is the folder of a training, its settings decide, as far as they say it.
         policy: the policy. Otherwise, the record is its attribute `learnt`, if it has one.
     """
-    learnt = getattr(policy, "learnt", Learnt())
+    learnt = getattr(policy, "learnt", UNKNOWN)
     if not isinstance(learnt, Learnt):
         raise SettingsError(f"the policy's attribute learnt must be a {Learnt.__name__}, not {short_repr(learnt)}")
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
@@ -89,3 +89,7 @@ def check_tasks(value: object, where: str) -> None:
     """Raises a `SettingsError` unless the value has names of tasks, which need not exist here."""
     if not isinstance(value, list | tuple) or not all(isinstance(task, str) and task for task in value):
         raise SettingsError(f"{where} must be a list of tasks, not {short_repr(value)}")
+
+
+UNKNOWN: Final = Learnt()
+"""Of policies that do not say what their training used."""

@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from magical_mj.envs.presets import DEFAULT_PRESET, PRESETS, observation_space, preset_named
-from magical_mj.policies.facts import Learnt, learnt_from
+from magical_mj.policies.facts import UNKNOWN, Learnt, learnt_from
 from magical_mj.policies.interface import (
     AGENTS,
     NEUTRAL,
@@ -83,7 +83,7 @@ class Source:
     batches: bool = False
     unnoticed: frozenset[Effect] = frozenset()
     uses: frozenset[str] = frozenset(("observations",))
-    learnt: Learnt = field(default_factory=Learnt)
+    learnt: Learnt = UNKNOWN
     needs_plan: bool = False
 
     def checked(self, policy: Act, preset: str) -> Source:
@@ -199,15 +199,6 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     return listed
 
 
-def statistics_of(origin: object) -> Path | None:
-    """The file of VecNormalize's statistics next to a stable-baselines3 archive, or in the folder with its name."""
-    path = Path(origin) if isinstance(origin, str) else Path()
-    if path.suffix != ".zip":
-        return None
-    found = (file for folder in (path.parent, path.with_suffix("")) for file in folder.glob("*vecnormalize*.pkl"))
-    return min(found, default=None)
-
-
 def common_preset(policies: Iterable[object]) -> str:
     """The preset that all policies were trained with, or `DEFAULT_PRESET`.
 
@@ -216,18 +207,38 @@ def common_preset(policies: Iterable[object]) -> str:
     known = set[str]()
     for policy in policies:
         if hasattr(policy, "preset") or "observations" in uses_of(policy):
-            shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-            fitting = [] if shapes is None else _fitting(list(shapes))
+            fitting = _fitting(policy)
             known.add(getattr(policy, "preset", fitting[0] if len(fitting) == 1 else DEFAULT_PRESET))
     return known.pop() if len(known) == 1 else DEFAULT_PRESET
 
 
-def also_fitting(policy: object, preset: str) -> list[str]:
-    """The other presets with observations of a policy's shapes, if it does not say which it was trained with."""
-    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    if shapes is None or hasattr(policy, "preset"):
-        return []
-    return [name for name in _fitting(list(shapes)) if name not in ("", preset)]
+def doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Iterator[str]:
+    """Why the scores of a policy may not be those that the user expects.
+
+    Args:
+        source: the policy's origin.
+        policy: the policy.
+        preset: the preset of its observations.
+        is_chosen: whether `common_preset` has chosen the preset.
+    """
+    others = [] if hasattr(policy, "preset") else [name for name in _fitting(policy) if name not in ("", preset)]
+    if is_chosen and others:
+        yield (
+            f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
+            "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
+        )
+    if stopped := source.learnt.unfinished:
+        yield (
+            f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
+            "of an unfinished training: magical-mj train --resume finishes it"
+        )
+    path = Path(source.origin) if isinstance(source.origin, str) else Path()
+    folders = (path.parent, path.with_suffix("")) if path.suffix == ".zip" else ()
+    for statistics in sorted(file for folder in folders for file in folder.glob("*vecnormalize*.pkl"))[:1]:
+        yield (
+            f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
+            "lack the normalization; docs/policies.md shows how to evaluate such a policy"
+        )
 
 
 def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
@@ -339,9 +350,11 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
     if needed != preset:
         raise SettingsError(f"the policy needs the preset {needed}, not {preset}: give --preset {needed}")
     _check_tasks(policy, pairs, like)
-    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    if shapes is not None and "observations" in uses_of(policy):
-        _check_shape(list(shapes), preset)
+    shapes, fitting = accepted_shapes(policy), _fitting(policy)
+    if shapes and preset not in fitting and "observations" in uses_of(policy):
+        remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has observations of this shape"
+        gives = observation_space(PRESETS[preset]).shape or "a dict"
+        raise SettingsError(f"the policy takes observations of shape {shapes[0]}, and {preset} gives {gives}: {remedy}")
 
 
 def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
@@ -363,31 +376,20 @@ def _check_tasks(policy: object, pairs: Sequence[Pair], like: str) -> None:
         )
 
 
-def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
-    """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
-    fitting = _fitting(accepted)
-    if preset not in fitting:
-        remedy = f"give --preset {' or '.join(fitting)}" if fitting else "no preset has observations of this shape"
-        gives = _shape_of(preset) or "a dict"
-        raise SettingsError(
-            f"the policy takes observations of shape {accepted[0]}, and {preset} gives {gives}: {remedy}"
-        )
+def accepted_shapes(policy: object) -> list[Shape]:
+    """The shapes of observations that a policy accepts. Empty if it does not say."""
+    return list(getattr(policy, "observation_shapes", None) or ())
 
 
-def _shape_of(preset: str) -> tuple[int, ...]:
-    """The shape of a preset's observations. Empty for dicts."""
-    kind = PRESETS[preset]
-    return observation_space(kind).shape or ()
-
-
-def _fitting(accepted: Sequence[Shape]) -> list[str]:
-    """The presets whose observations have one of these shapes."""
+def _fitting(policy: object) -> list[str]:
+    """The presets whose observations have one of the `accepted_shapes`."""
+    accepted = accepted_shapes(policy)
 
     def fits(name: str) -> bool:
-        shape = _shape_of(name)
+        shape = observation_space(PRESETS[name]).shape or ()  # empty for dicts
         return any(
             len(sizes) == len(shape) and all(size in (None, real) for size, real in zip(sizes, shape, strict=True))
             for sizes in accepted
         )
 
-    return [name for name in PRESETS if fits(name)]
+    return list(filter(fits, PRESETS)) if accepted else []
