@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
@@ -137,8 +138,7 @@ class BaseSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_body_name(self.body)
-        for task, _ in self.environments:
-            self.shift_labels(task)
+        self.shift_labels()
         preset_named(self.observed)
         check_backend(self.backend, self.address)
         if self.resume and self.out is None:
@@ -212,8 +212,8 @@ class BaseSettings(Settings):
         """The pairs of task and variant that are played."""
         return environments(self.tasks, self.variants)
 
-    def shift_labels(self, task: str, policies: Sequence[Source] = ()) -> list[str]:
-        """The labels of the shifts that are played in a task, as in results. The first one is "", without a shift.
+    def shift_labels(self, policies: Sequence[Source] = ()) -> dict[str, list[str]]:
+        """For each task, the labels of the shifts that are played, as in results. The first is "", without a shift.
 
         "all" leaves out shifts that one of the policies does not notice: its score would show a robustness that it
         does not have.
@@ -222,18 +222,21 @@ class BaseSettings(Settings):
             SettingsError: if an axis is named that one of the policies does not notice, or if the expert plays and
                 cannot solve the task with the body.
         """
-        unnoticed = set[Effect]()
+        labels, unnoticed = dict[str, list[str]](), set[Effect]()
         for policy in policies:
             unnoticed |= policy.unnoticed
-        settings = expand_shifts(self.shifts, task, unnoticed)
-        bodies = [self.body, *(str(setting[BODY]) for setting in settings if BODY in setting)]
-        for policy in policies:
-            for setting in settings:
-                check_noticed(setting, policy.name, policy.unnoticed)
-            for body in bodies if policy.needs_plan else ():
-                task_spec(task).check_expert_body(body)
-        labels = dict.fromkeys(["", *map(shift_label, settings)])
-        return [label for label in labels if label != shift_label({BODY: self.body})]
+        for task in dict.fromkeys(task for task, _ in self.environments):
+            settings = expand_shifts(self.shifts, task, unnoticed)
+            bodies = [self.body, *(str(setting[BODY]) for setting in settings if BODY in setting)]
+            for policy in policies:
+                for setting in settings:
+                    check_noticed(setting, policy.name, policy.unnoticed)
+                for body in bodies if policy.needs_plan else ():
+                    task_spec(task).check_expert_body(body)
+            known = dict.fromkeys(["", *map(shift_label, settings)])
+            known.pop(shift_label({BODY: self.body}), None)
+            labels[task] = list(known)
+        return labels
 
     @cached_property
     def seeds(self) -> range:
@@ -243,13 +246,13 @@ class BaseSettings(Settings):
 
     def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
         """The settings that determine scores, and the policies if given. A resumed evaluation must keep them."""
-        played = [policy.described() for policy in policies]
-        for policy, facts in zip(policies, played, strict=True):
-            if given := self.given(policy):
-                facts["given"] = given
-        shifts, own = dict[str, None](), dict[str, str]()
-        for task in dict.fromkeys(task for task, _ in self.environments):
-            shifts |= dict.fromkeys(self.shift_labels(task, policies))
+        played = []
+        for policy in policies:
+            given = self.given(policy)
+            played.append({**policy.described(), **({"given": given} if given else {})})
+        labels, own = self.shift_labels(policies), dict[str, str]()
+        shifts = dict.fromkeys(chain.from_iterable(labels.values()))
+        for task in labels:
             own |= {} if task in KNOWN else {task: code_digest(task)}
         for label in (*shifts, shift_label({BODY: self.body})):
             own |= code_digests(label)

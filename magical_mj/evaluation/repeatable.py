@@ -5,7 +5,7 @@ Otherwise no score could be repeated, and only `magical-mj verify` would notice 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from typing import Any, Final
 
@@ -24,15 +24,17 @@ PICTURE_STEPS: Final = 10
 PICTURE_SIZE: Final = 32  # pixels
 
 
-def check_repeatable(settings: EvaluationSettings, sources: Sequence[Source]) -> None:
-    """Plays the first steps of an episode twice, with each of the user's shifts.
+def check_repeatable(
+    settings: EvaluationSettings, sources: Sequence[Source], labels: Mapping[str, Sequence[str]]
+) -> None:
+    """Plays the first steps of an episode twice, with each of the user's shifts. `labels`: those of each task.
 
     Raises:
         SettingsError: if the two differ. Errors of the shifts are left to the evaluation.
     """
     played: dict[tuple[str, ...], tuple[str, str, str]] = {}  # the greatest strength of each
     for task, variant in settings.environments:
-        for label in settings.shift_labels(task, sources):
+        for label in labels[task]:
             if names := tuple(code_digests(label)):
                 played[names] = task, variant, label
     for names, (task, variant, label) in played.items():

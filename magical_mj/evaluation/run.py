@@ -6,7 +6,8 @@ import inspect
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
-from itertools import chain
+from dataclasses import replace
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any, Final
 
 import cloudpickle
@@ -17,7 +18,7 @@ from magical_mj.evaluation.folder import EvaluationFolder, check_runs
 from magical_mj.evaluation.repeatable import check_repeatable
 from magical_mj.evaluation.scores import MUJOCO_VERSION, SCORE_TOLERANCE, EpisodeResult, Key, frame
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.worker import Player, Unit, plan, prepared, single_env
+from magical_mj.evaluation.worker import Player, Unit, prepared, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import Source
 from magical_mj.tasks.registry import task_spec
@@ -114,7 +115,8 @@ class Evaluation:
         if settings.wrap:
             source, pair = self._sources[0], settings.environments[0]
             single_env(Unit(source.name, source.run, *pair, ()), settings, observed=True).close()  # fail early
-        check_repeatable(settings, self._sources)
+        self._labels = settings.shift_labels(self._sources)
+        check_repeatable(settings, self._sources, self._labels)
         self._player = Player(self._sources, settings, watch)
         self._cause: Exception | None = None
         self.scores: list[EpisodeResult] = []
@@ -132,11 +134,10 @@ class Evaluation:
     def in_order(self) -> list[EpisodeResult]:
         """The results of the finished episodes, in the order of the policies, environments, seeds and shifts."""
         policies, pairs = list(self._player.policies), self.settings.environments
-        shifts = {task: self.settings.shift_labels(task, self._sources) for task, _ in pairs}
 
         def place(result: EpisodeResult) -> tuple[int, int, int, int]:
             policy, pair = (result.policy, result.run), (result.task, result.variant)
-            shift = shifts[result.task].index(result.shift)
+            shift = self._labels[result.task].index(result.shift)
             return policies.index(policy), pairs.index(pair), result.seed, shift
 
         return sorted(self.scores, key=place)
@@ -182,14 +183,29 @@ class Evaluation:
             )
 
     def _remaining(self) -> list[Unit]:
-        """The units that must still be played. Sets `scores` to the finished episodes."""
-        if self._folder:
-            self.scores = self._folder.done
-        failed: dict[Key, int] = {}
-        if self.settings.retry_failed:
-            failed = {result.key: result.retry + 1 for result in self.scores if result.failure is not None}
-            self.scores = [result for result in self.scores if result.failure is None]
-        return plan(self._sources, self.settings, {result.key for result in self.scores}, failed)
+        """The units that must still be played. Sets `scores` to the finished episodes.
+
+        Units with long episodes come first, so that all workers end at about the same time.
+        """
+        settings, units = self.settings, list[Unit]()
+        done = {result.key: result for result in (self._folder.done if self._folder else self.scores)}
+        for task, variant in settings.environments:
+            for source, shift in product(self._sources, self._labels[task]):
+                every = Unit(source.name, source.run, task, variant, (), shift)
+                new, again = list[int](), list[Unit]()
+                for seed in settings.seeds:
+                    known = done.get(every.key(seed))
+                    if known is None:
+                        new.append(seed)
+                    elif settings.retry_failed and known.failure is not None:
+                        again.append(replace(every, seeds=(seed,), retry=known.retry + 1))
+                        del done[known.key]
+                together = settings.batched or (source.batches and not settings.wrap)
+                size = settings.side_by_side if together else 1
+                units += [replace(every, seeds=tuple(new[first : first + size])) for first in range(0, len(new), size)]
+                units += again
+        self.scores = list(done.values())
+        return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
 
     def _trusted_results(self) -> Iterator[list[EpisodeResult]]:
         """The results of all units, unless a policy always fails.
@@ -198,21 +214,22 @@ class Evaluation:
         of errors. If all fail with the same type, an error is raised, and none is yielded. The first planned episodes
         decide, because the first finished ones depend on the number of workers.
         """
-        first: dict[tuple[str, int], list[Key]] = defaultdict(list)
+        planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
-            first[unit.policy, unit.run] += map(unit.key, unit.seeds)
+            planned[unit.policy, unit.run] += map(unit.key, unit.seeds)
         proven = {(result.policy, result.run) for result in self.scores}
         held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
+        failed: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
         for result in chain.from_iterable(self._play_units()):
             policy = result.policy, result.run
+            first, failures = planned[policy][:FIRST_EPISODES], failed[policy]
             held[policy].append(result)
-            if policy not in proven:
-                deciding = [other for other in held[policy] if other.key in first[policy][:FIRST_EPISODES]]
-                types = {None if other.failure is None else other.failure.partition(":")[0] for other in deciding}
-                if len(types) > 1 or None in types:
+            if policy not in proven and result.key in first:
+                failures.append(result)
+                if result.failure is None or _error_type(result) != _error_type(failures[0]):
                     proven.add(policy)
-                elif len(deciding) == len(first[policy][:FIRST_EPISODES]):
-                    raise _all_failed_error(deciding) from self._cause
+                elif len(failures) == len(first):
+                    raise _all_failed_error(failures) from self._cause
             if policy in proven:
                 yield held.pop(policy)
 
@@ -255,6 +272,11 @@ class Evaluation:
             except Exception as error:  # noqa: BLE001 a policy's objects may raise anything
                 return f"{source.name} cannot be sent to other processes ({reason(error)})"
         return None
+
+
+def _error_type(result: EpisodeResult) -> str:
+    """The type of the error of a failed episode."""
+    return (result.failure or "").partition(":")[0]
 
 
 def _copied(source: Source) -> Source:

@@ -8,10 +8,9 @@ and `evaluate` waits for the call.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import gymnasium
@@ -25,7 +24,6 @@ from magical_mj.policies.interface import Episode, policy_task
 from magical_mj.policies.loading import Source, check_fit, common_preset, doubts, sources
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
-from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.imports import resolve, with_location
 from magical_mj.utils.parallel import Split, Timed, map_here
@@ -84,34 +82,8 @@ def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], E
             warnings.warn(doubt, stacklevel=4)  # the call of `evaluate`
     settings = replace(settings, preset=preset)
     settings.check_policies(listed)
-    for task, _ in settings.environments:
-        settings.shift_labels(task, listed)
+    settings.shift_labels(listed)
     return listed, settings
-
-
-def plan(
-    policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key], failed: Mapping[Key, int]
-) -> list[Unit]:
-    """The remaining units. Those with long episodes come first, so that all workers end at about the same time.
-
-    `failed` maps the episodes that must be played again to the number of their failures.
-    """
-    units: list[Unit] = []
-    for task, variant in settings.environments:
-        for source, shift in product(policies, settings.shift_labels(task, policies)):
-            every = Unit(source.name, source.run, task, variant, tuple(settings.seeds), shift)
-            together = settings.batched or (source.batches and not settings.wrap)
-            size = settings.side_by_side if together else 1
-            new, again = list[int](), list[Unit]()
-            for seed in every.seeds:
-                key = every.key(seed)
-                if key in failed:
-                    again.append(replace(every, seeds=(seed,), retry=failed[key]))
-                elif key not in done:
-                    new.append(seed)
-            units += [replace(every, seeds=tuple(new[first : first + size])) for first in range(0, len(new), size)]
-            units += again
-    return sorted(units, key=lambda unit: -task_spec(unit.task).horizon(settings.rules))
 
 
 class Player:
@@ -240,8 +212,6 @@ def single_env(unit: Unit, settings: EvaluationSettings, observed: bool, instruc
 
 def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> str:
     """The digest of an episode's initial scene."""
-    if not shift:
-        return sample_scene(task, variant, seed, body).digest()
     from magical_mj.engine.episode import Setup  # imported late: it loads the simulator
 
     strengths, body = split_body(shift, task, body)

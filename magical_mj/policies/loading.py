@@ -221,24 +221,26 @@ def doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Iter
         preset: the preset of its observations.
         is_chosen: whether `common_preset` has chosen the preset.
     """
-    others = [] if hasattr(policy, "preset") else [name for name in _fitting(policy) if name not in ("", preset)]
-    if is_chosen and others:
+    fitting = _fitting(policy)
+    if is_chosen and len(fitting) > 1 and not hasattr(policy, "preset"):
+        others = ", ".join(name for name in fitting if name != preset)
         yield (
-            f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the "
-            "same shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
+            f"{source.name} is played with the preset {preset}, but observations of {others} have the same shape: if "
+            "it was trained on those, or to avoid this warning, give --preset (preset=...)"
         )
     if stopped := source.learnt.unfinished:
         yield (
             f"the training of {source.name} in {source.origin} has stopped at {stopped}, and its scores are those "
             "of an unfinished training: magical-mj train --resume finishes it"
         )
-    path = Path(source.origin) if isinstance(source.origin, str) else Path()
-    folders = (path.parent, path.with_suffix("")) if path.suffix == ".zip" else ()
-    for statistics in sorted(file for folder in folders for file in folder.glob("*vecnormalize*.pkl"))[:1]:
-        yield (
-            f"{source.origin} is played without {statistics}: if it was trained in VecNormalize, its observations "
-            "lack the normalization; docs/policies.md shows how to evaluate such a policy"
-        )
+    if isinstance(source.origin, str) and source.loaded == "zip":
+        path = Path(source.origin)
+        found = [*path.parent.glob("*vecnormalize*.pkl"), *path.with_suffix("").glob("*vecnormalize*.pkl")]
+        if found:
+            yield (
+                f"{path} is played without {min(found)}: if it was trained in VecNormalize, its observations lack the "
+                "normalization; docs/policies.md shows how to evaluate such a policy"
+            )
 
 
 def _parse_policies(policies: Any) -> Iterator[tuple[Any, Any]]:
