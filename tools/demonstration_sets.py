@@ -22,7 +22,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from magical_mj import TASKS
-from magical_mj.evaluation.reports.intervals import mean_over
+from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate, mean_over
 from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.leaderboard.entry import read_entry
 from magical_mj.tasks.registry import ENVIRONMENTS, Pair
@@ -78,6 +78,19 @@ def mean(scores: Scores, variant: str, tasks: Collection[str]) -> float:
     """The mean over these tasks that have the variant."""
     pairs = [(task, variant) for task in tasks if (task, variant) in ENVIRONMENTS]
     return float(np.mean([np.mean([runs.mean() for runs in scores[pair].values()]) for pair in pairs]))
+
+
+def gained(entry: str, variant: str) -> Estimate:
+    """How much more a method scores in a variant after learning from set 2, over all tasks."""
+    sides = {1: stored(entry), -1: scores_of(read_entry(ROOT / "results" / entry).counted)}
+    pairs = [pair for pair in sides[1] if pair[1] == variant]
+    return estimate(
+        [
+            Cell(np.stack([*scores[pair].values()]), sign / len(pairs), (sign, pair[0]), pair)
+            for sign, scores in sides.items()
+            for pair in pairs
+        ]
+    )
 
 
 def lost(entry: str, tasks: Collection[str], variant: str = "Demo") -> tuple[float, float]:

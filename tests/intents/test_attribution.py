@@ -46,6 +46,7 @@ from tools.pages import filled
 from tools.test_scenes import REPLAYED, first_blocks, is_refuted
 
 CLOSE_GRIPPER = 9
+UNLEARNT = ("noop", "random", "replay", "state-goals")
 
 
 def played(task: str, variant: str, seed: int, actions: list[int]) -> EpisodeResult:
@@ -276,12 +277,17 @@ def test_the_page_says_what_learners_without_success_did() -> None:
     """In the tasks where wrong blocks can be moved, without policies that do not look or plan in a simulator."""
     page = " ".join((ROOT / "docs" / "failures.md").read_text("utf-8").split())
     rows = pd.read_csv(ENDED, dtype=str, keep_default_na=False)
-    learners = rows[~rows["entry"].isin(["noop", "random", "replay", "state-goals"])]
+    learners = rows[~rows["entry"].isin(UNLEARNT)]
     tasks = [learners[learners["task"] == task].to_dict("records") for task in CHOICES]
     wrong, some, none = (f"{100 * part:.0f} %" for part in of_unsolved(row for task in tasks for row in task))
     total = sum(int(row["failed"]) for task in tasks for row in task)
     assert f"{total:,} unsolved episodes" in page
     assert f"{wrong} moved only wrong blocks, {some} an intended one, and {none} none" in page
+    among = rows[rows["task"].isin(CHOICES)]
+    groups = (among[~among["entry"].isin(UNLEARNT)], *(among[among["entry"] == name] for name in ("replay", "random")))
+    parts = [of_unsolved(group.to_dict("records")) for group in groups]
+    alone = [f"{100 * wrong / (wrong + some):.0f} %" for wrong, some, _ in parts]
+    assert "a block, {} moved only wrong ones (a replay {}, random actions {})".format(*alone) in page
     own = ", ".join(f"{100 * of_unsolved(task)[0]:.0f} % in {name}" for name, task in zip(CHOICES, tasks, strict=True))
     assert own in page
     block = page.partition("<!-- endings: written by python -m tools.attribution --> ")[2].partition(" <!--")[0]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magical_mj.intents import EIGHT, parse, rivals
+from magical_mj.intents.attribution import BITS
 from magical_mj.intents.plans import planned
 from magical_mj.intents.tasks import task_of
 from tools.ambiguity import (
@@ -53,6 +54,12 @@ def test_more_scenes_leave_fewer_rivals_and_the_sentence_none() -> None:
     assert by_sentence(case) == (0, 0.0)
     assert by_picture(case).rivals >= counts["random"][0]
     assert by_picture(case).bits <= nothing(case).bits
+
+
+def test_the_page_names_the_tasks_whose_own_intents_are_longer_than_all_rivals() -> None:
+    longer = [task for task, intent in EIGHT.items() if intent.bits > BITS]
+    assert "In {}, {} and {} it has more than 24, so all count".format(*longer) in " ".join(PAGE.split())
+    assert BITS == 24
 
 
 def test_a_weaker_intent_is_left_by_every_scene() -> None:

@@ -21,7 +21,7 @@ from magical_mj.leaderboard.standings import ABOVE, COMMON, GROUPS, Standing, di
 from magical_mj.scene import constants as c
 from tools import pretraining, released
 from tools.claims import COMPARABLE, FEW, OURS, claims, compared, verdict
-from tools.demonstration_sets import lost
+from tools.demonstration_sets import ENTRIES, gained, lost
 from tools.scores import by_released_rules, compared_with_the_paper, own_methods
 from tools.test_scenes import right_first
 
@@ -277,6 +277,9 @@ def test_the_demonstrations_page_says_how_much_set_2_costs() -> None:
     page = " ".join((ROOT / "docs" / "demonstration-sets.md").read_text("utf-8").split())
     states, pictures = lost(STATES, TASKS)[1], lost("pixels-bc-quick", TASKS)[1]
     assert f"BC loses {states:.0%} of its score from states and {pictures:.0%} from" in page.replace(" %", "%")
+    decided = {(name, variant): gained(name, variant) for name in ENTRIES for variant in ("Layout", "All")}
+    assert [found for found in decided.items() if found[1].decided] == [((STATES, "All"), decided[STATES, "All"])]
+    assert f"BC from states loses in All ({written(decided[STATES, 'All'])})" in page
     losses = {task: lost("state-gail", [task])[0] for task in TASKS}
     worst, *others = sorted(losses.values(), reverse=True)
     assert losses["MatchRegions"] == worst

@@ -7,10 +7,12 @@ import runpy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from magical_mj.evaluation.reports.intervals import estimate
+from magical_mj.leaderboard.entry import read_entry
 from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
 from tools import learnt_rewards, pretraining
@@ -67,6 +69,10 @@ def test_statements_about_learnt_rewards_agree_with_the_figures() -> None:
     assert f"the correlations in All are {same.min():.2f} to {same.max():.2f}." in text
     trained = learnt_rewards.policies()["MoveToRegion"][:, "ppo"]
     best = trained.drop("dense").max()
+    replay = [row for row in read_entry(DOCS.parent / "results" / "replay").counted if row.seed < 50]
+    blind = np.mean([row.score for row in replay if (row.task, row.variant) == ("MoveToRegion", "Layout")])
+    assert f"no more than a replay in MoveToRegion's new layouts** ({blind:.2f})" in text
+    assert best <= blind
     assert (
         f"PPO reaches {trained['dense']:.2f} with the dense reward, and at most {best:.2f} with a learnt one." in text
     )
@@ -87,6 +93,7 @@ def test_statements_about_pretraining_agree_with_the_figures() -> None:
     }
     better = {(start.preset, start.tasks, variant) for (start, variant), (_, low, _) in gains.items() if low > 0}
     assert better == {("State", 7, "Colour")}
+    assert f"Of {len(gains)} comparisons" in text
     found = [
         [
             f"{mean:+.2f} [{low:+.2f}, {high:+.2f}]"
