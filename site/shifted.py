@@ -23,11 +23,10 @@ from magical_mj.shifts.physical import Clutter
 from magical_mj.shifts.registry import shift_class
 from magical_mj.shifts.shift import HISTORY, Shift
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
-from magical_mj.variants import variants_of
 from magical_mj.web.page_data import DEMONSTRATIONS, scene_data
 
 SWEPT: Final = "SweepToTop"
-SUITE: Final[tuple[Pair, ...]] = tuple((SWEPT, variant) for variant in variants_of(task_spec(SWEPT)))
+SUITE: Final[tuple[Pair, ...]] = tuple((SWEPT, variant) for variant in task_spec(SWEPT).variants)
 """The environments of the page in addition to the 60."""
 PLACED: Final = ("pose", "clutter")
 """The shifts that change which objects a scene has, and their poses. The page has scenes with one of them."""

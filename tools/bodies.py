@@ -19,7 +19,6 @@ from magical_mj.experts import expert_of
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks.registry import SPLITS, task_spec
 from magical_mj.utils.errors import MagicalError
-from magical_mj.variants import variants_of
 
 OFFERED = 0.9
 """The mean score that a task requires to offer a body."""
@@ -59,7 +58,7 @@ def main() -> None:
     for task in options.tasks.split(","):
         spec = task_spec(task)
         object.__setattr__(spec, "bodies", tuple(BODIES))  # try bodies that the task does not offer
-        chosen = [variant for variant in options.variants.split(",") if variant in variants_of(spec)]
+        chosen = [variant for variant in options.variants.split(",") if variant in spec.variants]
         for body in options.bodies.split(","):
             print(f"{task:14} {body:12} {mean_score(task, body, chosen, options.seeds)}", flush=True)
 

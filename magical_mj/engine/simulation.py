@@ -132,10 +132,6 @@ class Simulation:
         self.trajectory = [self.scene_model.scene] if self.setup.spec.trajectory else []
         self._last_remaining = None, 0.0
 
-    def take_records(self, other: Simulation) -> None:
-        """Takes the number of steps and the trajectory of another simulation of the same episode."""
-        self.steps, self.trajectory = other.steps, other.trajectory
-
     def physics_copy(self) -> Simulation:
         """A copy of the model's current state. It has no shifts and no records, and executes actions as commanded."""
         twin = Simulation(self.setup, self.scene_model, self.model, renderer=self.renderer, cameras=self._cameras)

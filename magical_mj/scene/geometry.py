@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.scene import GoalRegion, Pebble, Pose, Robot, Scene
+from magical_mj.scene import GoalRegion, Pebble, Pose, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
@@ -22,6 +22,9 @@ from magical_mj.utils.errors import InvalidSceneError
 
 if TYPE_CHECKING:  # functions import it: listing the environments does not need it
     from shapely.geometry.base import BaseGeometry
+
+    Part = tuple[BaseGeometry, float]
+    """A solid part in world coordinates: its core geometry, and the radius by which it is enlarged."""
 
 Outline = NDArray[np.float64]
 """The corners of a simple polygon, counter-clockwise. Shape (n, 2)."""
@@ -38,13 +41,6 @@ MAX_ANGLE: Final = 500.0
 
 FINGER_SLACK: Final = 0.05
 """How far a finger's angle may be outside of its range, rad."""
-
-
-class Part(NamedTuple):
-    """A solid part in world coordinates: its core geometry, enlarged by `radius`."""
-
-    core: BaseGeometry
-    radius: float = 0.0
 
 
 class Solid(NamedTuple):
@@ -129,11 +125,11 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
 
     x, y, _ = pose
     if shape == "circle":
-        return Solid(x, y, c.BLOCK_SIZE, (Part(shapely.Point(x, y), c.BLOCK_SIZE),))
+        return Solid(x, y, c.BLOCK_SIZE, ((shapely.Point(x, y), c.BLOCK_SIZE),))
     outline = block_outline(shape)
     margin = c.SQUARE_MARGIN if shape == "square" else 0.0
     reach = math.hypot(*outline[0]) + margin
-    return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
+    return Solid(x, y, reach, ((shapely.Polygon(placed(outline, pose)), margin),))
 
 
 @lru_cache(maxsize=64)  # placement calls this often with the same few arguments
@@ -165,15 +161,15 @@ def robot_solid(
     x, y, _ = pose
     segments, reach, radius = _robot_segments(fingers, body)
     polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
-    disc = (Part(shapely.Point(x, y), radius),) if radius else ()
-    return Solid(x, y, reach, (*disc, *map(Part, polygons)))
+    disc = ((shapely.Point(x, y), radius),) if radius else ()
+    return Solid(x, y, reach, (*disc, *((polygon, 0.0) for polygon in polygons)))
 
 
 def pebble_solid(pebble: Pebble) -> Solid:
     """A pebble."""
     import shapely
 
-    part = Part(shapely.Point(pebble.x, pebble.y), c.PEBBLE_RADIUS)
+    part = shapely.Point(pebble.x, pebble.y), c.PEBBLE_RADIUS
     return Solid(pebble.x, pebble.y, c.PEBBLE_RADIUS, (part,))
 
 
@@ -182,7 +178,7 @@ def region_solid(region: GoalRegion) -> Solid:
     import shapely
 
     reach = math.hypot(region.width, region.height) / 2
-    return Solid(*region.centre, reach, (Part(shapely.box(*region.box)),))
+    return Solid(*region.centre, reach, ((shapely.box(*region.box), 0.0),))
 
 
 def touch(solid: Solid, other: Solid, tolerance: float = 0.0) -> bool:
@@ -197,13 +193,12 @@ def touch(solid: Solid, other: Solid, tolerance: float = 0.0) -> bool:
 
 
 def _meet(a: Part, b: Part) -> bool:
-    return a.core.distance(b.core) <= a.radius + b.radius
+    return a[0].distance(b[0]) <= a[1] + b[1]
 
 
 def _shrunk(part: Part, by: float) -> Part:
-    if part.radius >= by:
-        return Part(part.core, part.radius - by)
-    return Part(part.core.buffer(part.radius - by))
+    core, radius = part
+    return (core, radius - by) if radius >= by else (core.buffer(radius - by), 0.0)
 
 
 def inside_walls(solid: Solid, tolerance: float = 0.0, half_width: float = c.ARENA_HALF_WIDTH) -> bool:
@@ -211,9 +206,9 @@ def inside_walls(solid: Solid, tolerance: float = 0.0, half_width: float = c.ARE
     limit = half_width + tolerance
     if max(abs(solid.x), abs(solid.y)) + solid.reach <= limit:
         return True
-    for part in solid.parts:
-        x_min, y_min, x_max, y_max = part.core.bounds
-        if max(x_max, y_max, -x_min, -y_min) + part.radius > limit:
+    for core, radius in solid.parts:
+        x_min, y_min, x_max, y_max = core.bounds
+        if max(x_max, y_max, -x_min, -y_min) + radius > limit:
             return False
     return True
 
@@ -232,7 +227,13 @@ def check_scene(scene: Scene) -> None:
 
     Contacts in the simulation are slightly soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
     """
-    _check_fingers(scene.robot)
+    left, right = scene.robot.fingers
+    low, high = -FINGER_SLACK, c.FINGER_OPEN + FINGER_SLACK
+    if not (low <= left <= high and low <= -right <= high):
+        raise InvalidSceneError(
+            f"the fingers' angles are {scene.robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, "
+            f"right in -{c.FINGER_OPEN:.4f}..0"
+        )
     for body in (scene.robot, *scene.blocks):
         if abs(body.angle) > MAX_ANGLE:
             raise InvalidSceneError(f"the angle of {body} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
@@ -256,14 +257,3 @@ def check_scene(scene: Scene) -> None:
             raise InvalidSceneError(
                 f"region {index} ({region}) is not inside the walls, at x, y = {-half:g} and {half:g}"
             )
-
-
-def _check_fingers(robot: Robot) -> None:
-    """Raises unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
-    left, right = robot.fingers
-    low, high = -FINGER_SLACK, c.FINGER_OPEN + FINGER_SLACK
-    if not (low <= left <= high and low <= -right <= high):
-        raise InvalidSceneError(
-            f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, "
-            f"right in -{c.FINGER_OPEN:.4f}..0"
-        )

@@ -36,7 +36,7 @@ LONGEST_JSON: Final = 100_000
 Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
 
-_Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics | Pebble")
+_Part = TypeVar("_Part", bound="Scene | Robot | Block | GoalRegion | Dynamics | Pebble")
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,19 +243,12 @@ class Scene:
             data = json.loads(text, object_pairs_hook=_without_repeats)
         except (ValueError, TypeError, RecursionError) as error:
             raise InvalidSceneError(f"a scene must be JSON as written by Scene.to_json: {error}") from None
-        if not isinstance(data, dict):
-            raise InvalidSceneError(f"a scene must be a JSON object, not {short_repr(data)}")
-        version = data.pop("format", None)
+        version = data.pop("format", None) if isinstance(data, dict) else SCENE_FORMAT
         if type(version) is not int or version != SCENE_FORMAT:
             raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
-        _check_fields(cls, data)
-        for name, kind in _LISTS.items():
-            if not isinstance(items := data.get(name, []), list):
-                raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(items)}")
-            data[name] = tuple(_part(kind, item) for item in items)
-        data["robot"], data["dynamics"] = _part(Robot, data["robot"]), _part(Dynamics, data.get("dynamics", {}))
-        check_named(data["robot"].body, "a scene", trusted)
-        return cls(**data)
+        scene = _part(cls, data)
+        check_named(scene.robot.body, "a scene", trusted)
+        return scene
 
     def digest(self) -> str:
         """A short hash of the scene. Equal scenes have equal digests, different ones different digests.
@@ -319,19 +312,23 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return fields
 
 
-def _check_fields(kind: type, data: dict[str, Any]) -> None:
+def _part(kind: type[_Part], data: Any) -> _Part:
+    """A scene, or a part of one, from its JSON."""
+    if not isinstance(data, dict):
+        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {short_repr(data)}")
     known = _defaults(kind)
     required = [name for name, default in known.items() if default is dataclasses.MISSING]
     for name in sorted(data.keys() - known.keys()):
         raise InvalidSceneError(f"{kind.__name__} has no field {short_repr(name)}; it has {', '.join(known)}")
     for name in sorted(set(required) - data.keys()):
         raise InvalidSceneError(f"{kind.__name__} lacks the field {name!r}; it needs {', '.join(required)}")
-
-
-def _part(kind: type[_Part], data: Any) -> _Part:
-    if not isinstance(data, dict):
-        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {short_repr(data)}")
-    _check_fields(kind, data)
+    for name, value in data.items() if kind is Scene else ():
+        if name in _LISTS and not isinstance(value, list):
+            raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(value)}")
+        if name in _LISTS:
+            data[name] = tuple(_part(_LISTS[name], item) for item in value)
+        elif name != "half_width":
+            data[name] = _part(Robot if name == "robot" else Dynamics, value)
     return kind(**data)
 
 

@@ -33,7 +33,7 @@ from magical_mj.utils.errors import (
     short_repr,
     unknown_name,
 )
-from magical_mj.variants import OTHER_VARIANTS, Axis, check_seed, variants_of, varied_axes, vary
+from magical_mj.variants import OTHER_VARIANTS, Axis, check_seed, varied_axes, vary
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants.placement import contact
 from magical_mj.variants.rules import is_task_name
@@ -54,7 +54,7 @@ Pair = tuple[str, str]
 """A task and a variant, which name an environment."""
 
 ENVIRONMENTS: Final[tuple[Pair, ...]] = tuple(
-    (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
+    (task, variant) for task, spec in SPECS.items() for variant in spec.variants
 )
 """All (task, variant) pairs of the benchmark. They follow from the axes that each task supports."""
 
@@ -183,7 +183,7 @@ def given_environments(tasks: Names, variants: Names) -> list[Pair]:
     """`environments` with repetitions, where tasks or variants are repeated. It raises the same errors."""
     chosen = listed_tasks(tasks)
     wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    pairs = [(task, variant) for task in chosen for variant in wanted if variant in variants_of(task_spec(task))]
+    pairs = [(task, variant) for task in chosen for variant in wanted if variant in task_spec(task).variants]
     if not pairs:
         environment_axes(chosen[0], wanted[0])  # its error lists the task's variants
     return pairs
@@ -429,7 +429,7 @@ def check_spec(spec: Any, task: str) -> None:
 
 
 def _check_variants(spec: TaskSpec) -> None:
-    for variant in variants_of(spec):
+    for variant in spec.variants:
         drawn = vary(spec, variant, 0)
         check_drawn(spec, variant, 0, drawn)
         if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):

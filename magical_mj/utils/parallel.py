@@ -72,11 +72,8 @@ class Timed(Generic[Result]):
     late: Result
 
 
-@dataclass(frozen=True)
-class Split(Generic[Item]):
-    """A result that replaces a work item by smaller ones. They are done next."""
-
-    items: Sequence[Item]
+class Split(list[Item]):
+    """A result: smaller work items that replace one. They are done next."""
 
 
 def cores() -> int:
@@ -131,7 +128,7 @@ def map_here(function: Callable[[Item], Any], items: Sequence[Item]) -> Generato
         result = function(waiting.popleft())
         result = result.call() if isinstance(result, Timed) else result
         if isinstance(result, Split):
-            waiting.extendleft(reversed(result.items))
+            waiting.extendleft(reversed(result))
         else:
             yield result
 
@@ -146,7 +143,7 @@ def _results(submit: Callable[[Item], Future[Any]], items: Sequence[Item], most:
         for future in done:
             result = future.result()
             if isinstance(result, Split):
-                waiting.extendleft(reversed(result.items))
+                waiting.extendleft(reversed(result))
             else:
                 yield result
 

@@ -6,9 +6,8 @@ from magical_mj.variants.rules import (
     Axis,
     VariationRules,
     check_seed,
-    variants_of,
     varied_axes,
     vary,
 )
 
-__all__ = ["OTHER_VARIANTS", "VARIANTS", "Axis", "VariationRules", "check_seed", "variants_of", "varied_axes", "vary"]
+__all__ = ["OTHER_VARIANTS", "VARIANTS", "Axis", "VariationRules", "check_seed", "varied_axes", "vary"]

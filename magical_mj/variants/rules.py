@@ -193,11 +193,6 @@ def _are_sizes(sizes: Any, most: float) -> bool:
     return 0 <= sizes[0] <= sizes[1] <= most
 
 
-def variants_of(rules: VariationRules) -> tuple[str, ...]:
-    """The variants of a task: All, and those whose axes the task supports. Those of `OTHER_VARIANTS` are last."""
-    return tuple(rules.variants)
-
-
 def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
     """The axes that `variant` varies in this task.
 
@@ -213,7 +208,7 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
         raise UnknownNameError(f"{rules.name} has no variant 'Diagnose', which only intents have. See docs/intents.md")
     raise UnknownNameError(
         f"{rules.name} has no variant {variant!r}, because its {' and '.join(missing)} cannot vary. "
-        f"It has: {', '.join(variants_of(rules))}"
+        f"It has: {', '.join(rules.variants)}"
     )
 
 

@@ -8,7 +8,7 @@ Actions are x-magical's continuous speeds, so that the robot can steer precisely
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,8 @@ ACCELERATION: Final = 3.2  # rad/s^2, the braking rate towards a heading: the lo
 Action = NDArray[np.float32]
 
 
-class Lane(NamedTuple):
-    """Debris blocks that are pushed together."""
-
-    debris: tuple[int, ...]
-    x: float
-    """The x of the robot's centre in the lane."""
+Lane = tuple[tuple[int, ...], float]
+"""Debris blocks that are pushed together, and the x of the robot's centre meanwhile."""
 
 
 class Sweeper:
@@ -95,7 +91,7 @@ class _Attempt:
             lanes = self._lanes()
             if not lanes:
                 break
-            self._drive_lane(lanes[0])
+            self._drive_lane(*lanes[0])
         return float(arrived(self._simulation.scene).mean())
 
     def _lanes(self) -> list[Lane]:
@@ -114,46 +110,46 @@ class _Attempt:
             limit = HALF_WIDTH - self._half - 0.02
             wanted = scene.robot.x if self._half > 0.5 else (group[0][0] + group[-1][0]) / 2
             x = min(max(min(max(wanted, low), high), -limit), limit)
-            lanes.append(Lane(tuple(index for _, index in group), x))
+            lanes.append((tuple(index for _, index in group), x))
         robot = scene.robot
         noise = 0.0 if self._steady else 0.8
-        lanes.sort(key=lambda lane: abs(lane.x - robot.x) + noise * self._rng.random())
+        lanes.sort(key=lambda lane: abs(lane[1] - robot.x) + noise * self._rng.random())
         return lanes
 
-    def _drive_lane(self, lane: Lane) -> None:
-        """Drives below the lane's debris, and then to the top."""
+    def _drive_lane(self, debris: tuple[int, ...], lane: float) -> None:
+        """Drives below a lane's debris, and then to the top. `lane` is its x."""
         scene = self._simulation.scene
-        lowest = min(scene.blocks[index].y for index in lane.debris)
+        lowest = min(scene.blocks[index].y for index in debris)
         below = lowest - HALF_DEBRIS - CLEARANCE - self._front
         x, y, angle = scene.robot.pose
-        in_front = y < below + 0.02 and abs(x - lane.x) < 0.25 + 0.4 * max(0.0, below - y)
+        in_front = y < below + 0.02 and abs(x - lane) < 0.25 + 0.4 * max(0.0, below - y)
         if not in_front or abs(math.remainder(angle, 2 * math.pi)) > 0.6:
             side = self._half if self._half < 0.5 else 0.0
             lower = min((block.y for block in scene.blocks if block.y < 0.7), default=lowest)
             aside = (lower if self._half < 0.5 else lowest) - HALF_DEBRIS - CLEARANCE - side
             depth = max(-HALF_WIDTH + max(0.2, self._front), min(below, aside))
-            if y > depth + 0.05 and abs(x - lane.x) > 0.1 and (self._steady or self._rng.random() < 0.5):
+            if y > depth + 0.05 and abs(x - lane) > 0.1 and (self._steady or self._rng.random() < 0.5):
                 self._go(x, depth, reverse=True)  # back out of the debris before going aside
-            self._go(lane.x, depth, reverse=self._simulation.scene.robot.y > depth + 0.1)
+            self._go(lane, depth, reverse=self._simulation.scene.robot.y > depth + 0.1)
         self._face(0.0)
-        self._push(lane)
+        self._push(debris, lane)
 
-    def _push(self, lane: Lane) -> None:
-        """Drives to the top along the lane."""
+    def _push(self, debris: tuple[int, ...], lane: float) -> None:
+        """Drives to the top along a lane."""
         best, waited = -math.inf, 0
         for step in range(self._left):
             scene = self._simulation.scene
             home = arrived(scene)
-            if all(home[index] for index in lane.debris):
+            if all(home[index] for index in debris):
                 return
-            progress = sum(min(scene.blocks[index].y, 0.95) for index in lane.debris) + 0.3 * scene.robot.y
+            progress = sum(min(scene.blocks[index].y, 0.95) for index in debris) + 0.3 * scene.robot.y
             waited = 0 if progress > best + 0.01 else waited + 1
             best = max(best, progress)
             if waited > (PATIENCE if not self._wiggle else 3 * PATIENCE):
                 self._act(-FAST, 0.0)
                 return
             robot = scene.robot
-            aside = 1.6 * (robot.x - lane.x)
+            aside = 1.6 * (robot.x - lane)
             heading = min(max(aside, -0.35), 0.35)
             if self._wiggle and waited > 2:
                 heading = self._wiggle * (1 if (step // self._period) % 2 else -1)

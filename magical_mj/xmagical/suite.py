@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks.spec import TaskSpec
-from magical_mj.variants import variants_of
 from magical_mj.xmagical.sweep_to_top import SPEC, state_vector
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ class XMagical:
 
         for spec, body, (observation, view) in itertools.product(KNOWN.values(), BODIES, KINDS):
             own = spec.name in self.tasks
-            for variant in variants_of(spec):
+            for variant in spec.variants:
                 id_ = suite_id(body, variant, observation, view, spec.name)
                 kwargs = {"body": body, "variant": variant, "observation": observation, "view": view}
                 gymnasium.registry[id_] = EnvSpec(

@@ -14,7 +14,6 @@ from rich.progress import MofNCompleteColumn
 from magical_mj.cli import main
 from magical_mj.cli.console import Bars
 from magical_mj.tasks.registry import ENVIRONMENTS, task_spec
-from magical_mj.variants import variants_of
 from tests.helpers.commands import Shell, process
 from tests.helpers.commands import commands as all_commands
 
@@ -137,7 +136,7 @@ def test_broken_plug_ins_take_nothing_else_away(tmp_path: Path) -> None:
     (about / "entry_points.txt").write_text(f"[magical_mj.tasks]\n{tasks}")
     result = process("list", PYTHONPATH=str(tmp_path))
     assert result.returncode == 0
-    assert len(result.stdout.splitlines()) == 4 + len(ENVIRONMENTS) + len(variants_of(task_spec("SweepToTop")))
+    assert len(result.stdout.splitlines()) == 4 + len(ENVIRONMENTS) + len(task_spec("SweepToTop").variants)
     told = result.stderr
     assert "the task 'FindDupe' (broken:SPEC) is ignored: another task has this name" in told
     assert "the task 'Push Out' (broken:SPEC) is ignored: the name of a task must consist of letters" in told

@@ -16,7 +16,6 @@ from magical_mj.intents.plans import solved
 from magical_mj.intents.scenes import accepts
 from magical_mj.tasks.registry import code_digest, environments, sample_scene, task_name, task_spec
 from magical_mj.utils.errors import IntentError, UnknownNameError
-from magical_mj.variants import variants_of
 
 NAME = "intent:in(colour=red, region)"
 
@@ -78,7 +77,7 @@ def test_an_intent_that_no_scene_satisfies_says_why() -> None:
 def test_scenes_of_all_variants_are_unsatisfied_and_solvable_and_an_expert_solves_them(text: str) -> None:
     intent = parse(text)
     spec = intent.spec()
-    assert variants_of(spec) == (*magical_mj.VARIANTS, "Diagnose")
+    assert tuple(spec.variants) == (*magical_mj.VARIANTS, "Diagnose")
     for variant in magical_mj.VARIANTS:
         scene = sample_scene(f"intent:{text}", variant, 0)
         assert accepts(intent, scene), variant

@@ -53,16 +53,16 @@ def test_open_and_closed_fingers_are_where_they_were_measured() -> None:
         ((c.FINGER_OPEN, -c.FINGER_OPEN), (-0.1973, 0.2137, -0.1473, 0.3537), (0.1473, 0.2137, 0.1973, 0.3537)),
         ((0.0, 0.0), (-0.115, 0.2209, -0.0152, 0.3693), (0.0152, 0.2209, 0.115, 0.3693)),
     ]:
-        disc, _, left_forearm, _, right_forearm = robot_solid((0, 0, 0), fingers).parts
-        assert disc.radius == c.ROBOT_RADIUS
-        assert left_forearm.core.bounds == pytest.approx(left, abs=6e-5)
-        assert right_forearm.core.bounds == pytest.approx(right, abs=6e-5)
+        (_, radius), _, (left_forearm, _), _, (right_forearm, _) = robot_solid((0, 0, 0), fingers).parts
+        assert radius == c.ROBOT_RADIUS
+        assert left_forearm.bounds == pytest.approx(left, abs=6e-5)
+        assert right_forearm.bounds == pytest.approx(right, abs=6e-5)
 
 
 def test_a_solid_turns_and_moves_with_its_pose() -> None:
     """A robot that faces +x (angle -pi/2) has its fingers on that side."""
     solid = robot_solid((0.5, 0.1, -math.pi / 2))
-    bounds = [part.core.bounds for part in solid.parts[1:]]
+    bounds = [core.bounds for core, _ in solid.parts[1:]]
     assert max(box[2] for box in bounds) == pytest.approx(0.5 + 0.3537, abs=1e-4)
     assert max(box[3] for box in bounds) == pytest.approx(0.1 + 0.1973, abs=1e-4)
 
@@ -71,7 +71,7 @@ def test_a_solid_turns_and_moves_with_its_pose() -> None:
 def test_reach_bounds_every_part(shape: Shape) -> None:
     for solid in (block_solid(shape, (0.3, -0.2, 0.7)), robot_solid((0.3, -0.2, 0.7))):
         centre = shapely.Point(solid.x, solid.y)
-        farthest = max(shapely.hausdorff_distance(centre, part.core) + part.radius for part in solid.parts)
+        farthest = max(shapely.hausdorff_distance(centre, core) + radius for core, radius in solid.parts)
         assert farthest == pytest.approx(solid.reach)
 
 
