@@ -4,7 +4,8 @@ python -m tools.intents floors JOBS    writes magical_mj/intents/floors.json and
 python -m tools.intents picture        draws docs/intents.png
 python -m tools.intents demonstrations 1000 JOBS
 makes the first 1,000 of those of the test sets, and writes the file that
-the package ships; called again, it continues. Two seconds of a core each
+the package ships, and a table in docs/intents-evaluation.md; called again,
+it continues. One second of a core each, and minutes for a few of them
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import lzma
 import sys
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from typing import Any, Final, NamedTuple
@@ -44,6 +46,14 @@ from tools.tables import table
 MEASURED: Final = 5
 """Shortcuts are measured in so many scenes of Layout, and as many of All. They are other scenes than those in
 which the sets were chosen."""
+GIVEN: Final = 4
+"""The number of demonstrations that an intent should have in each kind of scenes."""
+SHOWN: Final = (
+    ("one scene", 1, False),
+    ("four contrasting scenes", 4, True),
+    ("four random scenes", 4, False),
+)
+"""The demo scenes of these demonstrations: a text, their number, and whether they are contrasting."""
 PICTURED: Final = (
     "in(colour=red, region) & untouched(others)",
     "near(all, to=blue star)",
@@ -80,7 +90,7 @@ def write_floors(jobs: int) -> None:
         for name in TESTS
     }  # fmt: skip
     FLOORS.write_text(json.dumps(floors, indent=1) + "\n", encoding="utf-8")
-    write_tables()
+    write_table("floors", floors_table())
 
 
 def floors_table() -> str:
@@ -93,11 +103,10 @@ def floors_table() -> str:
     return table(("Shortcut", *TESTS), rows)
 
 
-def write_tables() -> None:
-    """Writes the table of floors into docs/intents-evaluation.md."""
+def write_table(name: str, content: str) -> None:
+    """Writes a table into docs/intents-evaluation.md. Its name is that of the command, too."""
     page = ROOT / "docs" / "intents-evaluation.md"
-    text = filled(page.read_text("utf-8"), {"floors": floors_table()}, "python -m tools.intents floors")
-    page.write_text(text, "utf-8")
+    page.write_text(filled(page.read_text("utf-8"), {name: content}, f"python -m tools.intents {name}"), "utf-8")
 
 
 # Demonstrations
@@ -117,8 +126,9 @@ def wanted() -> Iterator[Wanted]:
     one scene. The first is the same in all three, since the first demo scene is.
     """
     tasks = [f"{PREFIX}{task}" for each in zip(*map(tasks_in, TESTS), strict=True) for task in each]
-    first = (1, False, range(4)), (4, True, range(4))
-    for kinds in (first, ((4, False, range(4)),), ((1, False, range(4, DEMONSTRATIONS_GIVEN)),)):
+    first = [(scenes, contrasting, range(GIVEN)) for _, scenes, contrasting in SHOWN]
+    more = [(1, False, range(GIVEN, DEMONSTRATIONS_GIVEN))]
+    for kinds in (first[:2], first[2:], more):
         for task, (scenes, contrasting, numbers) in itertools.product(tasks, kinds):
             for number in numbers:
                 key = (with_scenes(task, scenes, contrasting=contrasting), "Demo", number)
@@ -138,6 +148,19 @@ def demonstrations(first: int, jobs: int) -> None:
     found = [msgspec.structs.replace(made[one.made], task=one.key[0]) for one in every if one.made in made]
     stored.shipped_path().write_bytes(lzma.compress(b"\n".join(map(msgspec.json.encode, found)), preset=9))
     print(f"{stored.shipped_path()}: {len(found)} of {len(every)} demonstrations")
+    write_table("demonstrations", shipped_table({one.key for one in found}))
+
+
+def shipped_table(keys: AbstractSet[stored.Key]) -> str:
+    """The number of intents of each set that have four demonstrations, by their scenes."""
+    rows = []
+    for text, scenes, contrasting in SHOWN:
+        counts = []
+        for name in TESTS:
+            tasks = (with_scenes(f"{PREFIX}{task}", scenes, contrasting=contrasting) for task in tasks_in(name))
+            counts.append(str(sum(all((task, "Demo", number) in keys for number in range(GIVEN)) for task in tasks)))
+        rows.append((text, *counts))
+    return table(("Demonstrations in", *TESTS), rows)
 
 
 # The picture

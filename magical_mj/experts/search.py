@@ -136,7 +136,7 @@ def expand(
 
 @compiled("void(f8[:,::1], i8, i8[::1], i8[::1])")
 def look(path: Any, at: int, costs: Any, farthest: Any) -> None:
-    """Writes the last pose of a path that the robot can reach from the pose `at` in a straight line; else `at`."""
+    """Writes the last pose of a path that the robot can reach from the pose `at` in a straight line, or `at`."""
     farthest[0] = at
     for then in range(len(path) - 1, at, -1):
         dx, dy = path[then, 0] - path[at, 0], path[then, 1] - path[at, 1]

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from magical_intents.subgoals import DONE, ROBOT
+from magical_intents.subgoals import DONE, ROBOT, UNDONE
 from magical_intents.symmetries import LENGTH, WORDS
 from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, maxima, regions_of
 from magical_mj.observations import FINGERS
@@ -187,13 +187,18 @@ class Plan(NamedTuple):
     spreads: Tensor
 
     def likelihood(self, objects: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Log-likelihoods (n,) of objects (n,), and of their targets (n, 2); the latter is 0 for `DONE`."""
-        chosen = objects.clamp(max=ROBOT)
-        rows = torch.arange(len(objects))
+        """Log-likelihoods (n,) of objects (n,), and of their targets (n, 2). `UNDONE` stands for all except `DONE`.
+
+        The latter is 0 for `DONE` and `UNDONE`.
+        """
+        rows, chosen = torch.arange(len(objects)), objects.clamp(0, ROBOT)
         means, spread = self.places[rows, chosen], self.spreads[rows, chosen]
         squares = ((means - places[:, None]) ** 2).sum(2) / (2 * (2 * spread).exp())
         mixed = (self.weights[rows, chosen].log_softmax(1) - squares - 2 * spread).logsumexp(1)
-        return -nn.functional.cross_entropy(self.objects, objects, reduction="none"), mixed * (objects < DONE)
+        shares = self.objects.log_softmax(1)
+        undone = shares[:, :DONE].logsumexp(1)
+        named = (objects >= 0) & (objects < DONE)
+        return torch.where(objects == UNDONE, undone, shares[rows, objects.clamp(0)]), mixed * named
 
     def best(self) -> tuple[Tensor, Tensor]:
         """The most probable objects (n,), and the most probable target of each, shape (n, 2)."""

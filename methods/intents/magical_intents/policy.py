@@ -42,11 +42,12 @@ class ConditionedPolicy(Model):
     Attributes:
         uses_instruction: whether it receives a sentence.
         uses_demonstrations: whether it receives demonstrations.
+        planner: the network that plans.
     """
 
     def __init__(self, planner: Planner, skill: Skill) -> None:
         super().__init__(self._drawn, remembers=True)
-        self._planner, self._skill = planner.eval(), skill.eval()
+        self.planner, self._skill = planner.eval(), skill.eval()
         self.uses_instruction, self.uses_demonstrations, self.preset = planner.reads, not planner.reads, STATE
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -54,7 +55,7 @@ class ConditionedPolicy(Model):
         super().reset_batch(episodes)
         given = np.stack([self._given(episode) for episode in episodes])
         with torch_settings(1), torch.inference_mode():
-            self._context = self._planner.context(torch.from_numpy(given))
+            self._context = self.planner.context(torch.from_numpy(given))
         self._rngs = [episode.rng() for episode in episodes]
         self._initial: Tensor | None = None
         self._step = 0
@@ -71,7 +72,7 @@ class ConditionedPolicy(Model):
         with torch_settings(1), torch.inference_mode():
             if self._step % EVERY == 0:
                 context, known = (part[:count] for part in self._context)
-                self._plan = self._planner(self._initial[:count], now, (context, known)).best()
+                self._plan = self.planner(self._initial[:count], now, (context, known)).best()
             objects, places = (part[:count] for part in self._plan)
             logits = self._skill(now, objects.clamp(max=ROBOT), places)
         self._step += 1

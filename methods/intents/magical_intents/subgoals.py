@@ -21,6 +21,8 @@ ROBOT: Final = MAX_BLOCKS
 """The number of the robot among objects. Blocks have their own numbers."""
 DONE: Final = MAX_BLOCKS + 1
 """The label of steps after the last object was brought."""
+UNDONE: Final = -1
+"""The label of states where some object must still be brought, and it is not known which one."""
 STIRRED: Final = 0.003
 """Smaller motions of a block in a step (units) do not count."""
 PAUSE: Final = 6

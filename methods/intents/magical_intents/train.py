@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_intents.network import Planner, Skill
-from magical_intents.plans import SCENES, planned
+from magical_intents.plans import SCENES, planned, wrong_end
 from magical_intents.policy import KINDS, POLICY
-from magical_intents.subgoals import DONE, Labels, Shown, labels_of
+from magical_intents.subgoals import DONE, UNDONE, Labels, Shown, labels_of
 from magical_intents.symmetries import MIRRORED, Symmetry, changed, drawn, moved, renamed, words_of
 from magical_mj import demos
 from magical_mj.demos import Transitions
@@ -40,7 +40,7 @@ VARIANTS: Final = ("Demo", "Layout", "All")
 """Each intent has one demonstration in each of these variants, so that its demonstrations differ."""
 INTENTS: Final = 1000
 """The number of intents of the plans."""
-UPDATES: Final = {"skill": 8000, "sentence": 3000, "demonstrations": 3000}
+UPDATES: Final = {"skill": 8000, "sentence": 1200, "demonstrations": 1200}
 LEARNING_RATE: Final = 1e-3
 LARGEST: Final = 1.0
 """The largest norm of a gradient."""
@@ -80,7 +80,7 @@ class Quality(NamedTuple):
 
     loss: float
     objects: float
-    """The share of steps with the correct object."""
+    """The share of states with the correct object."""
     places: float
     """Among these steps, the share of targets with an error of at most 0.15 units."""
 
@@ -229,7 +229,10 @@ def batch(
     reads: bool,
     symmetries: bool = True,
 ) -> Batch:
-    """A batch. The context is a sentence, or demonstrations, and the steps are from other demonstrations."""
+    """A batch. The context is a sentence, or demonstrations, and the steps are from other demonstrations.
+
+    The last row of each context is a wrong end, with the label `UNDONE`.
+    """
     initial, now, given, objects, places = [], [], [], [], []
     for _ in range(GROUPS):
         lesson = data[int(rng.integers(len(data)))]
@@ -243,6 +246,11 @@ def batch(
             now.append(cloned.states[step])
             objects.append(cloned.labels.objects[step])
             places.append(cloned.labels.places[step])
+        wrong = lesson.shown[int(others[0])]
+        initial.append(wrong.states[0])
+        now.append(wrong_end(wrong, rng))
+        objects.append(UNDONE)
+        places.append(np.zeros(2, np.float32))
         if reads:
             given.append(lesson.words[rng.integers(len(lesson.words))])
             continue
@@ -253,7 +261,7 @@ def batch(
             ends[row] = lesson.shown[index].states[0], lesson.shown[index].final
         given.append(ends)
     start, current, wanted = (
-        torch.from_numpy(np.stack(rows)).unflatten(0, (GROUPS, STEPS)) for rows in (initial, now, places)
+        torch.from_numpy(np.stack(rows)).unflatten(0, (GROUPS, STEPS + 1)) for rows in (initial, now, places)
     )
     context = np.stack(given)
     if symmetries:
@@ -289,8 +297,8 @@ def quality(network: Planner, data: Sequence[Lesson], batches: int = 10) -> Qual
         plan = network(seen.initial, seen.now, network.context(seen.given))
         objects, places = plan.best()
         loss = -(plan.likelihood(seen.objects, seen.places)[0]).mean()
-        right = objects == seen.objects
-        near = (places - seen.places).norm(dim=1)[right & (objects < DONE)] <= 0.15
+        right = torch.where(seen.objects == UNDONE, objects != DONE, objects == seen.objects)
+        near = (places - seen.places).norm(dim=1)[right & (seen.objects != UNDONE) & (objects < DONE)] <= 0.15
         found.append((loss, right.float().mean(), near.float().mean()))
     return Quality(*(float(np.mean(values)) for values in zip(*found, strict=True)))
 

@@ -12,9 +12,10 @@ import pytest
 import torch
 from magical_intents import pictures
 from magical_intents.cloning import Cloned
-from magical_intents.plans import planned
+from magical_intents.network import Planner
+from magical_intents.plans import ends_of, followed, planned, wrong_end
 from magical_intents.policy import KINDS, POLICY, load_policy
-from magical_intents.subgoals import DONE, ROBOT, labels_of
+from magical_intents.subgoals import DONE, ROBOT, UNDONE, labels_of
 from magical_intents.symmetries import changed, drawn, renamed, words_of
 from magical_intents.train import Lesson, batch, lesson, quality, train, trained_intents
 
@@ -117,6 +118,37 @@ def test_plans_lead_to_their_intents(text: str) -> None:
         assert not text.startswith("wall") or (end[there, 1] < -0.7).all()
 
 
+@pytest.mark.parametrize("text", ["wall(colour=red, left)", "robot in()"])
+def test_wrong_ends_do_not_reach_the_intent(text: str) -> None:
+    rng = np.random.default_rng(0)
+    (shown,) = planned(parse(text), rng, 1)
+    for _ in range(6):
+        end = wrong_end(shown, rng)
+        assert not np.array_equal(end, shown.final)
+        there = blocks_of(torch.from_numpy(end))[:, 1:3], blocks_of(torch.from_numpy(shown.final))[:, 1:3]
+        assert (end[:2] == shown.states[0][:2]).all() or not torch.equal(*there)
+
+
+def test_the_label_of_wrong_ends_is_every_object_except_done(data: list[Lesson]) -> None:
+    with torch.inference_mode():
+        seen, planner = batch(data, np.random.default_rng(0), reads=True), Planner(reads=True)
+        plan = planner(seen.initial, seen.now, planner.context(seen.given))
+        undone, places = plan.likelihood(torch.full_like(seen.objects, UNDONE), seen.places)
+        done, _ = plan.likelihood(torch.full_like(seen.objects, DONE), seen.places)
+    assert torch.allclose(undone.exp() + done.exp(), torch.ones(len(done)))
+    assert not places.any()
+    assert (seen.objects == UNDONE).float().mean() == 0.2  # one of five rows
+
+
+def test_a_followed_planner_moves_objects_until_it_is_done() -> None:
+    planner, scene = Planner(reads=False), magical_mj.sample_scene("MatchRegions", "All", 1)
+    for bias, same in ((100.0, True), (-100.0, False)):
+        torch.nn.init.constant_(planner.done.bias, bias)
+        (end,) = followed(planner, ends_of([(scene, scene)]), [scene])
+        assert (end == scene) == same
+    assert [(block.shape, block.colour) for block in end.blocks] == [(b.shape, b.colour) for b in scene.blocks]
+
+
 @pytest.fixture(scope="module")
 def skill(data: list[Lesson], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out, losses = tmp_path_factory.mktemp("skill"), []
@@ -135,7 +167,7 @@ def test_policies_use_what_they_are_given(kind: str, data: list[Lesson], skill: 
     played = magical_mj.evaluate(policy, tasks=TASKS, variants="Demo", episodes=1, jobs=1, **how)
     assert played["failure"].isna().all()
     assert set(played["given"]) == {"instruction" if reads else "2 demonstrations"}
-    planner, seen = policy._planner, batch(data, np.random.default_rng(0), reads=reads)
+    planner, seen = policy.planner, batch(data, np.random.default_rng(0), reads=reads)
     with torch.inference_mode():
         plans = [planner(seen.initial, seen.now, planner.context(given)) for given in (seen.given, seen.given.flip(0))]
     assert not torch.allclose(plans[0].objects, plans[1].objects, atol=1e-3)
