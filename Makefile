@@ -34,8 +34,8 @@ peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in 
 	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib minigrid pymunk
 	@touch $@
 
-leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
-	$(BIN)/magical-mj leaderboard results --out out/leaderboard $(ARGS)
+leaderboard: $(VENV)/.installed-dev  ## check the entries in results/, REPLAY=10: so many episodes of each, and make out/leaderboard
+	$(BIN)/magical-mj leaderboard results --out out/leaderboard $(REPLAY:%=--replay %) $(ARGS)
 	$(BIN)/python -m tools.intent_baselines check
 
 check: $(VENV)/.installed-dev  ## lint and type check

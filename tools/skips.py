@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 PLACES: Final[Mapping[str, str]] = {
-    r"make integrations-test": "this command; in CI each week (libraries.yml), some in turn (.ci/run)",
+    r"make integrations-test": "this command; in CI each week (weekly.yml), some in turn (.ci/run)",
     r"dm_control does not install": "Python 3.11 and 3.12 with MuJoCo 3, in CI (ci.yml)",
     r"is installed$": "without that library, in CI (.ci/run)",
     r"'(mujoco\.mjx|warp|mujoco_warp|triton|numba_cuda)'|numba-cuda|MuJoCo Warp": "an environment with that package",

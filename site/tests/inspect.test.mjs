@@ -57,11 +57,12 @@ async function savedModel(name) {
 }
 const state = async () => JSON.parse((await downloaded(page, "#state")).text);
 
-test("all scenes open", async () => {
+test("a third of the scenes open, of each task and variant", async () => {  // play.test.mjs opens others
   await page.goto(`${site.address}play/inspect.html`);
   const since = performance.now();
   const { environments } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
-  for (const { task, variant } of environments) {
+  const chosen = environments.filter((/** @type {unknown} */ _, /** @type {number} */ number) => number % 3 === 2);
+  for (const { task, variant } of chosen) {
     const name = `${task}-${variant}-0`;
     await page.evaluate((hash) => { location.hash = hash; }, name);
     await untilOpen(name);
@@ -76,7 +77,7 @@ test("all scenes open", async () => {
   await untilOpen(shifted);
   assert.equal(await page.locator("#tree button", { hasText: /^pebble\d+$/ }).count(), 2);
   assert.deepEqual(complaints, []);
-  console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
+  console.log(`${chosen.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });
 
 test("after 100 steps, states equal Python's, also for other models with further files", async () => {

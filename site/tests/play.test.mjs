@@ -64,7 +64,7 @@ test("it opens and is played", async () => {
   assert.ok(rate > 0);
 });
 
-test("each task and each variant can be played, and SweepToTop", async () => {  // all environments are opened in inspect.test.mjs
+test("each task and each variant can be played, and SweepToTop", async () => {  // others are opened in inspect.test.mjs
   await page.goto(`${site.address}play/?speed=${SPEED}`);
   const { environments } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
   assert.equal(environments.length, 66);
@@ -241,9 +241,9 @@ for (const [path, ready] of [["play/#FindDupe-All-3@state-bc", "Watching"], ["pl
     await fresh.goto(site.address + path);
     assert.equal(await settled(), "ready");
     const page = new URL(site.address + path.replace(/#.*/, "")).href;
+    const fallible = [...requests].filter((url) => url !== page && url.startsWith("http")), day = Math.floor(Date.now() / 864e5);
     let failures = 0;
-    for (const url of requests) {
-      if (url === page || !url.startsWith("http")) continue;
+    for (const url of fallible.filter((_, number) => (number + day) % 4 === 0)) {  // others each day
       await fresh.route((one) => one.href.split("?")[0] === url, (route) => route.abort());
       await fresh.goto("about:blank");
       await fresh.goto(site.address + path);
@@ -252,13 +252,13 @@ for (const [path, ready] of [["play/#FindDupe-All-3@state-bc", "Watching"], ["pl
       if (result === "ready") continue;
       failures += 1;
       assert.match(await fresh.textContent("[role=status]") ?? "", /could not be loaded|failed/i, url);
-      if (failures % 6 !== 1) continue;  // modules are alike
+      if (failures > 2) continue;  // modules are alike
       await fresh.click("[role=status] button");
       await fresh.waitForFunction(() => !document.querySelector("[role=status] button"));
       assert.equal(await settled(), "ready", url);
     }
-    console.log(`${requests.size} requests, ${failures} of them needed to start`);
-    assert.ok(failures > 10);
+    console.log(`${fallible.length} requests; of a quarter, ${failures} are needed to start`);
+    assert.ok(failures > 3);
     await fresh.close();
   });
 }

@@ -166,7 +166,7 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
     single.close()
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("preset", list(PRESETS)[::2])  # of each kind of observation
 def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> None:
     worlds = batched.make("FixColour", "Demo", 2, device="cpu", preset=preset)
     single = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))

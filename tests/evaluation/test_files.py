@@ -333,7 +333,7 @@ def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
 def killed_and_resumed(folder: Path) -> set[tuple[Any, ...]]:
     """The rows of an evaluation by two processes that was killed at a random moment before its end."""
     command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "random,tests.helpers.agents:Slow"]
-    command += ["--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "30", "--jobs", "2", "--resume"]
+    command += ["--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "15", "--jobs", "2", "--resume"]
     command += ["--out", str(folder)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
     start = time.monotonic()
@@ -364,10 +364,10 @@ def test_finished_episodes_of_a_terminated_run_are_stored(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_killed_runs_end_with_the_same_rows(tmp_path: Path) -> None:
-    settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 30}
+    settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 15, "jobs": 1}
     whole = magical_mj.evaluate("random,Slow=noop", out=tmp_path / "whole", **settings)  # acts the same, but faster
     resumed = killed_and_resumed(tmp_path / "killed")
-    assert len(resumed) == len(whole) == 120
+    assert len(resumed) == len(whole) == 60
     assert resumed == rows(tmp_path / "whole")
 
 

@@ -120,8 +120,6 @@ def noop_report(folder: Path, **settings: Any) -> str:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"split": "dev"}, "the split dev; 2 episodes in each environment instead of 100"),
-        ({"first_seed": 50}, "first seed 50 of the split; 2 episodes in each"),
         (
             {"split": "dev", "first_seed": 7, "time_limit": 60, "like": "FindDupe"},
             (

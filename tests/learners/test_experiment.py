@@ -167,21 +167,6 @@ def test_how_far_a_run_is_is_read_from_its_files(tmp_path: Path) -> None:
     assert run.standing(since=0) == ""  # it is finished
 
 
-def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
-    (tmp_path / "e.toml").write_text(EXPERIMENT.replace("bc.batches = 4", "bc.batches = 4000"))
-    out = tmp_path / "out"
-    deaf = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # background shells ignore it
-    program = f"{deaf}; import sys; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", program, "experiment", str(tmp_path / "e.toml"), "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    while not (out / "runs" / "bc-MoveToRegion-0" / "metrics.csv").exists():
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    assert "stopped; the same command continues" in process.communicate()[0]
-    assert process.returncode == 130
-
-
 def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -> None:
     """Scores that are the paper's own have the rank correlation 1; scores that are all alike have none."""
     (tmp_path / "e.toml").write_text('methods = ["bc"]\ntasks = ["FindDupe"]\nseeds = [0]')
@@ -241,13 +226,14 @@ def test_trainings_of_the_papers_size_continue_where_they_stopped(tmp_path: Path
     path = {"PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
     how: dict[str, Any] = {"cwd": tmp_path, "env": os.environ | path}
     command = ["bash", script, "500", "1", "runs", "pixels-bc"]
-    first = subprocess.Popen(command, start_new_session=True, **how)
+    first = subprocess.Popen(command, start_new_session=True, stdout=subprocess.PIPE, text=True, **how)
     run = tmp_path / "runs" / "pixels-bc" / "runs" / "bc-MoveToRegion-0"
     while not (run / METRICS).exists() or (run / METRICS).read_text().count("\n") < 3:
         assert first.poll() is None
         time.sleep(0.05)
     first.terminate()  # the shell only; Ctrl-C does the same
-    assert first.wait() == 128 + signal.SIGTERM
+    assert "stopped; the same command continues" in first.communicate()[0]
+    assert first.returncode == 128 + signal.SIGTERM
     assert checkpoint.read(run / CHECKPOINT)["update"] > 0
     second = subprocess.run(command, capture_output=True, text=True, check=True, **how)
     assert second.stdout.count("bc-MoveToRegion-0: trained;") == 1

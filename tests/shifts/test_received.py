@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,7 @@ def newest(observation: Any) -> bytes:
     return b"".join(np.ascontiguousarray(observation[view][..., -3:]).tobytes() for view in ("ego", "allo"))
 
 
+@cache
 def by_engine(shifts: str) -> Received:
     with closing(magical_mj.Engine(TASK, seed=SEED, shifts=shifts, renderer="software")) as env:
         pictures = []
