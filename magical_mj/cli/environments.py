@@ -9,6 +9,7 @@ from typing import Annotated, Final
 
 import typer
 from PIL import Image, ImageDraw, ImageFont
+from rich.console import Console
 from rich.table import Table
 from typer import Argument, Option
 
@@ -64,23 +65,27 @@ def list_environments(
             for id_ in [env_id(task, variant)] if suite is None else suite.ids(task, variant):
                 out.print(id_)
         return
-    groups = [[pair for pair in pairs if (pair[0] in TASKS) == is_ours] for is_ours in (True, False)]
-    for number, group in enumerate(groups):
-        if tasks is None:
-            what = "Beside the benchmark: other suites and installed tasks" if number else "The benchmark"
-            names = len({task for task, _ in group})
-            out.print(f"{what}: {counted(names, 'task')}, {counted(len(group), 'environment')}", style="bold")
-        if group:
-            out.print(_table(group))
+    benchmark = [pair for pair in pairs if pair[0] in TASKS]
+    others = [pair for pair in pairs if pair[0] not in TASKS]
+    for what, group in (
+        ("The benchmark", benchmark),
+        ("Beside the benchmark: other suites and installed tasks", others),
+    ):
+        _print_table(out, group, what if tasks is None else "")
 
 
-def _table(pairs: Sequence[Pair]) -> Table:
-    """The horizons and the varied axes of environments."""
+def _print_table(out: Console, pairs: Sequence[Pair], title: str) -> None:
+    """Prints the horizons and the varied axes of environments. Their numbers follow the title."""
+    if title:
+        names = len({task for task, _ in pairs})
+        out.print(f"{title}: {counted(names, 'task')}, {counted(len(pairs), 'environment')}", style="bold")
+    if not pairs:
+        return
     table = Table("task", "variant", "steps", "varies", box=None, pad_edge=False, header_style="bold")
     for task, variant in pairs:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
-    return table
+    out.print(table)
 
 
 option.add_flags(

@@ -227,13 +227,7 @@ def check_scene(scene: Scene) -> None:
 
     Contacts in the simulation are slightly soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
     """
-    left, right = scene.robot.fingers
-    low, high = -FINGER_SLACK, c.FINGER_OPEN + FINGER_SLACK
-    if not (low <= left <= high and low <= -right <= high):
-        raise InvalidSceneError(
-            f"the fingers' angles are {scene.robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, "
-            f"right in -{c.FINGER_OPEN:.4f}..0"
-        )
+    _check_fingers(*scene.robot.fingers)
     for body in (scene.robot, *scene.blocks):
         if abs(body.angle) > MAX_ANGLE:
             raise InvalidSceneError(f"the angle of {body} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
@@ -257,3 +251,13 @@ def check_scene(scene: Scene) -> None:
             raise InvalidSceneError(
                 f"region {index} ({region}) is not inside the walls, at x, y = {-half:g} and {half:g}"
             )
+
+
+def _check_fingers(left: float, right: float) -> None:
+    """Raises unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
+    low, high = -FINGER_SLACK, c.FINGER_OPEN + FINGER_SLACK
+    if not (low <= left <= high and low <= -right <= high):
+        raise InvalidSceneError(
+            f"the fingers' angles are {left, right}; left must be in 0..{c.FINGER_OPEN:.4f}, "
+            f"right in -{c.FINGER_OPEN:.4f}..0"
+        )
