@@ -34,6 +34,8 @@ SOURCES: Final = ROOT / "out" / "site-sources"
 FOLDER: Final = ROOT / "out" / "site"
 PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|home): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
+PLAYED: Final = re.compile(r"`(play/[^` ]*)`")
+"""The address of a page to play on."""
 MISSING: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>No such page · magical_mj</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
 <style>body {{ font: 1.1rem/1.5 system-ui, sans-serif; max-width: 32rem; margin: 12vh auto; padding: 0 1rem }}
@@ -108,7 +110,7 @@ def write_docs(folder: Path) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Makes the pages accessible, and writes the page for errors and the sitemap."""
+    """Makes the pages accessible, and writes the service worker, the page for errors and the sitemap."""
     for path in folder.glob("*.html"):
         text = path.read_text(encoding="utf-8")
         for found, fixed in FIXES.items():
@@ -116,12 +118,13 @@ def _finish(folder: Path) -> None:
         if path.name in MOVED:
             text = text.replace("</head>", f"{_redirect(folder, path.name)}</head>")
         path.write_text(text, encoding="utf-8")
+    shutil.copy(ROOT / "site" / "offline" / "pages.js", folder / "worker.js")
     address = os.environ.get("SITE_URL", "").rstrip("/")
     base = f'<base href="{address}/">' if address else FIND_BASE
     (folder / "404.html").write_text(MISSING.format(base=base, logo=_logo()), encoding="utf-8")
     if address:
         pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
-        pages += ["play/", "play/choose.html", "play/inspect.html"]
+        pages += ["play/", "play/choose.html", "play/inspect.html", "play/intents.html"]
         addresses = "\n".join(f"{address}/{name}" for name in pages)
         (folder / "sitemap.txt").write_text(f"{addresses}\n", encoding="utf-8")
 
@@ -171,7 +174,7 @@ def section(text: str, heading: str) -> str:
 def _links(text: str) -> str:
     """Converts links between files of the repository to links between pages, or to the repository if it is known.
 
-    Otherwise, links to files that are not pages become plain text.
+    Otherwise, links to files that are not pages become plain text. Addresses of the pages to play on become links.
     """
 
     def link(found: re.Match[str]) -> str:
@@ -183,6 +186,7 @@ def _links(text: str) -> str:
             return f"[{label}]({name}{anchor or ''})"
         return f"[{label}]({REPOSITORY}/tree/main/{target.removeprefix('../')})" if REPOSITORY else label
 
+    text = PLAYED.sub(r'<a href="\1"><code>\1</code></a>', text)
     if REPOSITORY:
         text = text.replace("open a pull request", f"[open a pull request]({REPOSITORY}/pulls)")
     return LINK.sub(link, text)

@@ -16,7 +16,6 @@ from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
-from magical_mj.web.puzzles import puzzles
 
 SHOWN: Final = "state-bc"
 """The leaderboard entry of the policy on the page."""
@@ -28,7 +27,7 @@ TEMPLATE: Final = """<p class="question">A robot has seen ten demonstrations of 
 the task if poses, colours, shapes or the number of objects change? MAGICAL measures this with 8 tasks and 60
 environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p>
 
-<p class="links"><a href="play/#{puzzle}">What does it want?</a> <a href="explain.html">Watch policies fail</a>
+<p class="links"><a href="play/#puzzle">What does it want?</a> <a href="explain.html">Watch policies fail</a>
 <a href="evaluation.html">Evaluate yours</a></p>
 
 <div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
@@ -70,7 +69,6 @@ def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
     episode, told = next(wrong)
     sides.append(_side(method, episode, "Other poses", told.sentence, media))
     return TEMPLATE.format(
-        puzzle=f"{puzzles()[0].name}-Demo-0@expert",
         paper=PAPER,
         code=f', or the <a href="{REPOSITORY}">code</a>' if REPOSITORY else "",
         sides="".join(sides),

@@ -21,6 +21,7 @@ from standings_page import write_replays
 import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.web.asking import ASKED, asked, question_data
+from magical_mj.web.grammar import grammar_data, rival_texts, start_scenes
 from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, sample_models
 from magical_mj.web.puzzles import VARIANTS, puzzle_scenes, puzzles
@@ -49,6 +50,9 @@ def write_play(folder: Path) -> int:
     drawn = [pair for puzzle in puzzles() for pair in puzzle.environments]
     known = catalogue(pairs, "browser", {pair: shifted.offered(*pair) for pair in pairs}, drawn)
     _write(folder / "catalogue.json", known | {"exclusive": shifted.EXCLUSIVE, "questions": ASKED})
+    _write(folder / "intents.json", grammar_data())
+    _write(folder / "starts.json", start_scenes())
+    _write(folder / "rivals.json", rival_texts())
     libraries = library_files(CACHE)
     samples = {f"samples/{name}.xml": text.encode() for name, text in sample_models().items()}
     for name, content in (libraries | samples).items():

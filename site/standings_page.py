@@ -16,6 +16,7 @@ from wrong_goals import measured
 
 from magical_mj.evaluation.replay import obstacle
 from magical_mj.evaluation.reports.intervals import Estimate
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.intents.readings import ENDINGS
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import (
@@ -351,38 +352,35 @@ def _costs(methods: Iterable[Standing]) -> str:
     return "Of one run, as its entry states it. Empty cells are not known.\n\n" + "\n".join(lines)
 
 
-def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
-    """The actions of the first run in the scenes that the page to play on has, as letters, by environment and seed."""
-    episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
+def _stored(method: Standing) -> dict[tuple[str, str], dict[int, EpisodeResult]]:
+    """The first run's episodes in the scenes that the page to play on has, by environment and seed."""
+    episodes: dict[tuple[str, str], dict[int, EpisodeResult]] = defaultdict(dict)
     if method.entry.episodes:
         first = method.entry.runs[0]
         for episode in method.entry.counted:
             shown = episode.run == first and episode.seed < SCENES and episode.failure is None
             if shown and obstacle(episode) is None:
-                episodes[episode.task, episode.variant][episode.seed] = episode.actions
+                episodes[episode.task, episode.variant][episode.seed] = episode
     return episodes
 
 
 def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
     """Writes a file `<name>.json` with the stored actions of each method, and `index.json`.
 
-    The index has the names of the methods, and the seeds with stored actions by environment.
+    The index has the names of the methods, and the scores of the stored episodes by environment and seed.
     """
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():
         if method.kind == "published":
             continue
-        episodes = _stored(method)
-        content = {
-            f"{task}-{variant}": {str(seed): actions for seed, actions in sorted(episodes[task, variant].items())}
-            for task, variant in ENVIRONMENTS
-            if (task, variant) in episodes
-        }
-        seeds = {environment: sorted(map(int, stored)) for environment, stored in content.items()}
-        index[name] = {"name": method.name, "seeds": seeds}
-        (folder / f"{name}.json").write_text(json.dumps(content, separators=(",", ":")), encoding="utf-8")
-    (folder / "index.json").write_text(json.dumps(index), encoding="utf-8")
+        stored = _stored(method)
+        places = {"-".join(pair): dict(sorted(stored[pair].items())) for pair in ENVIRONMENTS if pair in stored}
+        actions = {place: {seed: one.actions for seed, one in of.items()} for place, of in places.items()}
+        scores = {place: {seed: round(one.score, 3) for seed, one in of.items()} for place, of in places.items()}
+        index[name] = {"name": method.name, "scores": scores}
+        (folder / f"{name}.json").write_text(json.dumps(actions, separators=(",", ":")), encoding="utf-8")
+    (folder / "index.json").write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
 
 
 def headline(methods: Mapping[str, Standing]) -> str:

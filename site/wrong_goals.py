@@ -8,9 +8,10 @@ from contextlib import closing
 from functools import cache
 from html import escape
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from pictures import film
+from scipy.stats import binomtest
 
 from magical_mj.evaluation.replay import engine_for, obstacle
 from magical_mj.evaluation.scores import EpisodeResult
@@ -43,9 +44,9 @@ WITHOUT_BLOCKS: Final = {"same place": "Where the demonstrations' region was", "
 TEMPLATE: Final = """## Wrong goals
 
 What did policies do that failed? For each task, their commonest wrong goals, each with the methods
-that pursued it most often, and with random actions. The shares are of all episodes of one run, in the first scenes of
-each environment (16 to 40 episodes), by the [endings](#endings) below. Where every block has to be moved, no block is
-wrong. Point at a picture to animate it.
+that pursued it most often, and, for comparison, random actions. The shares are of all episodes of one run, in the first
+scenes of each environment (16 to 40 episodes, in brackets 95 % intervals over scenes), by the [endings](#endings)
+below. Where every block has to be moved, no block is wrong. Point at a picture to animate it.
 
 {tasks}"""
 TASK: Final = '### {task}\n\n<div class="cards small">{cards}</div>'
@@ -71,17 +72,28 @@ def measured() -> tuple[dict[str, str], ...]:
         return tuple(sorted(csv.DictReader(file), key=lambda row: TASKS.index(row["task"])))
 
 
-def _shares(task: str, kind: str) -> dict[str, float]:
+class _Share(NamedTuple):
+    """A share of some episodes."""
+
+    value: float
+    episodes: int
+
+    def __str__(self) -> str:
+        """In per cent, with Wilson's interval."""
+        found = binomtest(round(self.value * self.episodes), self.episodes).proportion_ci(method="wilson")
+        return f"{100 * self.value:.0f}&nbsp;% [{100 * found.low:.0f},&nbsp;{100 * found.high:.0f}]"
+
+
+def _shares(task: str, kind: str) -> dict[str, _Share]:
     """Entry -> the share of its episodes in a task that ended in this way. The largest first."""
-    rows = [row for row in measured() if row["task"] == task]
-    return dict(
-        sorted(((row["entry"], float(row[kind]) / int(row["episodes"])) for row in rows), key=lambda one: -one[1])
-    )
+    rows = [(row["entry"], int(row["episodes"]), float(row[kind])) for row in measured() if row["task"] == task]
+    shares = {entry: _Share(ended / episodes, episodes) for entry, episodes, ended in rows}
+    return dict(sorted(shares.items(), key=lambda one: -one[1].value))
 
 
 def _commonest(task: str) -> list[str]:
     """The commonest wrong goals of a task's methods. If there are fewer than two, also the right one, not reached."""
-    total = {kind: sum(_shares(task, kind).values()) for kind in UNINTENDED}
+    total = {kind: sum(share.value for share in _shares(task, kind).values()) for kind in UNINTENDED}
     kinds = sorted((kind for kind in UNINTENDED if total[kind]), key=lambda kind: -total[kind])[:MOST]
     return kinds if len(kinds) > 1 else [*kinds, "incompetent"]
 
@@ -89,7 +101,7 @@ def _commonest(task: str) -> list[str]:
 def _card(task: str, kind: str, methods: Mapping[str, Standing], media: Path) -> str:
     shares = _shares(task, kind)
     learners = [name for name in shares if name in methods and methods[name].entry.observations is not None][:METHODS]
-    shown = [*learners, BLIND] if BLIND in shares else learners
+    blind = [f"<i>random actions {shares[BLIND]}</i>"] if BLIND in shares else []
     episode, entry, told = _example(task, kind, {name: methods[name] for name in learners})
     name = f"goal-{task}-{kind.replace(' ', '-')}"
     still, moving = film(engine_for(episode), actions_of(episode.actions), media / name)
@@ -101,7 +113,7 @@ def _card(task: str, kind: str, methods: Mapping[str, Standing], media: Path) ->
         entry=entry,
         words=(WORDS if EIGHT[task].conjuncts[0].definition.of_blocks else WITHOUT_BLOCKS)[kind],
         sentence=escape(told.sentence),
-        shares="; ".join(f"{escape(methods[one].name)} {100 * shares[one]:.0f}&nbsp;%" for one in shown),
+        shares="; ".join([*(f"{escape(methods[name].name)} {shares[name]}" for name in learners), *blind]),
     )
 
 

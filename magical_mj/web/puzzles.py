@@ -6,6 +6,7 @@ intents as goals: a goal lists, for one initial scene, each relation with the in
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -65,8 +66,13 @@ class Puzzle:
 
     def reached_instead(self, initial: Scene, final: Scene) -> Intent | None:
         """The simplest of the rivals that an episode has reached at its end, and not at its start."""
-        reached = (rival for rival in map(parse, self.rivals) if _holds(rival, initial, final))
-        return next((rival for rival in reached if not _holds(rival, initial, initial)), None)
+        return first_reached(map(parse, self.rivals), initial, final)
+
+
+def first_reached(rivals: Iterable[Intent], initial: Scene, final: Scene) -> Intent | None:
+    """The first of some intents that an episode has reached at its end, and not at its start."""
+    reached = (rival for rival in rivals if _holds(rival, initial, final))
+    return next((rival for rival in reached if not _holds(rival, initial, initial)), None)
 
 
 def _holds(intent: Intent, initial: Scene, final: Scene) -> bool:

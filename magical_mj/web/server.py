@@ -89,6 +89,7 @@ class PlayServer:
         self._puzzles = {puzzle.name: puzzle for puzzle in self.puzzles}
         self._operator = "" if self.collection is None else self.collection.token("operator")
         self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
+        del self._files["intents.html"]  # it needs the simulation in the browser
         self._files["catalogue.json"] = json.dumps(self._catalogue()).encode()
         self._files[""] = self._files["index.html"]
         asked = {} if self.collection is None else self.collection.questions

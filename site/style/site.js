@@ -1,5 +1,17 @@
 // @ts-check
-/** Shows and hides lines of charts, animates cards, and filters the gallery. */
+/** Stores visited pages, shows and hides lines of charts, animates cards, and filters the gallery. */
+navigator.serviceWorker?.register("worker.js").then(async ({ scope }) => {  // visited pages can be read without a network
+  const cache = await caches.open(`${scope} pages`);
+  const keep = async (/** @type {string} */ url) => {
+    const reply = await fetch(url, { cache: "force-cache" }).catch(() => null);  // the browser has just loaded it
+    if (reply?.ok) await cache.put(url, reply);
+  };
+  keep(location.href.split(/[?#]/)[0]);
+  new PerformanceObserver((loaded) => {
+    const files = /** @type {PerformanceResourceTiming[]} */ (loaded.getEntries());
+    for (const { name, initiatorType } of files) if (name.startsWith(scope) && initiatorType !== "fetch") keep(name);
+  }).observe({ type: "resource", buffered: true });
+}).catch(() => {});  // some browsers forbid it
 const wide = new ResizeObserver((boxes) => {  // boxes that scroll can be focused by keyboard
   for (const { target } of boxes) /** @type {HTMLElement} */ (target).tabIndex = target.scrollWidth > target.clientWidth ? 0 : -1;
 });

@@ -14,7 +14,7 @@ export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-
 
 /** One page of each kind. */
 export const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.html", "explain.html", "shift-curves.html", "results.html",
-  "play/#FindDupe-All-8", "play/inspect.html#FindDupe-All-3"];
+  "play/#FindDupe-All-8", "play/inspect.html#FindDupe-All-3", "play/intents.html#line(all)"];
 
 /**
  * Serves a folder at http://127.0.0.1:PORT/sub/path/.

@@ -28,6 +28,8 @@ from magical_mj.engine.export import mjcf_text
 from magical_mj.intents import SETS, Intent
 from magical_mj.intents.ambiguity import all_conjuncts
 from magical_mj.intents.names import tasks_in
+from magical_mj.intents.relations import RELATIONS
+from magical_mj.intents.scenes import missing
 from magical_mj.intents.selectors import REST
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
@@ -38,11 +40,11 @@ from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.scene.constants import BLOCK_MASS, COLOURS, SHAPES
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import InvalidSceneError, MagicalError
+from magical_mj.utils.errors import IntentError, InvalidSceneError, MagicalError
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import HINTS, drawing_style, sample_models, scene_data, solid_shapes
 from magical_mj.web.pursued import demonstrated_data, pursued
-from magical_mj.web.puzzles import goal_data
+from magical_mj.web.puzzles import first_reached, goal_data
 
 ROUGH: Final = 60
 SHIPPED: Final = slice(None, None, 5)  # of each task's demonstrations
@@ -51,6 +53,8 @@ GLANCES: Final = (1, 20, 100)  # numbers of steps before states are compared. Th
 SCORED: Final = 10  # one of this number of demonstration states is scored
 GATHERED: Final = 30  # scored states of each environment
 INTENTS: Final = 25  # of each kind, scored in each state
+READ: Final = 5  # one of this number of them is also read and grounded
+TEXTS: Final = 1_000  # of intents, each also with an error
 PURSUITS: Final = 8  # last scenes of each environment, for comparing what was pursued
 WATCHED: Final = "state-bc"
 """The entry whose episodes of these tasks are watched."""
@@ -179,10 +183,31 @@ def goals() -> Iterator[dict[str, Any]]:
                     "goal": goal_data(intent, initial),
                     "score": intent.score(initial, final),
                     "held": intent.holds(initial, final),
+                    "starts": not missing(intent, initial) if number % READ == 0 else None,
                 }
-                for intent in some
+                for number, intent in enumerate(some)
             ]
             yield {"initial": scene_data(initial), "final": scene_data(final), "goals": judged}
+
+
+def language() -> Iterator[tuple[str, str | None, str | None]]:
+    """Texts with the canonical text and the sentence of their intents, or None: relations in any number and order.
+
+    In half of them, a character is added or removed.
+    """
+    rng = np.random.default_rng(4)
+    relations = [str(Intent((conjunct,))) for conjunct in all_conjuncts()]
+    of = {name: [text for text in relations if text.startswith(f"{name}(")] for name in RELATIONS}
+    for number in range(TEXTS):
+        some = of[str(rng.choice(list(of)))] if number % 2 else relations  # similar ones may follow from each other
+        text = " & ".join(some[place] for place in rng.integers(len(some), size=rng.integers(1, 6)))
+        at = int(rng.integers(len(text)))
+        for one in (text, text[:at] + str(rng.choice(["", *"(),&= !a1"])) + text[at + 1 :]):
+            try:
+                intent = magical_mj.intents.parse(one)
+                yield one, str(intent), intent.sentence
+            except IntentError:
+                yield one, None, None
 
 
 def _gathered(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -201,6 +226,8 @@ def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
 def pursuits() -> Iterator[dict[str, Any]]:
     """First and last scenes of each environment, with up to three blocks moved, and the pursued goal."""
     rng = np.random.default_rng(3)
+    written = json.loads((SITE / "play" / "rivals.json").read_text())
+    rivals = {task: [magical_mj.intents.parse(text) for text in texts] for task, texts in written.items()}
     for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS * PURSUITS):
         initial = magical_mj.sample_scene(task, variant, number)
         regions = (*initial.regions, *task_spec(task).demo.regions)
@@ -211,7 +238,9 @@ def pursuits() -> Iterator[dict[str, Any]]:
         robot = [initial.robot.pose, (*places[rng.integers(len(places))], 0.0)][rng.integers(2)]
         final = initial.moved(robot, poses)
         scored = _scored(task, initial, final)
-        yield {**scored, "pursued": dataclasses.asdict(pursued(task, initial, final, scored["score"]))}
+        rival = first_reached(rivals[task], initial, final)
+        told = dataclasses.asdict(pursued(task, initial, final, scored["score"]))
+        yield {**scored, "pursued": told, "rival": rival.sentence if rival else ""}
 
 
 def watched() -> Iterator[dict[str, Any]]:
@@ -452,6 +481,7 @@ if __name__ == "__main__":
         "policies": list(policies()),
         "scores": list(scores()),
         "goals": list(goals()),
+        "language": list(language()),
         "pursuits": list(pursuits()),
         "watched": list(watched()),
         "combined": list(combined()),

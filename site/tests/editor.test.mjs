@@ -3,33 +3,17 @@
 import assert from "node:assert/strict";
 import { readFile, writeFile } from "node:fs/promises";
 import { after, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
-import { barriers, downloaded, launch, serve } from "./browser.mjs";
+import { barriers, downloaded } from "./browser.mjs";
+import { OUT, browser, complaints, page, site } from "./opened.mjs";
 
-const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
-/** @type {Awaited<ReturnType<typeof serve>>} */
-let site;
-/** @type {Awaited<ReturnType<typeof launch>>} */
-let browser;
-/** @type {import("playwright-core").Page} */
-let page;
-/** @type {string[]} */
-const complaints = [];
 /** @type {{scene: string, model: string, link: string, blocks: any[], returned: string[][]}} what Python reads */
 const saved = { scene: "", model: "", link: "", blocks: [], returned: [] };
 
 before(async () => {
-  site = await serve(`${OUT}site`);
-  browser = await launch();
-  page = await browser.context.newPage();
   await page.setViewportSize({ width: 1000, height: 700 });
-  page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
-  page.on("pageerror", (error) => complaints.push(error.message));
 });
 after(async () => {
   await writeFile(`${OUT}site-test/edited.json`, JSON.stringify(saved));
-  await browser.close();
-  site.close();
 });
 
 const verdict = () => page.textContent("#editor .verdict");
@@ -244,15 +228,22 @@ test("a changed scene offers what works in it, and Back leaves the editor", asyn
   await page.keyboard.press("ArrowLeft");
   await button("Play it").click();
   await page.waitForFunction(() => location.hash.includes("?scene=") && document.getElementById("status")?.textContent?.startsWith("Press"));
-  assert.ok(await page.isHidden("#shifts"));
+  const scene = new URLSearchParams(new URL(page.url()).hash.split("?")[1]).get("scene");
+  assert.deepEqual(await page.$$eval("#shifts select", (all) => all.map((one) => /** @type {HTMLSelectElement} */ (one).name)), ["latency", "slip", "friction"]);
+  await page.selectOption("[name=slip]", "5");
+  await page.waitForFunction(() => location.hash.includes("?shifts=slip:5&scene="));
+  await ready();
+  assert.equal(new URLSearchParams(new URL(page.url()).hash.split("?")[1]).get("scene"), scene, "the scene stays");
   const groups = () => page.$$eval("#watch optgroup", (all) => all.map((one) => /** @type {HTMLOptGroupElement} */ (one).label));
   assert.deepEqual(await groups(), ["Policies that act in this page"]);
   await page.keyboard.press("h");
-  await page.waitForFunction(() => document.getElementById("status")?.textContent === "Nothing is recorded in a changed scene");
+  await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("The expert runs in Python"));
   await page.click("#edit");
   await page.waitForSelector("#editor");
   await page.goBack();
-  await page.waitForFunction(() => !document.getElementById("editor") && location.hash === "#MatchRegions-Layout-0");
+  await page.waitForFunction(() => !document.getElementById("editor") && location.hash.includes("?scene="));
+  await page.goBack();
+  await page.waitForFunction(() => location.hash === "#MatchRegions-Layout-0");
   await ready();
   assert.ok((await groups()).includes("Recorded episodes of the leaderboard") && await page.isVisible("#shifts"));
   assert.deepEqual(complaints, []);

@@ -7,33 +7,15 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
 import { fileURLToPath } from "node:url";
-import { after, before, test } from "node:test";
-import { downloaded, launch, serve } from "./browser.mjs";
+import { before, test } from "node:test";
+import { downloaded } from "./browser.mjs";
+import { OUT, browser, complaints, page, site } from "./opened.mjs";
 
 const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
-const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
 const STEPS = 100, TOLERANCE = 1e-9;
-/** @type {Awaited<ReturnType<typeof serve>>} */
-let site;
-/** @type {Awaited<ReturnType<typeof launch>>} */
-let browser;
-/** @type {import("playwright-core").Page} */
-let page;
-/** @type {string[]} */
-const complaints = [];
 
 before(async () => {
-  site = await serve(`${OUT}site`);
-  browser = await launch();
-  page = await browser.context.newPage();
   await page.setViewportSize({ width: 400, height: 500 });  // few pixels, because software renders them
-  const complain = (/** @type {string} */ text) => { if (!text.includes("blocked an inline style")) complaints.push(text); };  // Firefox about Playwright's screenshots
-  page.on("console", (message) => { if (message.type() === "error") complain(message.text()); });
-  page.on("pageerror", (error) => complain(error.message));
-});
-after(async () => {
-  await browser.close();
-  site.close();
 });
 
 const message = () => page.textContent("#message");

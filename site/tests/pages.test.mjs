@@ -2,27 +2,9 @@
 /** The documentation pages: accessibility, sorting, filters, animations and charts. */
 import assert from "node:assert/strict";
 import { readdir } from "node:fs/promises";
-import { fileURLToPath } from "node:url";
-import { after, before, test } from "node:test";
+import { test } from "node:test";
 import { barriers, launch, PAGES, serve } from "./browser.mjs";
-
-const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
-/** @type {Awaited<ReturnType<typeof serve>>} */
-let site;
-/** @type {Awaited<ReturnType<typeof launch>>} */
-let browser;
-/** @type {import("playwright-core").Page} */
-let page;
-
-before(async () => {
-  site = await serve(`${OUT}site`);
-  browser = await launch();
-  page = await browser.context.newPage();
-});
-after(async () => {
-  await browser.close();
-  site.close();
-});
+import { OUT, page, site } from "./opened.mjs";
 
 test("axe finds no accessibility problems, and no page is wider than a phone", async () => {
   await page.setViewportSize({ width: 375, height: 800 });
@@ -212,9 +194,11 @@ test("a second visit needs no network", async () => {
   try {
     const visit = await keeping.context.newPage();
     const until = (/** @type {string} */ text) => visit.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text);
+    await visit.goto(other.address);
+    await visit.waitForFunction(async () => (await caches.match("media/home-Layout.webp")) && caches.match("."));
     await visit.goto(`${other.address}play/?speed=40#FindDupe-All-3`);
     await until("Press");
-    await visit.waitForFunction(() => navigator.serviceWorker.controller);
+    await visit.waitForFunction(() => navigator.serviceWorker.controller?.scriptURL.endsWith("play/worker.js"));
     other.close();
     await visit.reload();
     await until("Press");
@@ -226,6 +210,10 @@ test("a second visit needs no network", async () => {
     await visit.goto(`${other.address}play/inspect.html#FindDupe-All-3`);
     await visit.waitForFunction(() => document.title.startsWith("FindDupe-All-3 ") && !document.getElementById("poster"));
     assert.equal(await visit.textContent("#message"), "");
+    await visit.goto(`${other.address}index.html`);
+    assert.equal(await visit.locator("figure img").first().evaluate((image) => /** @type {HTMLImageElement} */ (image).naturalWidth), 448);
+    await visit.goto(`${other.address}play/intents.html#line(all)`);
+    await visit.locator("#scenes a").first().waitFor();
   } finally {
     await keeping.close();
     other.close();

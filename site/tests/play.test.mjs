@@ -2,27 +2,13 @@
 /** The page for playing in headless Chromium, below a sub-path: each environment is opened and driven by keys. */
 import assert from "node:assert/strict";
 import { readFile, writeFile } from "node:fs/promises";
-import { fileURLToPath } from "node:url";
-import { after, before, test } from "node:test";
-import { downloaded, launch, serve } from "./browser.mjs";
+import { before, test } from "node:test";
+import { downloaded } from "./browser.mjs";
+import { OUT, browser, complaints, page, site } from "./opened.mjs";
 
-const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
 const SPEED = 40;
-/** @type {Awaited<ReturnType<typeof serve>>} */
-let site;
-/** @type {Awaited<ReturnType<typeof launch>>} */
-let browser;
-/** @type {import("playwright-core").Page} */
-let page;
-/** @type {string[]} */
-const complaints = [];
 
 before(async () => {
-  site = await serve(`${OUT}site`);
-  browser = await launch();
-  page = await browser.context.newPage();
-  page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
-  page.on("pageerror", (error) => complaints.push(error.message));
   page.on("request", (request) => { if (!/^(blob|data):/.test(request.url()) && !request.url().startsWith(site.address)) complaints.push(`elsewhere: ${request.url()}`); });
   await page.addInitScript(() => {  // counts frames, and stores the time of the first one
     const watch = Object.assign(window, { frames: 0, firstDrawn: 0 }), ask = window.requestAnimationFrame;
@@ -33,10 +19,6 @@ before(async () => {
       return fill.apply(this, /** @type {any} */ (rest));
     };
   });
-});
-after(async () => {
-  await browser.close();
-  site.close();
 });
 
 const frames = () => page.evaluate("frames");

@@ -2,27 +2,9 @@
 /** What the page says at the end of an episode, a policy's or a person's: the sentences are Python's. */
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
-import { fileURLToPath } from "node:url";
-import { after, before, test } from "node:test";
-import { barriers, launch, serve } from "./browser.mjs";
-
-const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
-/** @type {Awaited<ReturnType<typeof serve>>} */
-let site;
-/** @type {Awaited<ReturnType<typeof launch>>} */
-let browser;
-/** @type {import("playwright-core").Page} */
-let page;
-
-before(async () => {
-  site = await serve(`${OUT}site`);
-  browser = await launch();
-  page = await browser.context.newPage();
-});
-after(async () => {
-  await browser.close();
-  site.close();
-});
+import { test } from "node:test";
+import { barriers } from "./browser.mjs";
+import { OUT, page, site } from "./opened.mjs";
 
 /** @param {string} text */
 const untilStatus = (text) => page.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text);
@@ -34,9 +16,10 @@ test("after a failure, the page says what was pursued, and outlines the blocks",
     await page.goto(`${site.address}play/?speed=40#${address}@state-bc`);
     await untilStatus("Over: score 0.00");
     assert.equal(await page.textContent("#pursued-words"), watched, address);
+    assert.match(await page.textContent("#compared") ?? "", /^The best of \d+ methods here scored 1.00 \(.+\); \w+ scored less than this episode.$/);
     await page.keyboard.press("r");
     await untilStatus("Press");
-    assert.ok(await page.isHidden("#pursued"), "nothing is said before the end");
+    assert.ok(await page.isHidden("#ended"), "nothing is said before the end");
     const before = await picture();
     await page.keyboard.press("Space");  // one action, after which the robot stays
     await untilStatus("Over: score 0.00");

@@ -11,6 +11,7 @@ import { faults, label } from "../../magical_mj/web/page/legal.js";
 import { mjcfOf } from "../../magical_mj/web/page/mjcf.js";
 import { Policy } from "../../magical_mj/web/page/policy.js";
 import { pursued } from "../../magical_mj/web/page/pursued.js";
+import { firstReached } from "../../magical_mj/web/page/rivals.js";
 import { poses } from "../../magical_mj/web/page/scene.js";
 import { readScene, writeScene } from "../../magical_mj/web/page/scenefile.js";
 import { lack, score } from "../../magical_mj/web/page/score.js";
@@ -48,12 +49,16 @@ test("scores equal Python's", async () => {
 });
 
 test("what an episode pursued equals Python's", async () => {
-  const [cases, demonstrated] = await Promise.all([read("pursuits"), read("demonstrated")]), kinds = new Set();
-  for (const { task, initial, final, score: points, pursued: right } of cases) {
+  const [cases, demonstrated, grammar, rivals] = await Promise.all([read("pursuits"), read("demonstrated"), read("../site/play/intents"), read("../site/play/rivals")]);
+  const kinds = new Set(), reached = new Set();
+  for (const { task, initial, final, score: points, pursued: right, rival } of cases) {
+    assert.equal(firstReached(rivals[task], grammar, initial, final), rival, task);
+    reached.add(rival);
     assert.deepEqual(pursued(task, demonstrated[task], initial, final, points), right, task);
     for (const part of KINDS) if (right.sentence.includes(part)) kinds.add(part);
   }
-  console.log(`${cases.length} episodes, ${new Set(cases.map((/** @type {any} */ one) => one.pursued.sentence)).size} different sentences`);
+  console.log(`${cases.length} episodes, ${new Set(cases.map((/** @type {any} */ one) => one.pursued.sentence)).size} different sentences, ${reached.size} rivals`);
+  assert.ok(reached.size > 20);
   assert.deepEqual([...kinds].sort(), [...KINDS].sort());
 });
 

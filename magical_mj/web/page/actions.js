@@ -28,7 +28,7 @@ export function taking(table) {
   /** @type {number[]} */
   const commands = [];
   return (command) => {
-    const what = table[commands.length];
+    const what = table[commands.length % table.length];  // episodes of a visitor's intent may be longer
     commands.push(command);
     return what < 0 ? -1 - what : commands[commands.length - 1 - what] ?? 0;
   };

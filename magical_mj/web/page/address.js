@@ -2,8 +2,10 @@
 /**
  * Parses the part of an address after `#`: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
  * `#FindDupe-Demo-0?shifts=clutter:3,friction:2` with shifts, or another body: `#SweepToTop-Layout-2?shifts=body:longstick`,
- * and `#FindDupe-Demo-0?scene={...}` with a scene that the visitor changed, as JSON.
- * @typedef {{task: string, variant: string, seed: number, shifts: string, scene?: string}} SceneId  shifts: "" without shifts; scene: "" if it is the seed's
+ * and `#FindDupe-Demo-0?scene={...}` with a scene that the visitor changed, as JSON. `intent=...` comes last: the goal is an
+ * intent, `#FindDupe-All-3?intent=in(colour=red, region)`.
+ * @typedef {{task: string, variant: string, seed: number, shifts: string, scene?: string, intent?: string}} SceneId
+ *   shifts: "" without shifts; scene: "" if it is the seed's; intent: "" if the goal is the task's
  * @typedef {SceneId & {method: string, unknown: string}} Wish
  *   method: "" without a method; unknown: the error in the address and the scene shown instead, "" without an error
  * @typedef {{task: string, variant: string, shifts: Record<string, string[]>}} Environment  shifts: axis -> strengths, or bodies
@@ -16,7 +18,8 @@
  */
 export function parseAddress(hash, { environments, exclusive = [] }) {
   const [all, method = ""] = decoded(hash.slice(1)).split("@");
-  const [name, query = ""] = all.split("?"), values = new URLSearchParams(query), scene = values.get("scene") ?? "", shiftsAsked = (!scene && values.get("shifts")) || "";
+  const [name, query = ""] = all.split("?"), [settings, intent = ""] = query.split(/&?\bintent=/);
+  const values = new URLSearchParams(settings), scene = values.get("scene") ?? "", shiftsAsked = values.get("shifts") ?? "";
   const [asked, variantAsked = "", ...rest] = name.split("-"), seedAsked = rest.join("-");
   const tasks = [...new Set(environments.map(({ task }) => task))], task = nearest(asked, tasks);
   const variants = environments.filter((one) => one.task === task).map(({ variant }) => variant), variant = nearest(variantAsked, variants);
@@ -26,7 +29,7 @@ export function parseAddress(hash, { environments, exclusive = [] }) {
     asked && asked !== task ? `no task “${asked}”` : "", variantAsked && variantAsked !== variant ? `no variant “${variantAsked}” of ${task}` : "",
     ...wrongShifts.map((one) => `no shift “${one}” of ${task}-${variant}`), seedAsked && !isNumber ? `no scene “${seedAsked}”` : "",
   ].filter(Boolean);
-  const found = { task, variant, seed, shifts, scene };
+  const found = { task, variant, seed, shifts, scene, intent };
   return { ...found, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${addressOf(found)}` : "" };
 }
 
@@ -40,8 +43,10 @@ function decoded(text) {
 }
 
 /** The address of a scene, without `#`. @param {SceneId} sceneId */
-export const addressOf = ({ task, variant, seed, shifts, scene }) =>
-  `${task}-${variant}-${seed}${scene ? `?scene=${encodeURI(scene)}` : shifts && `?shifts=${shifts}`}`;
+export function addressOf({ task, variant, seed, shifts, scene, intent }) {
+  const settings = [shifts && `shifts=${shifts}`, scene && `scene=${encodeURI(scene)}`, intent && `intent=${encodeURI(intent)}`].filter(Boolean).join("&");
+  return `${task}-${variant}-${seed}${settings && `?${settings}`}`;
+}
 
 /** @param {{task: string, variant: string}} name @param {Environment[]} environments @returns {Record<string, string[]>} */
 export const shiftsOf = ({ task, variant }, environments) =>

@@ -3,7 +3,7 @@
 import { addressOf } from "./address.js";
 import { mjcfOf } from "./mjcf.js";
 import { readScene } from "./scenefile.js";
-import { fetchText, loadEnvironment } from "./scenes.js";
+import { effectsOf, fetchText, loadEnvironment } from "./scenes.js";
 import { lack } from "./score.js";
 
 /** @typedef {import("./scene.js").Scene} Scene @typedef {import("./address.js").SceneId} SceneId */
@@ -15,28 +15,32 @@ export function linkedScene(text, { look, solids }) {
   return scene;
 }
 
-/** The environment whose horizon and policies an edited scene has: with the same body. @param {SceneId} sceneId @param {Scene} scene */
-export async function environmentOf({ task, variant }, { robot }) {
-  const environment = await loadEnvironment(task, variant, (robot.body ?? "gripper") === "gripper" ? "" : `body:${robot.body}`);
-  return { ...environment, horizon: environment.scenes[0].horizon ?? environment.horizon };
+/**
+ * The environment of an edited scene, with this scene only: with its body, and the shifts that any scene can have.
+ * @param {any} catalogue @param {SceneId} sceneId @param {Scene} scene @returns {Promise<import("./scenes.js").Environment>}
+ */
+export async function editedEnvironment({ look, tasks }, { task, variant, seed, shifts }, scene) {
+  const { body = "gripper" } = scene.robot, half = scene.half_width ?? 1;
+  if (shifts && body !== "gripper") throw new Error("Changed scenes with another body have no shifts here");
+  const [sample, environment, { dynamics, taken }] = await Promise.all([
+    fetchText(`samples/${body}-${half}.xml`), loadEnvironment(task, variant, body === "gripper" ? "" : `body:${body}`), effectsOf(task, variant, seed, shifts)]);
+  const horizon = environment.scenes[0].horizon ?? environment.horizon, changed = { ...scene, ...shifts && { dynamics: { ...scene.dynamics, ...dynamics } } };
+  const model = mjcfOf(sample, changed, look.regions, lack(task, scene) ? {} : { task, horizon, speeds: tasks[task].speeds });
+  return { ...environment, horizon, demonstrations: [], elements: [model], scenes: [{ seed, scene: changed, expert: "", mjcf: [0], taken }] };
 }
 
 /** The model of an edited scene, as MJCF. A scene of the task is an episode of it. @param {any} catalogue @param {SceneId} sceneId @param {Scene} scene */
-export async function editedModel({ look, tasks }, sceneId, scene) {
-  const { task } = sceneId, { robot, half_width: half = 1 } = scene;
-  const [sample, { horizon }] = await Promise.all([fetchText(`samples/${robot.body ?? "gripper"}-${half}.xml`), environmentOf(sceneId, scene)]);
-  return mjcfOf(sample, scene, look.regions, lack(task, scene) ? {} : { task, horizon, speeds: tasks[task].speeds });
-}
+export const editedModel = async (catalogue, sceneId, scene) => (await editedEnvironment(catalogue, sceneId, scene)).elements?.[0] ?? "";
 
 /**
  * Opens the editor.
- * @param {any} catalogue @param {SceneId} sceneId  the task, and what to name in addresses @param {Scene} scene
+ * @param {any} catalogue @param {SceneId} sceneId  the goal, and what to name in addresses @param {Scene} scene
  * @param {string} action  the label of the button that ends editing @param {(scene: string | null) => void} done  called with JSON; null: unchanged
  */
 export async function edit(catalogue, sceneId, scene, action, done) {
-  const { task } = sceneId, { Editor } = await import("./editor.js").catch(() => {  // browsers do not try it again
+  const { task, intent } = sceneId, { Editor } = await import("./editor.js").catch(() => {  // browsers do not try it again
     throw new Error("The editor could not be loaded. Reload the page to try again");
   });
   const address = (/** @type {string} */ text) => new URL(`#${addressOf({ ...sceneId, scene: text })}`, location.href).href;
-  new Editor({ catalogue, scene, task, name: `${task}-edited`, action, address, model: (changed) => editedModel(catalogue, sceneId, changed), done });
+  new Editor({ catalogue, scene, task: intent ? "" : task, name: `${task}-edited`, action, address, model: (changed) => editedModel(catalogue, sceneId, changed), done });
 }

@@ -1,7 +1,7 @@
 // @ts-check
 /**
  * The scores of intents, the same as in magical_mj/intents. Tests compare them. Python selects the blocks: a goal is an
- * intent in one initial scene, from `magical_mj.web.puzzles.goal_data`.
+ * intent in one initial scene, from `magical_mj.web.puzzles.goal_data`, or from selectors.js.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{relation: string, blocks: number[], argument: string | number, number: number, some: boolean}} Conjunct
  *   blocks: indices of those that the relation is about; argument: the index of a block if it names one
@@ -62,14 +62,17 @@ export function unmet(conjunct, scene) {
   return SINGLE.includes(relation) ? blocks.filter((_, i) => !parts[i]) : blocks;
 }
 
-/** The mean over the relations of the share of objects for which each holds. @param {Goal} goal @param {Scene} initial @param {Scene} final */
-function share(goal, initial, final) {
+/** For each relation, the share of objects for which it holds. @param {Conjunct[]} goal @param {Scene} initial @param {Scene} final */
+export const shares = (goal, initial, final) => goal.map((conjunct) => {
+  const all = RELATIONS[conjunct.relation](conjunct, initial, final), parts = conjunct.some ? [all.includes(true)] : all;
+  return parts.length ? parts.filter(Boolean).length / parts.length : 1;
+});
+
+/** The mean share. @param {Goal} goal @param {Scene} initial @param {Scene} final */
+export function share(goal, initial, final) {
   if (!goal) return 0;
-  const shares = goal.map((conjunct) => {
-    const all = RELATIONS[conjunct.relation](conjunct, initial, final), parts = conjunct.some ? [all.includes(true)] : all;
-    return parts.length ? parts.filter(Boolean).length / parts.length : 1;
-  });
-  return shares.every((part) => part === 1) ? 1 : shares.reduce((sum, part) => sum + part) / shares.length;
+  const all = shares(goal, initial, final);
+  return all.every((part) => part === 1) ? 1 : all.reduce((sum, part) => sum + part) / all.length;
 }
 
 /** Whether an intent holds in a final scene. @param {Goal} goal @param {Scene} initial @param {Scene} final */

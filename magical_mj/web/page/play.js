@@ -1,23 +1,28 @@
 // @ts-check
 /** The page for playing: choosing a scene, playing, watching, saving and sending. */
-import { agreement } from "./agreement.js";
 import { fromLetters } from "./actions.js";
 import { addressOf, parseAddress, shiftsOf } from "./address.js";
+import { agreement } from "./agreement.js";
 import { showAddress } from "./choice.js";
 import { Controls } from "./controls.js";
 import { draw, fitToScreen, outline } from "./draw.js";
+import { edit, editedEnvironment, linkedScene } from "./edited.js";
 import { Game } from "./game.js";
 import { goalScore } from "./goal.js";
 import { onProgress } from "./mujoco.js";
+import { intentIn } from "./ownintent.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
 import { pursued } from "./pursued.js";
-import { described, drawn, isSecret, outcome } from "./puzzles.js";
+import { described, drawn, isSecret, outcome, puzzleNames } from "./puzzles.js";
 import { recording, save } from "./recording.js";
-import { edit, editedModel, environmentOf, linkedScene } from "./edited.js";
-import { fetchFile, fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
+import { compared, loadMethods, recordedActions, recordedIn } from "./replays.js";
+import { rivalReached } from "./rivals.js";
+import { sceneButton } from "./scenelist.js";
+import { fetchFile, fetchJson, inBrowser, isChange, loadEnvironment } from "./scenes.js";
 import { lack, score } from "./score.js";
 import { remembered, Seat } from "./server.js";
+import { chosenShifts, showShifts } from "./shiftmenu.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
 /** @typedef {string | number[][]} Script  actions, as letters or as vectors of speeds */
@@ -35,10 +40,12 @@ const environments = [...catalogue.environments, ...catalogue.puzzles];
 const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
 const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
 const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times real time
-const seat = catalogue.simulation === "server" ? new Seat(tell) : null;
-/** @type {Record<string, {name: string, seeds: Record<string, number[]>}>} the methods with stored actions, and the seeds of these by environment */
-const methods = seat ? {} : await fetchJson("replays/index.json");
+const seat = catalogue.simulation === "server" ? new Seat(sayConnection) : null;
+const methods = seat ? {} : await loadMethods();
 const BC = "bc", OWN = "own", EXPERT = "expert", DEMO = "demo-";  // names in addresses: policies that run in the page, and known actions
+const NO_EXPERT = "The expert runs in Python: not in changed scenes and intents";
+const PUZZLE = "#puzzle";  // the address of a random puzzle
+const INTENT = "intent";  // in the list of tasks: the goal is a visitor's
 /** @type {Uint8Array | null} the visitor's policy */
 let own = null;
 /** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
@@ -58,10 +65,11 @@ const open = seat?.open ?? inBrowser(ready);
 
 /** The current state of the page. */
 const shown = {
-  task: "", variant: "", seed: -1, shifts: "", /** a changed scene, as JSON, or "" */ scene: "", editing: false, horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
+  task: "", variant: "", seed: -1, shifts: "", /** a changed scene, as JSON, or "" */ scene: "",
+  /** a visitor's intent as text, or "" */ intent: "", /** the same in this scene @type {import("./ownintent.js").OwnIntent | null} */ wanted: null, editing: false, horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
   /** what is watched, as in addresses, or "" */ method: "", /** whether the player has taken over */ taken: false,
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
-  /** @type {import("./puzzles.js").Judged} */ judged: {}, /** the episode whose outcome is shown @type {Game | null} */ told: null,
+  /** @type {import("./puzzles.js").Judged} */ judged: {}, /** the episode whose outcome is shown @type {Game | null} */ told: null, /** which rival it reached, in words */ rival: "",
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
 };
@@ -72,35 +80,38 @@ let choices = 0;  // only the last choice is shown, in whatever order they are l
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {{shifts?: string, method?: string, isAddress?: boolean, unknown?: string, scene?: string}} [how]
- *   method: what to watch, or "" for playing. unknown: the error in the address. scene: a changed scene, as JSON
+ * @param {{shifts?: string, method?: string, isAddress?: boolean, unknown?: string, scene?: string, intent?: string}} [how]
+ *   method: what to watch, or "" for playing. unknown: the error in the address. scene: a changed scene, as JSON. intent: the goal, if it is not the task's
  */
 async function choose(task, variant, seed, how = {}) {
-  const { shifts = "", method = "", isAddress = false, unknown = "", scene = "" } = how;
+  const { method = "", isAddress = false, scene = "", intent = "" } = how, shifts = (how.shifts ?? "").split(",").filter((one) => !scene || isChange(one)).join(",");
+  let { unknown = "" } = how;
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error, () => choose(task, variant, seed, how)) : undefined;
   shown.note = "";  // messages that appear while the scene is loaded remain
-  const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts || scene !== shown.scene;
-  const load = scene && !seat ? () => loadEdited(task, variant, seed, scene) : () => loadEnvironment(task, variant, shifts);
+  const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts || scene !== shown.scene || intent !== shown.intent;
+  const load = scene && !seat ? async () => editedEnvironment(catalogue, { task, variant, seed, shifts }, linkedScene(scene, catalogue)) : () => loadEnvironment(task, variant, shifts);
   const environment = isOther ? await load().catch(failed) : shown.environment;
   if (choice !== choices) return;
   if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null, horizon: environment.horizon } : environment.scenes[0]);
+  const wanted = intent && entry.scene ? await intentIn(intent, entry.scene).catch((error) => { unknown = error.message; }) : null;
+  if (choice !== choices) return;
   const acts = method === OWN ? own !== null : method === BC && task in policies;
-  const replay = acts ? null : await actionsOf(method, task, variant, entry, environment).catch(failed);
+  const replay = acts || scene ? null : await actionsOf(method, task, variant, entry, environment).catch(failed);
   if (choice !== choices) return;
   if (replay === undefined) return stay(isAddress);
   const watching = acts || Boolean(replay?.length), watched = watching ? method : "";
   element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts, scene })}`;
-  const horizon = entry.horizon ?? environment.horizon;
-  Object.assign(shown, { task, variant, seed: entry.seed, shifts, scene, horizon, environment, watching, method: watched, taken: false, judged: entry });
+  const horizon = wanted?.horizon ?? entry.horizon ?? environment.horizon, judged = wanted ?? entry;
+  Object.assign(shown, { task, variant, seed: entry.seed, shifts, scene, intent: wanted?.text ?? "", wanted, horizon, environment, watching, method: watched, taken: false, judged });
   shown.helped ||= watching;
   showChoice(isOther, !isAddress);
   if (unknown) say(unknown);
   else if (method && !watched) say(`There are no actions of “${method}” in this scene`);
-  else if (scene && entry.scene && lack(task, entry.scene)) say(`No score: ${task} needs ${lack(task, entry.scene)}`);
+  else if (wanted ? !wanted.goal : scene && entry.scene && lack(task, entry.scene)) say(`No score: ${wanted ? `the intent cannot start here, since ${wanted.lack}` : `${task} needs ${lack(task, /** @type {any} */ (entry.scene))}`}`);
   else if (entry.seed !== seed && environment.scenes.length > 1) say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -131,25 +142,15 @@ async function choose(task, variant, seed, how = {}) {
   return true;
 }
 
-/**
- * The environment of a changed scene: with this scene only.
- * @param {string} task @param {string} variant @param {number} seed @param {string} text  the scene
- * @returns {Promise<import("./scenes.js").Environment>}
- */
-async function loadEdited(task, variant, seed, text) {
-  const sceneId = { task, variant, seed, shifts: "" }, scene = linkedScene(text, catalogue);
-  const [environment, model] = await Promise.all([environmentOf(sceneId, scene), editedModel(catalogue, sceneId, scene)]);
-  return { ...environment, demonstrations: [], elements: [model], scenes: [{ seed, scene, expert: "", mjcf: [0] }] };
-}
-
 /** Opens the editor with the current scene. */
 function change() {
-  const { task, variant, seed, game } = shown, scene = game?.now ?? shown.environment.scenes.find((one) => one.seed === seed)?.scene;
+  const { task, variant, seed, intent, game } = shown, scene = game?.now ?? shown.environment.scenes.find((one) => one.seed === seed)?.scene;
   if (!scene) return;
   shown.editing = true;
-  edit(catalogue, { task, variant, seed, shifts: "" }, scene, "Play it", (changed) => {
+  const shifts = shown.shifts.split(",").filter(isChange).join(",");  // the changed scene contains the others
+  edit(catalogue, { task, variant, seed, shifts, intent }, scene, "Play it", (changed) => {
     shown.editing = false;
-    if (changed) choose(task, variant, seed, { scene: changed });
+    if (changed) choose(task, variant, seed, { scene: changed, shifts, intent });
     arena.focus({ preventScroll: true });
   }).catch((error) => {
     shown.editing = false;
@@ -169,7 +170,7 @@ async function stay(isFirst) {
   }
   showNames();
   if (shown.game) return;
-  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts, scene: shown.scene });  // the other choice had interrupted it
+  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts, scene: shown.scene, intent: shown.intent });  // the other choice had interrupted it
   if (opened) say(problem);
 }
 
@@ -177,9 +178,6 @@ async function stay(isFirst) {
 function unsent() {
   return catalogue.collects && shown.game?.over && !shown.watching && !shown.game.sent;
 }
-
-/** @type {Record<string, Promise<Record<string, Record<string, string>>>>} method -> environment -> seed -> actions */
-const replays = {};
 
 /**
  * The known actions of what is watched in a scene. Null if there are none.
@@ -189,27 +187,24 @@ const replays = {};
 async function actionsOf(method, task, variant, { seed, expert, shifts }, { demonstrations, scenes }) {
   if (method === EXPERT) return scenes.length === 1 ? scenes[0].expert : expert;  // all seeds of Demo have one scene
   if (method.startsWith(DEMO)) return demonstrations[Number(method.slice(DEMO.length)) - 1] ?? null;
-  const name = `${task}-${variant}`;
-  if (shifts || shown.scene || !methods[method]?.seeds[name]?.includes(seed)) return null;
-  replays[method] ??= fetchJson(`replays/${method}.json`);
-  replays[method].catch(() => delete replays[method]);
-  return (await replays[method])[name][seed];
+  const place = { task, variant, seed };
+  return shifts || recordedIn(methods, place).every((one) => one.method !== method) ? null : recordedActions(method, place);
 }
 
 /** The names of everything that can be watched in the current scene, by their names in addresses, in groups. @returns {Record<string, [string, string][]>} */
 function watchable() {
-  const { task, variant, seed, shifts, scene, environment: { demonstrations, scenes } } = shown, name = `${task}-${variant}`;
+  const { task, variant, seed, shifts, scene, wanted, environment: { demonstrations, scenes } } = shown;
   const entry = scenes.find((one) => one.seed === seed || scenes.length === 1);
   return {
-    "This scene": [
+    "This scene": wanted ? [] : [
       ...entry?.expert.length ? [/** @type {[string, string]} */ ([EXPERT, `The ${shown.environment.puzzle ? "demonstration" : "expert"} (H)`])] : [],
       ...demonstrations.map((_, i) => /** @type {[string, string]} */ ([`${DEMO}${i + 1}`, `Demonstration ${i + 1}`])),
     ],
     "Policies that act in this page": seat ? [] : [
       ...task in policies ? [/** @type {[string, string]} */ ([BC, "BC from states (B)"])] : [], [OWN, "A policy of yours: open a file …"],
     ],
-    "Recorded episodes of the leaderboard": shifts || scene ? [] : Object.entries(methods).filter(([, { seeds }]) => seeds[name]?.includes(seed))
-      .map(([method, { name }]) => /** @type {[string, string]} */ ([method, name])),
+    "Recorded episodes of the leaderboard": shifts || scene || wanted ? [] : recordedIn(methods, { task, variant, seed })
+      .map(({ method, name, score }) => /** @type {[string, string]} */ ([method, `${score.toFixed(2)} ${name}`])),
   };
 }
 
@@ -221,7 +216,9 @@ function showWatchable() {
     group.append(...choices.map(([value, text]) => new Option(text, value)));
     return group;
   });
-  element("watch").replaceChildren(new Option("nobody", ""), ...groups);
+  const without = shown.scene || shown.wanted ? [new Option(NO_EXPERT)] : [];
+  for (const option of without) option.disabled = true;
+  element("watch").replaceChildren(new Option("nobody", ""), ...groups, ...without);
   element("watch").value = shown.method;
   element("watching").hidden = !groups.length || !may("expert");
   element("take").hidden = !shown.watching || shown.taken;
@@ -229,82 +226,50 @@ function showWatchable() {
 
 /** Lists the tasks, and the shown puzzle. */
 function showTasks() {
-  const puzzle = shown.environment.puzzle ? [new Option("An intent", shown.task)] : [];
-  element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)), ...puzzle);
+  const names = puzzleNames(catalogue.puzzles), puzzle = shown.environment.puzzle ? [new Option(`Puzzle ${names.indexOf(shown.task) + 1} of ${names.length}`, shown.task)] : [];
+  const own = shown.wanted ? [new Option("An intent", INTENT)] : [];
+  element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)), ...puzzle, ...own);
 }
 
 /** Shows the current environment in the lists and the address. @param {boolean} [isNew]  whether to add an entry to the browser's history */
 function showNames(isNew = false) {
-  const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
+  const { task, variant, method, environment } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   showAddress(hash, isNew && location.hash !== "");
   element("seed").value = shown.seed;
   showTasks();
-  element("task").value = task;
+  element("task").value = shown.wanted ? INTENT : task;
   const variants = environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
-  element("shifts").hidden = shown.scene !== "";  // they apply to the scenes of seeds
-  const chosen = Object.fromEntries(shifts.split(",").map((one) => one.split(":")));
-  element("shifts").replaceChildren(...Object.entries(shiftsOf(shown, environments)).map(([axis, levels]) => {
-    const label = document.createElement("label"), select = document.createElement("select");
-    select.name = axis;
-    select.append(new Option(axis === "body" ? "gripper" : "0", ""), ...levels.map((level) => new Option(level)));
-    select.value = chosen[axis] ?? "";
-    label.append(`${axis[0].toUpperCase()}${axis.slice(1)} `, select);
-    return label;
-  }));
+  const hasBody = shown.scene && environment.scenes[0].scene.robot.body;
+  showShifts(element("shifts"), hasBody ? {} : shiftsOf(shown, environments), shown);
 }
 
-/** Applies the chosen shifts. An exclusive one replaces others. @param {Event} event */
+/** Applies the chosen shifts. @param {Event} event */
 function changeShifts({ target }) {
-  const all = /** @type {HTMLSelectElement[]} */ ([...element("shifts").querySelectorAll("select")]), chosen = /** @type {HTMLSelectElement} */ (target);
-  const isLeft = (/** @type {HTMLSelectElement} */ { name }) => name === chosen.name
-    || !catalogue.exclusive.some((/** @type {string[]} */ pair) => pair.includes(name) && pair.includes(chosen.name));
-  const shifts = all.filter((one) => one.value && isLeft(one)).map(({ name, value }) => `${name}:${value}`).join(",");
-  choose(shown.task, shown.variant, shown.seed, { shifts, method: shown.method });
+  const shifts = chosenShifts(element("shifts"), /** @type {HTMLSelectElement} */ (target), catalogue.exclusive);
+  choose(shown.task, shown.variant, shown.seed, { shifts, method: shown.method, scene: shown.scene, intent: shown.intent });
 }
 
 /** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
 function showChoice(isOther, isNew) {
-  const { task, variant, seed, environment } = shown, { puzzle } = environment;
-  const { summary, hint, solved } = puzzle ? described(puzzle) : catalogue.tasks[task];
+  const { task, variant, seed, environment, wanted } = shown, { puzzle } = environment, [{ scene: first }] = environment.scenes;
+  const own = wanted && { summary: wanted.sentence.slice(0, -1), hint: wanted.text, solved: wanted.end ?? first };
+  const { summary, hint, solved } = own ?? (puzzle ? described(puzzle) : catalogue.tasks[task]);
   showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = hint;
-  element("about").href = `../${puzzle ? "intents" : task === "SweepToTop" ? "bodies" : task}.html`;
+  element("about").href = own ? `intents.html#${encodeURI(wanted.text)}` : `../${puzzle ? "intents" : task === "SweepToTop" ? "bodies" : task}.html`;
+  element("about").textContent = own ? "Change the intent" : "About this task";
   element("puzzle").hidden = !puzzle;
   for (const id of ["inspect", "edit"]) element(id).hidden = seat !== null || puzzle !== undefined;
   for (const button of puzzleButtons) button.ariaCurrent = String(button.dataset.variant === variant && Number(button.dataset.seed) === seed);
   showWatchable();
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
-    element("scenes").replaceChildren(...environment.scenes.map(sceneButton));
+    element("scenes").replaceChildren(...environment.scenes.map((entry) => sceneButton(entry, catalogue.look, () => play(entry.seed))));
   }
   for (const button of element("scenes").children) button.ariaCurrent = String(Number(button.dataset.seed) === seed);
-}
-
-/** @type {WeakMap<Element, import("./scene.js").Scene>} */
-const undrawn = new WeakMap();
-const drawer = new IntersectionObserver((canvases) => {  // small pictures are drawn when they become visible
-  for (const { target, isIntersecting } of canvases) {
-    const scene = undrawn.get(target);
-    if (!isIntersecting || !scene) continue;
-    drawer.unobserve(target);
-    draw(/** @type {HTMLCanvasElement} */ (target), catalogue.look, scene, "allo");
-  }
-}, { rootMargin: "200px" });
-
-/** @param {Entry} entry */
-function sceneButton({ seed, scene }) {
-  const button = document.createElement("button"), canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 144;
-  undrawn.set(canvas, scene);
-  drawer.observe(canvas);
-  button.dataset.seed = String(seed);
-  button.ariaLabel = `Scene ${seed}`;
-  button.append(canvas, String(seed));
-  button.onclick = () => play(seed);
-  return button;
 }
 
 /**
@@ -313,44 +278,65 @@ function sceneButton({ seed, scene }) {
  */
 function show(initial, scene) {
   shown.again = () => show(initial, scene);
-  const { task, game, horizon, watching, sending, judged, environment: { puzzle } } = shown, final = game?.now ?? scene;
-  const done = game?.actions.length ?? 0, isScored = puzzle || !lack(task, initial);
-  const points = puzzle ? goalScore(judged.goal ?? null, initial, final) : isScored ? score(task, initial, final) : 0;
+  const { task, game, horizon, watching, sending, judged, wanted, environment: { puzzle } } = shown, final = game?.now ?? scene;
+  const done = game?.actions.length ?? 0, isGoal = puzzle || wanted, isScored = wanted ? wanted.goal : puzzle || !lack(task, initial);
+  const points = isGoal ? goalScore(judged.goal ?? null, initial, final) : isScored ? score(task, initial, final) : 0;
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     const words = `${view === "allo" ? "From above" : "As the robot sees it"}; blocks: ${scene.blocks.length}, goal regions: ${scene.regions.length}`;
     if (canvas.ariaLabel !== words) canvas.ariaLabel = words;
     draw(canvas, catalogue.look, scene, view);
   }
-  showPursued(game?.over && isScored ? pursuedIn(initial, final, points) : null);
+  showEnd(game?.over && isScored ? pursuedIn(initial, final, points) : null, points);
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
-  if (puzzle && game?.over && !watching && shown.told !== game) {
-    shown.told = game;
-    element("words").textContent = outcome(puzzle, judged, initial, final, points);
-    element("summary").textContent = puzzle.sentence;
-  }
+  if (game?.over && shown.told !== game) tell(game, isScored ? points : null);
   const isHidden = puzzle && !watching && isSecret(puzzle);
   const now = isHidden ? "?" : !isScored ? "–" : points.toFixed(2);
   if (element("score").textContent !== now) element("score").textContent = now;  // otherwise screen readers would repeat it
-  element("save").disabled = !game?.over || watching || sending || game.sent || shown.shifts !== "" || shown.scene !== "";  // recordings contain neither shifts nor scenes
+  element("save").disabled = !game?.over || watching || sending || game.sent || [shown.shifts, shown.scene, shown.intent].some(Boolean);  // recordings contain none of them
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now}`
     : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
+/** Says once what an ended episode reached: of a puzzle, or which rival of the task. @param {Game} game @param {number | null} points  null: without a score */
+function tell(game, points) {
+  const { task, watching, judged, wanted, environment: { puzzle } } = shown, { initial, now } = game;
+  Object.assign(shown, { told: game, rival: "" });
+  if (puzzle && !watching) {
+    element("words").textContent = outcome(puzzle, judged, initial, now, points ?? 0);
+    element("summary").textContent = puzzle.sentence;
+  }
+  if (puzzle || wanted || seat || points === null || points === 1) return;
+  rivalReached(task, initial, now).then((rival) => {
+    if (shown.game === game) shown.rival = rival && `It reached another goal that the demonstrations reach: “${rival}”`;
+  }).catch(() => {});  // offline, only this sentence is missing
+}
+
 /** What an episode pursued. Not of puzzles, which have their own sentences, and not for participants of studies. @param {import("./scene.js").Scene} initial @param {import("./scene.js").Scene} final @param {number} points */
-const pursuedIn = (initial, final, points) => shown.environment.puzzle || catalogue.collects ? null
+const pursuedIn = (initial, final, points) => shown.environment.puzzle || catalogue.collects ? null : shown.wanted ? shown.wanted.outcome(final, points)
   : pursued(shown.task, catalogue.demonstrated[shown.task], initial, final, points);
 
-/** Shows what the finished episode pursued, and outlines the blocks. @param {import("./pursued.js").Pursued | null} what */
-function showPursued(what) {
-  const words = what?.sentence ?? "", scene = shown.game?.now;
-  element("pursued").hidden = !what;
-  if (element("pursued-words").textContent !== words) element("pursued-words").textContent = words;
+/** Shows what the finished episode pursued, with the blocks outlined, and how its score compares. Null before the end. @param {import("./pursued.js").Pursued | null} what @param {number} points */
+function showEnd(what, points) {
+  const { task, variant, seed, scene, shifts, wanted, game } = shown, isCompared = what && !scene && !shifts && !wanted;
+  const words = { "pursued-words": what?.sentence ?? "", rival: shown.rival, compared: isCompared ? compared(recordedIn(methods, { task, variant, seed }), points) : "" };
+  for (const [id, text] of Object.entries(words)) if (element(id).textContent !== text) element(id).textContent = text;
+  element("ended").hidden = !what;
   element("outlines").hidden = !what?.moved.length && !what?.intended.length;
-  if (what && scene) outline(element("allo"), catalogue.look, scene, what);
+  if (what && game) outline(element("allo"), catalogue.look, game.now, what);
+  element("share").hidden = seat !== null || !game?.over;
+  document.body.classList.toggle("over", game?.over ?? false);
+}
+
+/** Shares the address of what is shown, with the score. */
+async function share() {
+  const { task, variant, seed, wanted, environment: { puzzle } } = shown, what = wanted ? `“${wanted.sentence}”` : puzzle ? "a puzzle" : `${task}-${variant}-${seed}`;
+  const text = `Score ${element("score").textContent} in ${what}, MAGICAL:`, url = location.href;
+  if (navigator.canShare?.({ text, url })) return navigator.share({ text, url }).catch(() => {});  // the visitor may cancel it
+  await navigator.clipboard.writeText(`${text} ${url}`).then(() => say("Score and link were copied"), () => say(url));
 }
 
 /** What is watched. A policy of the page with its mean scores. */
@@ -371,7 +357,7 @@ function say(what, retry = again) {
 }
 
 /** Shows that the connection broke, and what was shown before when it is restored. @param {string} text */
-function tell(text) {
+function sayConnection(text) {
   if (text) shown.note = text;
   else if (shown.note.endsWith("trying again …")) shown.note = "";
   element("status").textContent = shown.note || pending;
@@ -392,7 +378,7 @@ function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
   if (!element("ending").hidden && !may("scenes")) return;  // nothing is left to play
   if (!shown.task) return start();  // the first scene is not loaded yet, or loading failed
-  return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, scene: seed === shown.seed ? shown.scene : "", ...how });
+  return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, scene: seed === shown.seed ? shown.scene : "", intent: shown.intent, ...how });
 }
 
 function next() {
@@ -407,7 +393,7 @@ function watch(method) {
   if (method === OWN) return element("policy").click();
   const exists = Object.values(watchable()).flat().some(([value]) => value === method);
   if (!method || (exists && may("expert"))) return play(shown.seed, { method });
-  if (shown.scene) say("Nothing is recorded in a changed scene");
+  if (shown.scene || shown.wanted) say(NO_EXPERT);
 }
 
 /** Shows a demonstration of a puzzle, or another of its scenes for playing. @param {string} task @param {string} variant @param {number} seed */
@@ -489,7 +475,8 @@ function seedIn(text) {
 
 /** Shows the scene in the address, or the most similar one with a message. */
 async function chooseByAddress() {
-  const { task, variant, seed, ...how } = parseAddress(location.hash, { ...catalogue, environments });
+  const random = location.hash === PUZZLE && catalogue.puzzles.length ? `#${drawn(catalogue.puzzles, shown.task)}-Demo-0@${EXPERT}` : "";
+  const { task, variant, seed, ...how } = parseAddress(random || location.hash, { ...catalogue, environments });
   await choose(task, variant, seed, { ...how, isAddress: true });
 }
 
@@ -520,16 +507,16 @@ for (const [id, changed] of Object.entries({ task: changeNames, variant: changeN
 }
 
 function changeNames() {
-  const task = element("task").value, variant = element("variant").value;
+  const intent = element("task").value === INTENT ? shown.intent : "", task = intent ? shown.task : element("task").value, variant = element("variant").value;
   const there = environments.filter((/** @type {Name} */ one) => one.task === task);
   const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
   const { method, shifts } = shown, found = exists ? variant : there[0].variant;
   const kept = parseAddress(`#${task}-${found}-0?shifts=${shifts}`, { ...catalogue, environments });  // the shifts that the other environment has as well
-  choose(task, found, 0, { method, shifts: kept.unknown ? "" : kept.shifts });
+  choose(task, found, 0, { method, shifts: kept.unknown ? "" : kept.shifts, intent });
 }
 
 function changeSeed() {
-  if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value));
+  if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value), { intent: shown.intent });
 }
 
 element("shifts").onchange = changeShifts;
@@ -539,7 +526,7 @@ element("policy").onchange = async () => {
   own = new Uint8Array(await element("policy").files[0].arrayBuffer());
   play(shown.seed, { method: OWN });
 };
-for (const [id, press] of Object.entries({ again, next, take, edit: change })) element(id).onclick = () => press();
+for (const [id, press] of Object.entries({ again, next, take, share, edit: change })) element(id).onclick = () => press();
 element("want").onclick = () => showPuzzle(drawn(catalogue.puzzles, shown.task), "Demo", 0);
 for (const button of puzzleButtons) button.onclick = () => showPuzzle(shown.task, button.dataset.variant ?? "", Number(button.dataset.seed));
 element("save").onclick = catalogue.collects ? send
@@ -558,6 +545,7 @@ addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
 showTasks();
 element("want").hidden = !catalogue.puzzles.length;
+element("build").hidden = seat !== null;
 element("choose").hidden = !catalogue.questions;
 element("seed-label").hidden = !seat;
 for (const link of ["inspect", "about", "docs", "edit"]) element(link).hidden = seat !== null;

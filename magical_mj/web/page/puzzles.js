@@ -17,9 +17,12 @@ const revealed = new Set();
 /** @param {Puzzle} puzzle */
 export const isSecret = ({ sentence }) => !revealed.has(sentence);
 
+/** @param {{task: string}[]} environments  of puzzles */
+export const puzzleNames = (environments) => [...new Set(environments.map((one) => one.task))];
+
 /** The name of a random puzzle other than the current one. @param {{task: string}[]} environments  of puzzles @param {string} task */
 export function drawn(environments, task) {
-  const names = [...new Set(environments.map((one) => one.task))].filter((name) => name !== task);
+  const names = puzzleNames(environments).filter((name) => name !== task);
   return names[Math.floor(Math.random() * names.length)] ?? task;
 }
 

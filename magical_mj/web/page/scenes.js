@@ -24,7 +24,7 @@ import { Simulation } from "./simulation.js";
  * @returns {Promise<Environment>}
  */
 export async function loadEnvironment(task, variant, shifts = "") {
-  const names = shifts.split(",").filter(Boolean), placed = names.find((name) => !CHANGED.includes(name.split(":")[0])) ?? "";
+  const names = shifts.split(",").filter(Boolean), placed = names.find((name) => !isChange(name)) ?? "";
   const others = names.filter((name) => name !== placed);
   const [all, changes] = await Promise.all([
     fetchJson(placed ? `shifted/${task}-${variant}-${placed.split(":")[0]}.json` : `${task.startsWith(PUZZLE) ? "puzzles" : "scenes"}/${task}-${variant}.json`),
@@ -37,8 +37,22 @@ export async function loadEnvironment(task, variant, shifts = "") {
 /** The names of puzzles begin with this. */
 const PUZZLE = "Intent";
 
-/** The axes that change numbers of the model, or the actions, and can be combined with any scene. */
-const CHANGED = ["latency", "slip", "friction"];
+/** Whether a shift changes numbers of the model, or the actions, so that any scene can have it. @param {string} shift  or its axis */
+export const isChange = (shift) => ["latency", "slip", "friction"].includes(shift.split(":")[0]);
+
+/**
+ * The effects of such shifts in any scene: changed dynamics, and the executed actions, a list for each shift.
+ * @param {string} task @param {string} variant @param {number} seed @param {string} shifts
+ * @returns {Promise<{dynamics?: Record<string, number>, taken?: number[][]}>}
+ */
+export async function effectsOf(task, variant, seed, shifts) {
+  if (!shifts) return {};
+  const all = await fetchJson(`shifted/${task}-${variant}.json`), of = all[seed] ?? all[0], effects = shifts.split(",").map((name) => of[name]);
+  return joined(effects);
+}
+
+/** @param {Change[]} effects */
+const joined = (effects) => ({ dynamics: Object.assign({}, ...effects.map(({ dynamics }) => dynamics)), taken: effects.flatMap(({ taken }) => taken ? [taken] : []) });
 
 /**
  * An environment with changed dynamics, or changed actions.
@@ -53,14 +67,14 @@ function changed(environment, label, names, changes) {
   const scenes = Object.entries(changes).flatMap(([seed, of]) => {
     const entry = all.find((one) => one.seed === Number(seed)) ?? (all.length === 1 ? all[0] : null);  // Demo has one scene
     if (!entry) return [];
-    const effects = names.map((name) => of[name]), dynamics = Object.assign({}, ...effects.map((effect) => effect.dynamics));
+    const effects = names.map((name) => of[name]), { dynamics, taken } = joined(effects);
     const scene = /** @type {Scene} */ ({ ...entry.scene, dynamics: { ...entry.scene.dynamics, ...dynamics } });
     const attributes = effects.reduce((/** @type {Record<string, Record<string, string>>} */ sum, effect) => {
       for (const [name, values] of Object.entries(effect.attributes ?? {})) sum[name] = { ...sum[name], ...values };
       return sum;
     }, { "text seed": { data: seed }, "text shifts": { data: label } });
     const mjcf = entry.mjcf?.map((i) => elements.push(withAttributes(elements[i], attributes, scene, label)) - 1);
-    return [{ ...entry, seed: Number(seed), shifts: label, scene, mjcf, expert: "", taken: effects.flatMap(({ taken }) => taken ? [taken] : []) }];
+    return [{ ...entry, seed: Number(seed), shifts: label, scene, mjcf, expert: "", taken }];
   });
   return { ...environment, scenes, elements };
 }
