@@ -18,7 +18,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene
 from magical_mj.web.page_data import scene_data
 
 STARTS: Final = ("All", "Layout")
-"""The variants in whose scenes visitors play intents."""
+"""Visitors play intents in scenes of these variants."""
 SEEDS: Final = 15
 RIVALS: Final = 40
 
