@@ -10,14 +10,12 @@ import { edit, editedEnvironment, linkedScene } from "./edited.js";
 import { Game } from "./game.js";
 import { goalScore } from "./goal.js";
 import { onProgress } from "./mujoco.js";
-import { intentIn } from "./ownintent.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
 import { pursued } from "./pursued.js";
 import { described, drawn, isSecret, outcome, puzzleNames } from "./puzzles.js";
 import { recording, save } from "./recording.js";
 import { compared, loadMethods, recordedActions, recordedIn } from "./replays.js";
-import { rivalReached } from "./rivals.js";
 import { sceneButton } from "./scenelist.js";
 import { fetchFile, fetchJson, inBrowser, isChange, loadEnvironment } from "./scenes.js";
 import { lack, score } from "./score.js";
@@ -97,7 +95,8 @@ async function choose(task, variant, seed, how = {}) {
   if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null, horizon: environment.horizon } : environment.scenes[0]);
-  const wanted = intent && entry.scene ? await intentIn(intent, entry.scene).catch((error) => { unknown = error.message; }) : null;
+  const wanted = intent && entry.scene ? await import("./ownintent.js").then(({ intentIn }) => intentIn(intent, entry.scene))
+    .catch((error) => { unknown = error.message; }) : null;
   if (choice !== choices) return;
   const acts = method === OWN ? own !== null : method === BC && task in policies;
   const replay = acts || scene ? null : await actionsOf(method, task, variant, entry, environment).catch(failed);
@@ -310,7 +309,7 @@ function tell(game, points) {
     element("summary").textContent = puzzle.sentence;
   }
   if (puzzle || wanted || seat || points === null || points === 1) return;
-  rivalReached(task, initial, now).then((rival) => {
+  import("./rivals.js").then(({ rivalReached }) => rivalReached(task, initial, now)).then((rival) => {
     if (shown.game === game) shown.rival = rival && `It reached another goal that the demonstrations reach: “${rival}”`;
   }).catch(() => {});  // offline, only this sentence is missing
 }
