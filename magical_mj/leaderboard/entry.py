@@ -117,6 +117,8 @@ class Card(Struct, forbid_unknown_fields=True):
     privileges: Annotated[list[Privilege], Meta(max_length=10)] | None = None
     commands: Annotated[list[Annotated[str, Meta(max_length=500)]], Meta(max_length=20)] | None = None
     """The commands that reproduce it, from a checkout of this repository or of the method's."""
+    repeats: Annotated[str, Meta(max_length=80)] = ""
+    """The method of another entry, if its authors trained that method again by its commands."""
 
 
 class Versions(Struct, forbid_unknown_fields=True):

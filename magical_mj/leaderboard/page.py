@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import Final
@@ -24,6 +24,7 @@ from magical_mj.leaderboard.standings import (
     difference,
     floor,
     improvement,
+    repetition,
 )
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
@@ -44,7 +45,8 @@ INTRODUCTION: Final = (
     f"results in some environments last. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs "
     f"or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in the original simulator; all "
     "others are partial. Replayed: the actions lead to the scores, but anybody can tape an expert. Re-run: the entry's "
-    "policies scored the same in fresh scenes on this machine."
+    "policies scored the same in fresh scenes on this machine. Repeated: others trained it again, in another entry, "
+    "to the same score."
 )
 USES: Final = "may also use"
 HEADINGS: Final = {
@@ -234,8 +236,26 @@ def _scores(methods: Sequence[Standing]) -> Table:
         "only",
         ("Method", USES, "checked", "runs", *COLUMNS),
         (*_grouped(methods, cells), ("", (("Floor", "", "", "", *(f"{floor(column):.2f}" for column in COLUMNS)),))),
-        tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
+        (
+            *(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
+            *_repetitions(methods),
+        ),
     )
+
+
+def _repetitions(methods: Sequence[Standing]) -> Iterator[str]:
+    """A sentence about each entry that trained another entry's method again."""
+    for other in (method for method in methods if method.entry.card.repeats):
+        repeats = other.entry.card.repeats
+        found = next(filter(None, (repetition(method, other) for method in methods)), None)
+        if found is None:
+            yield (
+                f"{other.name} does not count as a repetition of {repeats}: it needs other authors, the same "
+                "observations, rules and privileges, and all environments."
+            )
+        else:
+            value, low, high = found
+            yield f"{other.name} repeats {repeats}: its mean score differs by {value:+.2f} [{low:+.2f}, {high:+.2f}]."
 
 
 def shown(method: Standing, column: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -80,6 +80,7 @@ class Standing:
         new_places: the same, of the scenes that refute the shortcut.
         rerun: how much higher the entry's policies scored in fresh scenes, see `magical_mj.leaderboard.rerun`. None if
             they were not played.
+        repeated: whether another entry repeats it, see `repetition`.
         printed: the means over tasks in the paper's text, by variant, which differ from those of `means` by rounding.
     """
 
@@ -90,6 +91,7 @@ class Standing:
     episodes: Mapping[Pair, Mapping[int, Floats]]
     new_places: Mapping[Pair, Mapping[int, Floats]] = field(default_factory=dict)
     rerun: Estimate | None = None
+    repeated: bool = False
     printed: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -99,10 +101,10 @@ class Standing:
 
     @property
     def level(self) -> str:
-        """How it was checked: "replayed", or also "re-run"; empty for published methods."""
+        """How it was checked: "replayed", also "re-run", or "repeated"; empty for published methods."""
         if self.kind == "published":
             return ""
-        return "replayed" if self.rerun is None else "re-run"
+        return "repeated" if self.repeated else "replayed" if self.rerun is None else "re-run"
 
     @property
     def privileges(self) -> tuple[str, ...]:
@@ -316,6 +318,24 @@ def difference(first: Standing, second: Standing, pairs: Iterable[Pair] = ENVIRO
     return estimate([*first.cells(weights[0], "first"), *second.cells(weights[1], "second")])
 
 
+def repetition(method: Standing, other: Standing) -> Estimate | None:
+    """How much higher a method's mean score is in an entry whose authors trained it again, over its environments.
+
+    None if the other entry is no such repetition: its card must name the method, and other authors. Observations,
+    rules and privileges must be the same, and all environments must be played. If the interval excludes 0, the
+    repetition failed.
+    """
+    card, own = other.entry.card, method.entry.card
+    fits = (
+        card.repeats == method.name
+        and card.authors not in (None, own.authors)
+        and (other.entry.observations, other.entry.rules) == (method.entry.observations, method.entry.rules)
+        and {*other.privileges} == {*method.privileges}
+        and method.episodes.keys() <= other.episodes.keys()
+    )
+    return difference(other, method, method.episodes) if fits else None
+
+
 def _better(first: Floats, second: Floats) -> Any:
     """The share of pairs whose first score is larger; ties count half. Shapes (..., n) and (..., m) -> (...)."""
     difference = first[..., :, None] - second[..., None, :]
@@ -332,4 +352,7 @@ def standings(entries: Mapping[str, Entry], reruns: Mapping[str, Estimate] = Map
     """All methods, by block and by `Standing.rank`. Entries and their re-runs are given by name."""
     blocks = tuple(BLOCKS)
     own = [standing(entry, reruns.get(name)) for name, entry in entries.items()]
+    found = {method.name: [repetition(method, other) for other in own] for method in own}
+    repeated = {name for name, each in found.items() if any(one is not None and not one.decided for one in each)}
+    own = [replace(method, repeated=method.name in repeated) for method in own]
     return sorted([*own, *published()], key=lambda method: (blocks.index(method.block), *method.rank))

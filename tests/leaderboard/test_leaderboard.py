@@ -62,6 +62,27 @@ def test_official_entries_are_complete_and_were_re_run() -> None:
     assert standing(nobody, RERUN).gaps == ("its card lacks authors", "its card lacks commands")
 
 
+def test_an_entry_is_repeated_if_others_trained_it_to_the_same_score() -> None:
+    entry = scored(named(whole(runs=2), "Ours"), lambda episode: float(episode.seed < 50))
+
+    def repeated(other: Entry, **changes: str) -> Entry:
+        return replace(other, card=replace(other.card, method="Theirs", repeats="Ours", **changes))
+
+    others = {
+        "[-0.04, +0.04]": repeated(entry, authors="Somebody else"),
+        "needs other authors": repeated(entry),
+        "differs by +0.50": repeated(scored(entry, lambda _: 1.0), authors="Somebody else"),
+        "all environments": repeated(
+            replace(entry, episodes=[one for one in entry.episodes if one.task == "FixColour"]), authors="Somebody else"
+        ),
+    }
+    for expected, other in others.items():
+        methods = [method for method in standings({"a": entry, "b": other}) if method.kind != "published"]
+        (level,) = (method.level for method in methods if method.name == "Ours")
+        assert level == ("repeated" if "-0.04" in expected else "replayed")
+        assert expected in tables(methods)[0].notes[-1]
+
+
 def test_further_runs_of_some_tasks_do_not_raise_the_score() -> None:
     """A run of all tasks, and four more of the two that it can: each environment counts as much as the others."""
     good = "MoveToCorner", "MoveToRegion"
