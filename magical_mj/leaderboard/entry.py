@@ -208,8 +208,17 @@ class Entry(EntryFields, frozen=True):
 
     @property
     def undeclared(self) -> str:
-        """The reason why its card is incomplete. Empty if nothing is known to be missing."""
-        return undeclared(self.card, self.played_in, self.other_tasks, self.recorded.uses)
+        """What its card must declare of its training or its uses in tests. Empty if nothing is known to be missing."""
+        privileges = self.card.privileges
+        for use, privilege in NEEDED.items():
+            if use in self.recorded.uses and privileges is not None and privilege not in privileges:
+                return f'uses the {use} during tests: add "{privilege}" to the card\'s privileges'
+        if self.played_in and OTHER_SCENES not in (privileges or ()):
+            return f'learnt in scenes of {", ".join(self.played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
+        stated = self.card.demonstrations.other or ""
+        if absent := [task for task in self.other_tasks if task not in stated]:
+            return f"has an encoder or a reward of {', '.join(absent)}: name them in the card's [demonstrations] other"
+        return ""
 
     @property
     def counted(self) -> list[EpisodeResult]:
@@ -231,19 +240,6 @@ def track(task: str) -> tuple[str, ...]:
 def has_place(task: str, variant: str, shift: str) -> bool:
     """Whether an entry can hold an episode: without a shift, or with one of the shift track."""
     return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
-
-
-def undeclared(card: Card, played_in: Sequence[str], other_tasks: Sequence[str], uses: Sequence[str] = ()) -> str:
-    """The reason why a card does not declare learning in these variants and tasks, or these uses. Empty if it does."""
-    for use, privilege in NEEDED.items():
-        if use in uses and card.privileges is not None and privilege not in card.privileges:
-            return f'uses the {use} during tests: add "{privilege}" to the card\'s privileges'
-    if played_in and OTHER_SCENES not in (card.privileges or ()):
-        return f'learnt in scenes of {", ".join(played_in)}: add "{OTHER_SCENES}" to the card\'s privileges'
-    stated = card.demonstrations.other or ""
-    if absent := [task for task in other_tasks if task not in stated]:
-        return f"has an encoder or a reward of {', '.join(absent)}: name them in the card's [demonstrations] other"
-    return ""
 
 
 def common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:

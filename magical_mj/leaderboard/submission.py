@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +21,6 @@ from magical_mj.leaderboard.entry import (
     common,
     has_place,
     packed,
-    undeclared,
     unpacked,
 )
 from magical_mj.scene.bodies import GRIPPER
@@ -86,17 +85,30 @@ def submit(
             f"the training of {name}, run {unfinished[0].run}, has stopped at {unfinished[0].unfinished}: finish it "
             "with magical-mj train --resume, and evaluate it again"
         )
-    played_in = sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"})
-    other_tasks = sorted({task for row in learnt for task in row.other_tasks})
-    uses = sorted({use for row in learnt for use in row.uses})
-    loaded = sorted({row.loaded for row in learnt} - {""})
-    _check_declared(new_card, name, {row.demonstration_set for row in learnt}, played_in, other_tasks, uses)
-    protocol = common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items()))
+    _check_set(new_card, name, {row.demonstration_set for row in learnt})
     own = [source for source in sources if source[0].policy == name]
-    steps = sum(episode.steps for episode, _ in own)
-    seconds = sum(episode.seconds for episode, _ in own)
-    recorded = Recorded(uses, loaded, round(1000 * seconds / steps, 2) if uses and steps else None)
-    entry = msgspec.structs.replace(_combined(new_card, own, protocol, played_in, other_tasks), recorded=recorded)
+    for episode, folder in own:
+        _check_episode(episode, folder, new_card)
+    episodes = [episode for episode, _ in own]
+    uses = sorted({use for row in learnt for use in row.uses})
+    steps, seconds = sum(episode.steps for episode in episodes), sum(episode.seconds for episode in episodes)
+    entry = Entry(
+        new_card,
+        common("preset", ((episode.preset, folder) for episode, folder in own)),
+        common("rules", ((episode.rules, folder) for episode, folder in own)),
+        common("protocol", ((settings.get("protocol"), folder) for folder, settings in known.items())),
+        Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
+        episodes,
+        played_in=sorted({variant for row in learnt for variant in row.played_in.split(",")} - {"Demo"}),
+        other_tasks=sorted({task for row in learnt for task in row.other_tasks}),
+        recorded=Recorded(
+            uses,
+            sorted({row.loaded for row in learnt} - {""}),
+            round(1000 * seconds / steps, 2) if uses and steps else None,
+        ),
+    )
+    if problem := entry.undeclared:
+        raise SettingsError(f"{name} {problem}")
     content = packed(entry)
     unpacked(content, "the choice of folders")
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -104,19 +116,11 @@ def submit(
     return entry
 
 
-def _check_declared(
-    card: Card,
-    method: str,
-    sets: set[int],
-    played_in: Sequence[str],
-    other_tasks: Sequence[str],
-    uses: Sequence[str],
-) -> None:
-    """Raises a `SettingsError` if the card does not declare the training data, or what the policies used in tests.
+def _check_set(card: Card, method: str, sets: set[int]) -> None:
+    """Raises a `SettingsError` if the card does not declare the set of demonstrations.
 
-    The data are the set of demonstrations, scenes of test variants that were played in training, and other tasks. They
-    are known only for trainings of this package. For other policies, evaluations record set 1 and no play, so a card
-    may declare another set.
+    It is known only for trainings of this package. For other policies, evaluations record set 1, so a card may declare
+    another set.
     """
     if len(sets) > 1 or sets - {1, card.demonstrations.loaded_set}:
         raise SettingsError(
@@ -124,36 +128,14 @@ def _check_declared(
             f"[demonstrations] loaded_set = {card.demonstrations.loaded_set}: declare the set, and submit policies of "
             "one set only"
         )
-    if problem := undeclared(card, played_in, other_tasks, uses):
-        raise SettingsError(f"{method} {problem}")
 
 
-def _combined(
-    card: Card,
-    sources: Sequence[tuple[EpisodeResult, Path]],
-    protocol: int | None,
-    played_in: list[str],
-    other_tasks: list[str],
-) -> Entry:
-    """The entry of one method's episodes, each given with its folder. They are checked."""
-    for episode, folder in sources:
-        for name, (usual, problem) in PLAIN.items():
-            if (value := getattr(episode, name)) != usual:
-                raise EvaluationError(f"{folder} was played {problem.format(value)}")
-        if episode.demonstrations and GIVEN not in (card.privileges or ()):
-            raise EvaluationError(f'{folder} was played with {episode.given}: add "{GIVEN}" to the card\'s privileges')
-        if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
-            raise EvaluationError(
-                f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}"
-            )
-    episodes = [episode for episode, _ in sources]
-    return Entry(
-        card,
-        common("preset", ((episode.preset, folder) for episode, folder in sources)),
-        common("rules", ((episode.rules, folder) for episode, folder in sources)),
-        protocol,
-        Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
-        episodes,
-        played_in,
-        other_tasks,
-    )
+def _check_episode(episode: EpisodeResult, folder: Path, card: Card) -> None:
+    """Raises an `EvaluationError` if an entry cannot hold an episode."""
+    for name, (usual, problem) in PLAIN.items():
+        if (value := getattr(episode, name)) != usual:
+            raise EvaluationError(f"{folder} was played {problem.format(value)}")
+    if episode.demonstrations and GIVEN not in (card.privileges or ()):
+        raise EvaluationError(f'{folder} was played with {episode.given}: add "{GIVEN}" to the card\'s privileges')
+    if (episode.task, episode.variant) in ENVIRONMENTS and (problem := obstacle(episode)):
+        raise EvaluationError(f"{folder} cannot be an entry, because it cannot be replayed: {episode.title}: {problem}")

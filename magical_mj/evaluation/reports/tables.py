@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -144,15 +144,14 @@ def _new_places(results: Results) -> Iterator[Table]:
         lowest = sum(new_place_floors()[pair] for pair in environments) / len(environments)
         interval = NONE if math.isnan(found.low) else f"[{found.low:.2f}, {found.high:.2f}]"
         rows.append((str(policy), f"{found.value:.2f}", interval, f"{lowest:.2f}", f"{len(environments)}/{len(seeds)}"))
-    if rows:
-        yield Table(
-            "new_places",
-            "Mean score in new places: the scenes where it is wrong to move what stands where the demonstrations moved "
-            "something, or to end where they ended. Beside it its 95 % interval, the floor there, and the number of "
-            "environments. MoveToCorner and MakeLine have no such scene",
-            ("Method", "score", "interval", "floor", "environments"),
-            (("", tuple(rows)),),
-        )
+    yield from _plain(
+        "new_places",
+        "Mean score in new places: the scenes where it is wrong to move what stands where the demonstrations moved "
+        "something, or to end where they ended. Beside it its 95 % interval, the floor there, and the number of "
+        "environments. MoveToCorner and MakeLine have no such scene",
+        ("Method", "score", "interval", "floor", "environments"),
+        rows,
+    )
 
 
 def control_tables(results: Results) -> Iterator[Table]:
@@ -164,15 +163,14 @@ def control_tables(results: Results) -> Iterator[Table]:
         switched = (known["other_score"] == 1.0) & (known["score"] < 1.0)
         cells = (group["score"].mean(), known["other_score"].mean(), switched.mean())
         rows.append((str(policy), *(NONE if math.isnan(cell) else f"{cell:.2f}" for cell in cells), str(len(known))))
-    if rows:
-        yield Table(
-            "controls",
-            "Controls: policies received the demonstrations or the instruction of another task. The mean score, the "
-            "mean score of the other task's intent, and the share of episodes that switched (reached the other intent, "
-            "but not the task's). The last three columns are over the episodes where the other intent could be pursued",
-            ("Method", "score", "other's score", "switched", "episodes"),
-            (("", tuple(rows)),),
-        )
+    yield from _plain(
+        "controls",
+        "Controls: policies received the demonstrations or the instruction of another task. The mean score, the "
+        "mean score of the other task's intent, and the share of episodes that switched (reached the other intent, "
+        "but not the task's). The last three columns are over the episodes where the other intent could be pursued",
+        ("Method", "score", "other's score", "switched", "episodes"),
+        rows,
+    )
 
 
 def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], task: str | None = None) -> Rows:
@@ -308,18 +306,21 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
             ("Method", *strengths[1:]),
             _by_axis(single, _losses),
         )
-    if len(combined):
-        rows = tuple(
+    yield from _plain(
+        "combined",
+        "Several shifts at once in the same scenes, and other bodies with the same seeds, compared with no shift",
+        ("Method", "shifts", "without", "with", "difference"),
+        [
             (str(row.policy), str(row.shift), f"{row.without:.2f}", f"{row.mean:.2f}", _difference(row))
             for row in combined.itertuples()
-        )
-        header = ("Method", "shifts", "without", "with", "difference")
-        yield Table(
-            "combined",
-            "Several shifts at once in the same scenes, and other bodies with the same seeds, compared with no shift",
-            header,
-            (("", rows),),
-        )
+        ],
+    )
+
+
+def _plain(name: str, caption: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[Table]:
+    """A table of these rows, without headings. None if there are no rows."""
+    if rows:
+        yield Table(name, caption, header, (("", tuple(rows)),))
 
 
 def _by_axis(shifts: pd.DataFrame, cells: Callable[[pd.DataFrame], tuple[str, ...]]) -> tuple[Group, ...]:
