@@ -296,10 +296,10 @@ def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a header, after checking their types and bounds, and that the environment exists."""
     environment_axes(values["task"], values["variant"])
     fields = {name: fitting(name, values[name], kind) for name, kind in HEADER_FIELDS.items() if name != "shifts"}
-    shifts = fitting("shifts", values.get("shifts", ""), str)
-    check_physical(shifts)  # before `parse_shifts`, which imports the modules of references
-    shifts = shift_label(parse_shifts(shifts, values["task"]))
-    return fields | ({"shifts": shifts} if shifts else {})
+    if shifts := fitting("shifts", values.get("shifts", ""), str):
+        check_physical(shifts)  # before `parse_shifts`, which imports the modules of references
+        fields["shifts"] = shift_label(parse_shifts(shifts, values["task"]))
+    return fields
 
 
 def check_physical(shifts: str) -> None:

@@ -86,6 +86,20 @@ class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         expert = self.expert if self.demonstrator == "expert" else None
         return replayed(self.task, self.variant, self.seed, actions, self.demonstrator, expert, self.body)
 
+    def verified(self, path: Path) -> Demonstration:
+        """The demonstration with its states, which must solve the task. `path` is its file.
+
+        Raises:
+            DemonstrationError: if this version of the package has another scene for it, or the actions do not solve it.
+        """
+        demo = self.played()
+        if (demo.scene.digest(), demo.score) != (self.scene, 1.0):
+            raise DemonstrationError(
+                f"{path} contains a demonstration of {self.task} {self.variant}, number {self.number}, from another "
+                "version of this package: delete the file, and its demonstrations are made again"
+            )
+        return demo
+
 
 def as_stored(demo: Demonstration, **more: Any) -> Stored:
     """The actions of a demonstration. `more` are further fields."""
@@ -191,18 +205,3 @@ def _made(key: Key) -> Stored | str:
             continue
         return as_stored(demo, number=number, expert=demo.seed, scene=demo.scene.digest())
     return problem
-
-
-def replay(stored: Stored, path: Path) -> Demonstration:
-    """The demonstration with its states. `path` is its file.
-
-    Raises:
-        DemonstrationError: if this version of the package has another scene for it, or the actions do not solve it.
-    """
-    demo = stored.played()
-    if (demo.scene.digest(), demo.score) != (stored.scene, 1.0):
-        raise DemonstrationError(
-            f"{path} contains a demonstration of {stored.task} {stored.variant}, number {stored.number}, from another "
-            "version of this package: delete the file, and its demonstrations are made again"
-        )
-    return demo

@@ -86,7 +86,7 @@ class Dataset(Sequence[Example]):
 
     def demonstration(self, index: int) -> Demonstration:
         """A demonstration without observations."""
-        return stored.replay(self.stored[index], self.path)
+        return self.stored[index].verified(self.path)
 
 
 def dataset(

@@ -191,7 +191,7 @@ def with_states(demonstrations: Sequence[Demonstration | Stored]) -> tuple[Demon
     from magical_mj.demos import Demonstration, stored  # imported late: it loads the simulator
 
     path = stored.default_path()
-    return tuple(demo if isinstance(demo, Demonstration) else stored.replay(demo, path) for demo in demonstrations)
+    return tuple(demo if isinstance(demo, Demonstration) else demo.verified(path) for demo in demonstrations)
 
 
 def intent_of(task: str) -> Intent:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from magical_mj.actions import NOOP
 from magical_mj.demos import Demonstration
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Batch, Dataset, Demonstrations, shares
+from magical_mj.learners.data import Batch, Demonstrations, TrainingData, shares
 from magical_mj.learners.encoder import Frozen, load_encoder
 from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, Torso, as_input
@@ -105,7 +105,7 @@ class BehaviouralCloning(Learner):
 
     def dataset(self, demonstrations: Demonstrations | None) -> Any:
         """New training data, for `data`."""
-        return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
+        return TrainingData(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
 
     def update(self) -> Mapping[str, float]:
         """Trains on one batch; returns its loss, and the share of samples whose action is the most probable."""
@@ -234,12 +234,14 @@ def soft_rewards(logits: Tensor, next_logits: Tensor, actions: Tensor, settings:
     return settings.temperature * (chosen - settings.discount * next_logits.logsumexp(1))
 
 
-def usable(data: Dataset, task: int) -> Tensor:
+def usable(data: TrainingData, task: int) -> Tensor:
     """The indices of a task's rows that have a successor, and whose action is not the no-op."""
     return (~data.last[task] & (data.actions[task] != NOOP)).nonzero()[:, 0]
 
 
-def successive(data: Dataset, indices: Sequence[Tensor], size: int, generator: torch.Generator) -> tuple[Batch, Tensor]:
+def successive(
+    data: TrainingData, indices: Sequence[Tensor], size: int, generator: torch.Generator
+) -> tuple[Batch, Tensor]:
     """Draws a batch from the rows with these indices, given for each task. Also returns the following observations."""
     counts = shares(size, len(indices), generator)
     rows = [

@@ -15,6 +15,7 @@ from torch import Tensor
 from magical_mj import demos
 from magical_mj.actions import ACTIONS, NOOP
 from magical_mj.demos import Demonstration, Transitions
+from magical_mj.demos.learning import observations as observations_of
 from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene
 from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
@@ -123,7 +124,8 @@ def _episode(
                 f"a demonstration given for {task} is by the body {demonstration.scene.robot.body!r}, but learners use "
                 f"the {GRIPPER}"
             )
-        demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False, renderer=settings.renderer)
+        rows: Any = observations_of(demonstration, settings.preset, settings.renderer)
+        demonstration = Transitions(rows[:-1], demonstration.actions)  # no action follows the last observation
     observations, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
     needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)
     if actions.ndim != 1 or observations.shape != needed:
@@ -148,7 +150,7 @@ def _episode(
     return observations[kept], actions[kept]
 
 
-class Dataset:
+class TrainingData:
     """All transitions of a run's demonstrations. Batches give all tasks the same weight.
 
     Args:
@@ -164,6 +166,8 @@ class Dataset:
         self, settings: TrainingSettings, *, drop_noop: bool, demonstrations: Demonstrations | None = None
     ) -> None:
         self._observations: list[Tensor] = []
+        self.sizes: list[int] = []
+        """The number of transitions of each task."""
         self.actions: list[Tensor] = []
         """All actions of each task, shape (n,)."""
         self.last: list[Tensor] = []
@@ -174,17 +178,13 @@ class Dataset:
                 raise DemonstrationError(f"no demonstrations of {task} are given")
             episodes = [_episode(task, demonstration, settings, drop_noop) for demonstration in learnt]
             observations, actions = zip(*episodes, strict=True)
-            ends = [torch.arange(len(taken)) == len(taken) - 1 for taken in actions]
-            self.last.append(torch.cat(ends))
             self._observations.append(torch.as_tensor(np.concatenate(observations)))
             self.actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
+            ends = [torch.arange(len(taken)) == len(taken) - 1 for taken in actions]
+            self.last.append(torch.cat(ends))
+            self.sizes.append(len(self.actions[-1]))
             if not self.sizes[-1]:
                 raise DemonstrationError(f"the demonstrations of {task} contain no actions except no-ops")
-
-    @property
-    def sizes(self) -> list[int]:
-        """The number of transitions of each task."""
-        return [len(actions) for actions in self.actions]
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """Draws with replacement, evenly over the tasks."""

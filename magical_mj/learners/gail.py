@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Batch, Dataset, Rollout, joined
+from magical_mj.learners.data import Batch, Rollout, TrainingData, joined
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Heads, StateTorso, Torso
 from magical_mj.learners.ppo import RewardLearner, Samples
@@ -175,7 +175,7 @@ class AIRL(GAIL):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self.expert = Steps(settings, drop_noop=False)
+        self.expert = SuccessiveData(settings, drop_noop=False)
 
     def new_discriminator(self) -> nn.Module:
         """A new network for f."""
@@ -219,7 +219,7 @@ class Shaped(nn.Module):
         return self.head(self.torso(histories), tasks)[:, 0]
 
 
-class Steps(Dataset):
+class SuccessiveData(TrainingData):
     """Demonstrations whose rows also contain the following state."""
 
     def rows(self, indices: Sequence[Tensor]) -> Batch:

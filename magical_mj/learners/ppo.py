@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from magical_mj.learners.data import Batch, Dataset, Rollout
+from magical_mj.learners.data import Batch, Rollout, TrainingData
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.networks import Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
@@ -250,7 +250,7 @@ class RewardLearner(Learner):
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
-        self.expert = Dataset(settings, drop_noop=False)
+        self.expert = TrainingData(settings, drop_noop=False)
         self.rng = torch.Generator().manual_seed(settings.seed)
         self.environments = training_envs(settings)
         tasks = len(settings.tasks)

@@ -9,7 +9,7 @@ import json
 import platform
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -276,20 +276,15 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
 def _sources(settings: TrainingSettings) -> dict[str, tuple[str, str]]:
     """The training's external inputs: name -> the beginning of an error message, and the SHA-256 ("" if not used)."""
     own = [task for task in settings.tasks if task not in KNOWN]
+    code = hashlib.sha256("".join(map(code_digest, own)).encode()).hexdigest() if own else ""
     reward = Path(settings.reward.run) / CHECKPOINT
     learnt = hashlib.sha256(reward.read_bytes()).hexdigest() if settings.reward.run and reward.exists() else ""
     return {
         "recordings": (f"the demonstrations in {settings.recordings} have", digest(settings)),
         "reward": (f"the reward in {settings.reward.run} has", learnt),
         "encoder": (f"the encoder in {settings.bc.encoder} has", encoder_digest(settings)),
-        CODE: (f"the code of {', '.join(own)} has", _joined(map(code_digest, own))),
+        CODE: (f"the code of {', '.join(own)} has", code),
     }
-
-
-def _joined(digests: Iterable[str]) -> str:
-    """One hash of several; empty without any."""
-    text = "".join(digests)
-    return hashlib.sha256(text.encode()).hexdigest() if text else ""
 
 
 def _provenance(settings: TrainingSettings, method: Method) -> str:

@@ -83,7 +83,7 @@ def test_demonstrations_of_test_sets_come_with_the_package(tmp_path: Path) -> No
     keys = list(shipped)[::300]
     path = tmp_path / FILE
     for made in stored.complete(keys, path, known=shipped, jobs=1):
-        demo = stored.replay(made, path)
+        demo = made.verified(path)
         assert demo.score == 1.0
         assert demo.scene == task_spec(demo.task).demo
     assert not path.exists()

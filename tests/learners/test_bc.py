@@ -16,7 +16,7 @@ from magical_mj import demos
 from magical_mj.actions import NOOP
 from magical_mj.learners import load_settings
 from magical_mj.learners.bc import BehaviouralCloning, IQLearn, iq_loss, usable
-from magical_mj.learners.data import Dataset, drawn
+from magical_mj.learners.data import TrainingData, drawn
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Heads, Torso, as_input
 from magical_mj.learners.settings import InverseSettings, NetworkSettings
@@ -40,7 +40,7 @@ def test_every_method_learns_from_the_same_demonstrations() -> None:
     chosen = [demos.load("FixColour")[number] for number in drawn("FixColour", 3, 2, 25)]
     for drop_noop in (True, False):
         images, actions = demos.transitions(chosen, drop_noop=drop_noop, renderer=settings.renderer)
-        data = Dataset(settings, drop_noop=drop_noop)
+        data = TrainingData(settings, drop_noop=drop_noop)
         assert data.sizes == [len(actions)]
         batch = data.rows([torch.arange(len(actions))])
         np.testing.assert_array_equal(batch.observations, images)
@@ -49,7 +49,7 @@ def test_every_method_learns_from_the_same_demonstrations() -> None:
 
 
 def test_every_task_counts_equally() -> None:
-    data = Dataset(tiny(tasks="MoveToRegion,FixColour"), drop_noop=True)
+    data = TrainingData(tiny(tasks="MoveToRegion,FixColour"), drop_noop=True)
     assert data.sizes[0] != data.sizes[1]
     generator = torch.Generator().manual_seed(0)
     batches = [data.sample(5, generator) for _ in range(200)]
@@ -101,7 +101,7 @@ def test_the_loss_is_the_log_loss() -> None:
     assert learner.update()["loss"] == pytest.approx(math.log(18), rel=1e-5)
     with torch.no_grad():
         learner.actor.head.bias[0, 7] = 100.0
-    _, actions, _ = Dataset(learner.settings, drop_noop=True).sample(4, _after_one_draw(learner))
+    _, actions, _ = TrainingData(learner.settings, drop_noop=True).sample(4, _after_one_draw(learner))
     expected = 100.0 * (actions != 7).float().mean().item()
     assert learner.update()["loss"] == pytest.approx(expected, rel=1e-5)
 
@@ -221,7 +221,7 @@ def test_gradients_also_reach_the_values_of_successors() -> None:
 
 def test_each_row_learnt_from_has_its_successor_behind_it() -> None:
     settings = load_settings("iq-learn", "FixColour", **SMALL)
-    data = Dataset(settings, drop_noop=False)
+    data = TrainingData(settings, drop_noop=False)
     rows = usable(data, 0)
     assert (data.actions[0][rows] != NOOP).all()
     first, following = (data.rows([numbers]).observations for numbers in (rows, rows + 1))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from magical_mj.learners.data import Dataset, Rollout
+from magical_mj.learners.data import Rollout, TrainingData
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.policy import load_policy, save_policy
@@ -167,7 +167,7 @@ def test_a_task_trains_its_own_heads_only() -> None:
 
 def test_new_policies_tell_pictures_apart() -> None:
     """Before its ReLU, each unit has mean 0 and deviation 1 over the stacks; untouched, it hardly depends on them."""
-    data = Dataset(playing(), drop_noop=False)
+    data = TrainingData(playing(), drop_noop=False)
     stacks = as_input(data.rows([torch.arange(data.sizes[0])]).observations, CPU)
     with seeded(0):
         torso = Torso(playing().network)

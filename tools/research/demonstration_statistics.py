@@ -113,7 +113,7 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     from magical_mj.evaluation import evaluate
     from magical_mj.learners import load_settings
     from magical_mj.learners.bc import BehaviouralCloning
-    from magical_mj.learners.data import Dataset, drawn
+    from magical_mj.learners.data import TrainingData, drawn
     from magical_mj.learners.networks import as_input
     from magical_mj.learners.policy import TrainedPolicy
 
@@ -128,7 +128,7 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     scores = frame.groupby("variant")["score"].mean()
     seen = drawn(task, seed, LEARNT_FROM, len(chosen))
     rest = [demo for number, demo in enumerate(chosen) if number not in seen]
-    held_out = Dataset(
+    held_out = TrainingData(
         load_settings("bc", task, preset="State", demonstrations=len(rest)), drop_noop=True, demonstrations={task: rest}
     )
     batch = held_out.rows([torch.arange(held_out.sizes[0])])

@@ -118,7 +118,7 @@ def episodes_in(path: Path, without: Collection[str] = ()) -> dict[str, list[Dem
         if task in without:
             continue
         if path.is_file():
-            found[task] = [stored.replay(one, path) for one in stored.read(path).values() if one.task == task]
+            found[task] = [one.verified(path) for one in stored.read(path).values() if one.task == task]
             continue
         try:
             found[task] = load(task, path)

@@ -74,7 +74,7 @@ def demonstrations(task: str, scenes: int, path: Path) -> Sequence[Demonstration
     first = SPLITS["dev"] + TRAINED_IN
     variants = [variant for name, variant in ENVIRONMENTS if name == task]
     keys = [(task, variant, first + number) for variant in variants for number in range(scenes)]
-    return [stored.replay(one, path) for one in stored.complete(keys, path, jobs=1)]
+    return [one.verified(path) for one in stored.complete(keys, path, jobs=1)]
 
 
 def trained(learner: BehaviouralCloning) -> float:
