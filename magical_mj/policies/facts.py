@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -75,6 +76,20 @@ def learnt_from(origin: object, policy: object = None) -> Learnt:
             facts[fact] = known[name]
     try:
         return Learnt(**facts)
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from None
+
+
+def from_texts(texts: Mapping[str, str], path: Path) -> Learnt:
+    """The record in the metadata of an ONNX file, where each fact is a text."""
+    number = texts.get("demonstration_set", "")
+    try:
+        return Learnt(
+            int(number) if number.isdecimal() else 1,
+            texts.get("played_in", "Demo"),
+            texts.get("other_tasks", "").splitlines(),
+            texts.get("unfinished", ""),
+        )
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from magical_mj.actions import ACTIONS
 from magical_mj.observations import STATE_NAMES
-from magical_mj.policies.facts import Learnt
+from magical_mj.policies.facts import Learnt, from_texts
 from magical_mj.policies.interface import HISTORY, Episode, History, batch_of_one, reason
 from magical_mj.policies.onnx_files import check_onnx
 from magical_mj.utils.environment import environment_restored
@@ -360,25 +360,10 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     options.add_session_config_entry("optimization.constant_folding_max_output_size_in_bytes", FOLDED)
     with _refused(f"{path} is not a valid ONNX file"):
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    entries, output = session.get_inputs(), session.get_outputs()[0]
-    if len(entries) != 1:
-        raise SettingsError(
-            f"{path} has {len(entries)} inputs, but observations are one array: export it with one input"
-        )
-    entry = entries[0]
-    most = entry.shape[0] if len(entry.shape) > 1 else 0  # a name or None if the batch may have any size
-    if isinstance(most, int) and most != 1:
-        raise SettingsError(
-            f"{path} has an input of shape {entry.shape}. The first axis must be a batch of any size: export it "
-            'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/policies.md'
-        )
+    entry, output = _only_input(path, session.get_inputs()), session.get_outputs()[0]
     if len(output.shape) == 2 and isinstance(output.shape[1], int):
         _check_output(path, output.shape[1:])
-    if entry.type not in ONNX_TYPES:
-        raise SettingsError(
-            f"{path} has an input of type {entry.type}, but pictures are uint8, and states float32: export it with "
-            f"one of {', '.join(ONNX_TYPES)}, for example around a cast"
-        )
+    most = entry.shape[0] if len(entry.shape) > 1 else 0  # a name or None if the batch may have any size
     kind = ONNX_TYPES[entry.type]
 
     def act(observations: Any) -> Any:
@@ -399,18 +384,29 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     model = Model(act, [shape[1:] if remembers else shape], remembers=remembers)
     known = session.get_modelmeta().custom_metadata_map  # written by `export_policy`
     if {"task", "preset"} <= known.keys():
-        model.tasks, model.preset = (known["task"],), known["preset"]
-        number = known.get("demonstration_set", "")
-        try:
-            model.learnt = Learnt(
-                int(number) if number.isdecimal() else 1,
-                known.get("played_in", "Demo"),
-                known.get("other_tasks", "").splitlines(),
-                known.get("unfinished", ""),
-            )
-        except SettingsError as error:
-            raise SettingsError(f"{path}: {error}") from None
+        model.tasks, model.preset, model.learnt = (known["task"],), known["preset"], from_texts(known, path)
     return model
+
+
+def _only_input(path: Path, entries: Sequence[Any]) -> Any:
+    """The input of an ONNX file. Raises a `SettingsError` unless it is the only one, for batches of observations."""
+    if len(entries) != 1:
+        raise SettingsError(
+            f"{path} has {len(entries)} inputs, but observations are one array: export it with one input"
+        )
+    entry = entries[0]
+    most = entry.shape[0] if len(entry.shape) > 1 else 0
+    if isinstance(most, int) and most != 1:
+        raise SettingsError(
+            f"{path} has an input of shape {entry.shape}. The first axis must be a batch of any size: export it "
+            'with torch.onnx.export(..., dynamic_shapes=({0: "batch"},)), as in docs/policies.md'
+        )
+    if entry.type not in ONNX_TYPES:
+        raise SettingsError(
+            f"{path} has an input of type {entry.type}, but pictures are uint8, and states float32: export it with "
+            f"one of {', '.join(ONNX_TYPES)}, for example around a cast"
+        )
+    return entry
 
 
 def _check_output(path: Path, shape: Sequence[int]) -> None:

@@ -279,34 +279,40 @@ class PlayerSession:
                 self._begin(self._engine)
                 self._engine.step(action)
                 return {"poses": poses(self._engine.scene)}
-            case {"arrive": name} if self._collection is not None:
-                me = self._participant = self._identified(name, self._collection)
+        reply = None if self._collection is None else self._collected(self._collection, message)
+        if reply is None:
+            raise MagicalError(
+                "a message must be one of open, with a task, a variant and a seed; act, after open; and, if "
+                "demonstrations are collected here, arrive or return, and after them keep, answer or answered"
+            )
+        return reply
+
+    def _collected(self, collection: Collection, message: Any) -> dict[str, Any] | None:
+        """The answer to a message about the collection. None if it is not one that the sender may send now."""
+        me = self._participant
+        match message:
+            case {"arrive": name}:
+                me = self._participant = self._identified(name, collection)
                 if message.get("agree") is True:
-                    self._collection.agree(me, self._address)
-                return {"participant": me, **self._collection.next(me, self._address)}
-            case {"return": name} if self._collection is not None:
-                self._participant = self._identified(name, self._collection)
+                    collection.agree(me, self._address)
+                return {"participant": me, **collection.next(me, self._address)}
+            case {"return": name}:
+                self._participant = self._identified(name, collection)
                 return {"participant": self._participant}
-            case {"keep": recording} if self._collection is not None and self._participant is not None:
+            case {"keep": recording} if me is not None:
                 about = message.get("about") if isinstance(message.get("about"), dict) else {}
-                score = self._collection.keep(json.dumps(recording), self._participant, about)
-                return {"score": score, **self._collection.next(self._participant, self._address)}
-            case {"answer": str(letter), "question": str(question)} if (
-                self._collection is not None and self._participant is not None
-            ):
-                return self._collection.answer(self._participant, question, letter, message.get("seconds"))
-            case {"answered": True} if self._collection is not None and self._participant is not None:
-                return self._collection.answered(self._participant)
-            case {"status": True} if self._runs and self._collection is not None:
-                return self._collection.status()
-            case {"pause": bool(paused)} if self._runs and self._collection is not None:
-                self._collection.pause(paused)
-                return self._collection.status()
-            case _:
-                raise MagicalError(
-                    "a message must be one of open, with a task, a variant and a seed; act, after open; and, if "
-                    "demonstrations are collected here, arrive or return, and after them keep, answer or answered"
-                )
+                score = collection.keep(json.dumps(recording), me, about)
+                return {"score": score, **collection.next(me, self._address)}
+            case {"answer": str(letter), "question": str(question)} if me is not None:
+                return collection.answer(me, question, letter, message.get("seconds"))
+            case {"answered": True} if me is not None:
+                return collection.answered(me)
+            case {"status": True} if self._runs:
+                return collection.status()
+            case {"pause": bool(paused)} if self._runs:
+                collection.pause(paused)
+                return collection.status()
+        return None
 
     def _identified(self, name: Any, collection: Collection) -> str:
         """The participant's id. A connection belongs to one participant: other ids cannot collect scenes over it."""

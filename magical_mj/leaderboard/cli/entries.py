@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -101,17 +102,7 @@ def make_leaderboard(
             complain(str(error))
     with counting(screen, "replaying episodes") as watch:
         findings = check_entries(entries, most=None if everything else replay, seed=seed, jobs=jobs, watch=watch)
-    good: dict[str, Entry] = {}
-    reruns: dict[str, Estimate] = {}
-    for name, entry in entries.items():
-        replayed = counted(findings[name].episodes, "episode")
-        screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
-        alike = appearance(entry.method)
-        owner = next((other for other in good if appearance(good[other].method) == alike), None)
-        if owner is not None and good[owner].rules == entry.rules:
-            complain(f"{name} is not shown: {owner} has a method whose name reads the same, {entry.method}")
-        elif not _printed_problems(name, findings[name]):
-            good[name] = entry
+    good, reruns = _good(entries, findings), dict[str, Estimate]()
     for path in paths if again else ():
         if path.name in good and (found := _rerun(path, good[path.name], scenes, seed % LARGEST_SEED, jobs)):
             reruns[path.name] = found
@@ -122,6 +113,21 @@ def make_leaderboard(
         screen.print(page, soft_wrap=True)
     if bad := len(paths) - len(good):
         raise EvaluationError(f"entries that failed the checks and are not on the page: {bad}")
+
+
+def _good(entries: Mapping[str, Entry], findings: Mapping[str, Findings]) -> dict[str, Entry]:
+    """The entries without problems, by name. Prints the problems. Of methods with alike names, the first one stays."""
+    good: dict[str, Entry] = {}
+    for name, entry in entries.items():
+        replayed = counted(findings[name].episodes, "episode")
+        console().print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
+        alike = appearance(entry.method)
+        owner = next((other for other in good if appearance(good[other].method) == alike), None)
+        if owner is not None and good[owner].rules == entry.rules:
+            complain(f"{name} is not shown: {owner} has a method whose name reads the same, {entry.method}")
+        elif not _printed_problems(name, findings[name]):
+            good[name] = entry
+    return good
 
 
 def _rerun(path: Path, entry: Entry, scenes: int, first_seed: int, jobs: int | None) -> Estimate | None:
