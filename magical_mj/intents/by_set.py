@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 
 from magical_mj.evaluation.replay import engine_for, replay_problem
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
-from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
-from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
+from magical_mj.evaluation.reports.tables import NONE, Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.draws import in_sets
 from magical_mj.intents.tasks import PREFIX, task_of
-from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 FLOORS: Final = Path(__file__).with_name("floors.json")
@@ -137,13 +135,11 @@ def write_rows(every: Sequence[Row], out: Path, _: Mapping[Key, str]) -> Path:
     """Writes the page and intents.csv into a folder. Returns the path of the page."""
     import pandas as pd
 
-    out.mkdir(parents=True, exist_ok=True)
     notes = (
         "Success: the share of solved episodes. Clean success: no block moved that the intent does not name. Intervals "
         "(95 %) cover intents, their scenes and runs. The best shortcut is the one that solves most scenes of Layout "
         "and All; see docs/intents-evaluation.md of magical_mj."
     )
-    files.write(out / PAGE, f"# Intents by set\n\n{notes}\n\n{markdown(table(every))}", overwrite=True)
     frame = pd.DataFrame(
         {
             **{name: getattr(row, name) for name in ("method", "set", "variants", "intents", "runs", "episodes")},
@@ -152,8 +148,7 @@ def write_rows(every: Sequence[Row], out: Path, _: Mapping[Key, str]) -> Path:
         }
         for row in every
     )
-    files.write(out / "intents.csv", csv(frame), overwrite=True)
-    return out / PAGE
+    return write_page(out / PAGE, ["# Intents by set", notes, markdown(table(every))], {"intents.csv": frame})
 
 
 def _ends(value: Estimate) -> list[tuple[str, float]]:
@@ -175,8 +170,7 @@ class IntentsSection(ReportSection):
 
     def prepare(self, inputs: Inputs) -> Prepared:
         """Computes the rows of all episodes of intents."""
-        how = {"jobs": inputs.jobs, "watch": inputs.watch}
-        every = [one for path in inputs.folders for one in episodes_of(path, inputs.rules, inputs.trusted, **how)]
+        every = [one for path in inputs.folders for one in inputs.episodes(path)]
         if not (found := rows(every)):
             raise SettingsError("--intents: no episode is of an intent")
         return Prepared(partial(write_rows, found))

@@ -22,8 +22,8 @@ from PIL import Image
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for
 from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
-from magical_mj.evaluation.reports.tables import Table, csv, markdown
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
+from magical_mj.evaluation.reports.tables import Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.intents.attribution import (
     FAILURES,
@@ -130,10 +130,8 @@ def write_explanation(found: Explanation, out: Path, films: Mapping[Key, str] = 
     for (policy, _, _), group in _grouped(_failed(found.attributions), "policy", "task", "given").items():
         task = shown_task(group[0].episode)
         parts += [f"### {escape.markdown(policy)}, {escape.markdown(task)}", *_rivals(group, out, films)]
-    files.write(out / "endings.csv", csv(pd.DataFrame(_ending_rows(found.attributions))), overwrite=True)
-    files.write(out / "rivals.csv", csv(pd.DataFrame(_rival_rows(found.attributions))), overwrite=True)
-    files.write(out / PAGE, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
-    return out / PAGE
+    endings, rivals = pd.DataFrame(_ending_rows(found.attributions)), pd.DataFrame(_rival_rows(found.attributions))
+    return write_page(out / PAGE, parts, {"endings.csv": endings, "rivals.csv": rivals})
 
 
 def _problems(problems: Counter[str]) -> list[str]:

@@ -6,18 +6,23 @@ which refers to a subclass of `ReportSection`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
-from magical_mj.evaluation.reports.tables import Table
-from magical_mj.evaluation.scores import Key
+from magical_mj.evaluation.reports.results import episodes_of
+from magical_mj.evaluation.reports.tables import Table, csv
+from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.imports import announced, imported
 from magical_mj.utils.settings import Settings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SECTION_GROUP: Final = "magical_mj.report_sections"
 """The entry-point group of sections."""
@@ -46,6 +51,10 @@ class Inputs:
     watch: Callable[[int, int], object]
     """Called with a number of episodes, and the total."""
 
+    def episodes(self, folder: Path) -> Iterator[EpisodeResult]:
+        """The episodes of one of the folders; see `episodes_of`."""
+        return episodes_of(folder, self.rules, self.trusted, jobs=self.jobs, watch=self.watch)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSection(Settings):
@@ -66,6 +75,15 @@ class ReportSection(Settings):
     def prepare(self, inputs: Inputs) -> Prepared:
         """Computes everything that is written later. Errors come before anything is written."""
         raise NotImplementedError
+
+
+def write_page(page: Path, parts: Iterable[str], tables: Mapping[str, pd.DataFrame]) -> Path:
+    """Writes a section's page, with blank lines between its parts, and tables as CSV next to it. Returns the page."""
+    page.parent.mkdir(parents=True, exist_ok=True)
+    for name, frame in tables.items():
+        files.write(page.with_name(name), csv(frame), overwrite=True)
+    files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
+    return page
 
 
 @cache

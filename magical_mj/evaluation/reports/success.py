@@ -20,13 +20,11 @@ from msgspec import Meta
 from magical_mj.evaluation.folder import recorded_settings
 from magical_mj.evaluation.replay import engine_for, in_chunks, obstacle, replay_problem
 from magical_mj.evaluation.reports.intervals import Estimate, mean_over
-from magical_mj.evaluation.reports.results import episodes_of
-from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection
+from magical_mj.evaluation.reports.section import Inputs, Prepared, ReportSection, write_page
 from magical_mj.evaluation.reports.statistics import by_run_and_scene
-from magical_mj.evaluation.reports.tables import NONE, Table, csv, markdown
+from magical_mj.evaluation.reports.tables import NONE, Table, markdown
 from magical_mj.evaluation.scores import EpisodeResult, Key
 from magical_mj.tasks.registry import EVERY_VARIANT, in_order
-from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, counted
 from magical_mj.utils.parallel import map_unordered
 
@@ -123,11 +121,8 @@ def _share(environments: Sequence[pd.DataFrame], solved: Callable[[pd.DataFrame]
 
 def write_success(frame: pd.DataFrame, problems: Counter[str], out: Path, _: Mapping[Key, str]) -> Path:
     """Writes the page and success.csv, with a row for each episode, into a folder. Returns the path of the page."""
-    out.mkdir(parents=True, exist_ok=True)
     left = [f"- {counted(number, 'episode')} left out: {why}" for why, number in problems.most_common()]
-    files.write(out / "success.csv", csv(frame), overwrite=True)
-    files.write(out / PAGE, "\n\n".join(["# Success", *left, markdown(table(frame))]), overwrite=True)
-    return out / PAGE
+    return write_page(out / PAGE, ["# Success", *left, markdown(table(frame))], {"success.csv": frame})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,10 +140,9 @@ class SuccessSection(ReportSection):
     def prepare(self, inputs: Inputs) -> Prepared:
         """Replays all episodes."""
         problems, playable, found = Counter[str](), list[EpisodeResult](), list[First]()
-        how = {"jobs": inputs.jobs, "watch": inputs.watch}
         for folder in inputs.folders:
             recorded = recorded_settings(folder)
-            for episode in episodes_of(folder, inputs.rules, inputs.trusted, **how):
+            for episode in inputs.episodes(folder):
                 if problem := obstacle(episode, recorded, inputs.trusted):
                     problems[problem] += 1
                 else:
