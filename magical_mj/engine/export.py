@@ -14,7 +14,8 @@ import contextlib
 import os
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, cast
 from xml.etree.ElementTree import Comment, Element, SubElement
@@ -312,7 +313,7 @@ def _indented(element: Element, depth: int = 0) -> str:
     pad = INDENT * depth
     if element.tag is Comment:
         return f"{pad}<!-- {str(element.text).strip()} -->\n"
-    start = f"{pad}<{element.tag}{_attributes(element, pad)}"
+    start = f"{pad}<{element.tag}{_attributes(str(element.tag), tuple(element.items()), pad)}"
     if not len(element):
         return f"{start}/>\n"
     content, before = "", None
@@ -323,11 +324,12 @@ def _indented(element: Element, depth: int = 0) -> str:
     return f"{start}>\n{content}{pad}</{element.tag}>\n"
 
 
-def _attributes(element: Element, pad: str) -> str:
+@lru_cache(maxsize=4096)  # most elements of a scene are those of the last one
+def _attributes(tag: str, attributes: Sequence[tuple[str, str]], pad: str) -> str:
     """The attributes of an element; lines that would be too long are wrapped."""
-    text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
+    text, width, deeper = "", len(pad) + len(tag) + 1, pad + 2 * INDENT
     line_break = f"\n{deeper}"
-    for name, value in element.items():
+    for name, value in attributes:
         entry = f"{name}={quoteattr(value).replace('&#10;', line_break)}"
         if "\n" not in value and len(deeper) + len(entry) > LINE and value[:1] in "-.0123456789":
             rows = _wrapped(value, GROUPS.get(name, 1), LINE - len(deeper) - 3)
