@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.actions import ACTIONS
@@ -241,7 +241,7 @@ def _papers(weights: Weights, spreads: Mapping[tuple[str, Pair], tuple[float, fl
     if not parts.any():
         return Estimate(value, value, value)
     freedom = parts.sum() ** 2 / np.sum(parts**2 / (PUBLISHED_RUNS - 1))
-    half = float(t.ppf((1 + CONFIDENCE) / 2, freedom) * np.sqrt(parts.sum()))
+    half = float(stdtrit(freedom, (1 + CONFIDENCE) / 2) * np.sqrt(parts.sum()))
     return Estimate(value, value - half, value + half)
 
 

@@ -63,7 +63,6 @@ COMMANDS = [
     ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1", "--out", "{}/board"],
     ["demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", "{}/demo"],
     ["train", "bc", "--tasks", "MoveToRegion", "--preset", "State", "--device", "cpu", *SETS, "--out", "{}/run"],
-    ["export-policy", "{}/run", "--out", "{}/policy.onnx"],
     ["demos", "import", "{}/recording.json", "--out", "{}/imported"],
     ["experiment", "{}/e.toml", "--jobs", "1", "--out", "{}/experiment"],
 ]
@@ -93,8 +92,8 @@ def test_every_command_works(tmp_path: Path) -> None:
     """In a read-only folder, isolated, without HOME and TMPDIR, in the C locale, with unusual file names."""
     run = [f"{' '.join(command)} " for command in COMMANDS]
     missing = [name for name in all_commands() if not any(words.startswith(f"{name} ") for words in run)]
-    # Four serve a page or open a window until they are interrupted; tests/learners/test_rewards.py runs the other.
-    assert set(missing) == {"serve", "collect", "guess", "inspect", "evaluate-reward"}
+    # Four serve a page or open a window until they are interrupted; tests/learners runs the others.
+    assert set(missing) == {"serve", "collect", "guess", "inspect", "evaluate-reward", "export-policy"}
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
     folder = tmp_path / f"two\nlines{'x' * 237}.png"
     program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(folder)))

@@ -170,20 +170,17 @@ def test_episodes_that_cannot_be_explained_say_why() -> None:
 
 
 def test_diagnose_says_which_rival_a_policy_pursued(tmp_path: Path) -> None:
-    """The expert pursues one of the ten simplest rivals, in the scenes that refute it."""
+    """The expert pursues one of the ten simplest rivals, in a scene that refutes it."""
     intent = parse("in(colour=red, region)")
     task, (rival, *_) = f"intent:{intent}", simplest_rivals(intent, intent.spec().demo)
-    episodes = []
-    for seed in (0, 10):
-        with closing(Engine(task, "Diagnose", seed=seed)) as engine:
-            expert, actions = Expert(engine, f"intent:{rival}"), list[int]()
-            while not engine.step(action := expert()):
-                actions.append(action)
-        episodes.append(played(task, "Diagnose", seed, actions))
-    results = [attributed(episode) for episode in episodes]
-    number = task_rivals(task).index(rival)
-    assert all(result.episode.score < 1.0 and number in result.rivals for result in results)
-    write_explanation(Explanation(results), tmp_path)
+    with closing(Engine(task, "Diagnose", seed=0)) as engine:
+        expert, actions = Expert(engine, f"intent:{rival}"), list[int]()
+        while not engine.step(action := expert()):
+            actions.append(action)
+    result = attributed(played(task, "Diagnose", 0, actions))
+    assert result.episode.score < 1.0
+    assert task_rivals(task).index(rival) in result.rivals
+    write_explanation(Explanation([result]), tmp_path)
     rows = pd.read_csv(tmp_path / "rivals.csv").set_index("rival")
     assert rows.loc[str(rival), "reached"] == 1.0
     assert rows.loc[str(rival), "sentence"] == rival.sentence

@@ -115,29 +115,27 @@ def test_files_that_are_not_entries_are_named(folder: Path, tmp_path: Path) -> N
         read_entry(path)
 
 
-DAMAGED = {
-    "empty": b"",
-    "text": b"no",
-    "half": lzma.compress(b"[1"),
-    "list": lzma.compress(b"[]"),
-    "cut": lzma.compress(b"{}")[:-1],
-    "longer": lzma.compress(b"{}") + b"{}",
-    "another format": gzip.compress(b"{}"),
-    "bits": lzma.compress(b"{}")[:10] + b"\xff" * 20,
-    "deep": lzma.compress(b"[" * 10**5),
-    "bytes": lzma.compress(b" " * (MOST_UNPACKED + 1)),
-    "values": lzma.compress(b"[],".join([b""] * 3_000_000)),
-}
-
-
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     """And what is no plain file, and small files that expand to much, in bytes or in values."""
-    for name, data in DAMAGED.items():
+    damaged = {
+        "empty": b"",
+        "text": b"no",
+        "half": lzma.compress(b"[1"),
+        "list": lzma.compress(b"[]"),
+        "cut": lzma.compress(b"{}")[:-1],
+        "longer": lzma.compress(b"{}") + b"{}",
+        "another format": gzip.compress(b"{}"),
+        "bits": lzma.compress(b"{}")[:10] + b"\xff" * 20,
+        "deep": lzma.compress(b"[" * 10**5),
+        "bytes": lzma.compress(b" " * (MOST_UNPACKED + 1), preset=0),
+        "values": lzma.compress(b"[],".join([b""] * 3_000_000), preset=0),
+    }
+    for name, data in damaged.items():
         (tmp_path / f"{name}.json.xz").write_bytes(data)
     os.mkfifo(tmp_path / "pipe.json.xz")
     (tmp_path / "device.json.xz").symlink_to("/dev/zero")
     problems = {"pipe": "plain file", "device": "plain file", "bytes": "60 MB", "values": "2,000,000 values"}
-    for name in {**DAMAGED, **problems}:
+    for name in {**damaged, **problems}:
         with pytest.raises(EvaluationError, match=problems.get(name, rf"{name}\.json\.xz")):
             read_entry(tmp_path / f"{name}.json.xz")
 

@@ -93,6 +93,7 @@ def less(first: str, second: str, *variants: str, tasks: Iterable[str] = COMMON)
     return difference(methods()[first], methods()[second], pairs)
 
 
+@cache
 def findings() -> dict[str, list[float | str | Estimate]]:
     """Paragraph of these pages -> its figures, in their order. Differences are decided, or it says "undecided".
 
@@ -178,13 +179,12 @@ def paragraphs() -> dict[str, str]:
 FIGURE = re.compile(r"[+-]\d\.\d\d \[[+-]\d\.\d\d, [+-]\d\.\d\d\]|\d\.\d\d|\d+ %(?! interval)")
 
 
-@pytest.mark.parametrize("title", findings())
-def test_paragraphs_have_the_figures_of_the_entries(title: str) -> None:
-    text = paragraphs()[title]
-    assert FIGURE.findall(text) == [*map(written, findings()[title])]
-    differences = [figure for figure in findings()[title] if isinstance(figure, Estimate)]
-    undecided = not all(figure.decided for figure in differences)
-    assert undecided == bool(re.search("undecided|change little", text, re.IGNORECASE))
+def test_paragraphs_have_the_figures_of_the_entries() -> None:
+    for title, figures in findings().items():
+        text = paragraphs()[title]
+        assert FIGURE.findall(text) == [*map(written, figures)], title
+        undecided = not all(figure.decided for figure in figures if isinstance(figure, Estimate))
+        assert undecided == bool(re.search("undecided|change little", text, re.IGNORECASE)), title
 
 
 def test_no_other_paragraph_has_a_figure() -> None:
@@ -310,7 +310,7 @@ def test_scores_by_the_released_rules_follow_from_the_actions() -> None:
             by_rules[name] = {episode.title: episode.score for episode in entry.episodes}
             same = {episode.title: episode.score for episode in own.entry.episodes}
             differing = [title for title, score in by_rules[name].items() if score != same[title]]
-            drawn = random.Random(name).sample(differing, 2) + random.Random(name).sample(list(by_rules[name]), 1)
+            drawn = random.Random(name).sample(differing, 1) + random.Random(name).sample(list(by_rules[name]), 1)
             chosen += [(name, episode) for episode in own.entry.episodes if episode.title in drawn]
     assert len(by_rules) >= len(set(OURS.values()))
     for name, episode, problem in replay(chosen, rules="released", jobs=1):

@@ -30,7 +30,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An evaluation of a shortcut that moves all blocks, and of doing nothing, in an intent and one of a test set."""
     out = tmp_path_factory.mktemp("played") / "run"
     policies = {"all": shortcuts["all blocks"], "noop": "noop"}
-    tasks = [TASK, "intent:combined/0"]
+    tasks = [TASK, "intent:combined/2"]
     magical_mj.evaluate(policies, tasks=tasks, variants="Demo,Layout", episodes=1, out=out, jobs=1)
     return out
 
