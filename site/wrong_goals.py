@@ -134,8 +134,9 @@ def _example(task: str, kind: str, methods: Mapping[str, Standing]) -> tuple[Epi
 
 def failures(method: Standing, task: str) -> Iterator[EpisodeResult]:
     """The unsolved episodes of a method's first run in the scenes that docs/endings.csv covers."""
+    first = method.entry.runs[0]
     for episode in method.entry.counted:
-        chosen = episode.task == task and episode.run == method.entry.runs[0] and episode.seed < SCENES
+        chosen = episode.task == task and episode.run == first and episode.seed < SCENES
         if chosen and episode.score < 1.0 and episode.failure is None and obstacle(episode) is None:
             yield episode
 
