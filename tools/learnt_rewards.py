@@ -43,11 +43,11 @@ POLICIES: Final = ROOT / "docs" / "reward-policies.csv"
 SAME_LAYOUT: Final = "MoveToCorner"
 """The task that has no Layout. Its All has nearly the poses of the demo scene, so that policies solve it."""
 DENSE: Final = "(dense reward)"
-NAMES: Final = {"iq-learn": "IQ-Learn", "gail": "GAIL", "airl": "AIRL", "wgail-gp": "WGAIL-GP"}
+NAMES: Final = {"iq-learn": "IQ-Learn", "gail": "GAIL", "airl": "AIRL", "wgail-gp": "WGAIL-GP", "al": "AL"}
 
 
 def collect(files: list[Path]) -> None:
-    """Writes the file from the outputs of `magical-mj evaluate-reward`."""
+    """Replaces the methods in the outputs of `magical-mj evaluate-reward` in the file."""
     from magical_mj.learners.rewards import agreements
 
     sums = pd.concat(pd.read_csv(file, keep_default_na=False) for file in files)
@@ -55,7 +55,10 @@ def collect(files: list[Path]) -> None:
     own = sums[(sums["kind"] == "policy") & (sums["player"] == sums["method"])]
     policies = own.groupby(where, sort=False)["score"].mean().rename("policy").reset_index()
     others = agreements(sums[sums["kind"] != "expert"]).drop(columns="auc").rename(columns={"correlation": "others"})
-    agreements(sums).merge(others, on=where).merge(policies, on=where).to_csv(FILE, index=False, float_format="%.4f")
+    found = agreements(sums).merge(others, on=where).merge(policies, on=where)
+    before = pd.read_csv(FILE)
+    kept = before[~before["method"].isin(found["method"])]
+    pd.concat([kept, found[before.columns]]).to_csv(FILE, index=False, float_format="%.4f")
 
 
 def collect_policies(folders: list[Path]) -> None:
@@ -69,13 +72,20 @@ def collect_policies(folders: list[Path]) -> None:
     scores.to_csv(POLICIES, float_format="%.4f")
 
 
-def means() -> pd.DataFrame:
-    """The rank correlations without the expert's episodes, as means over the tasks with new layouts.
+def compared() -> dict[str, pd.DataFrame]:
+    """The rank correlations without the expert's episodes, as means over tasks with new layouts, by these tasks.
 
-    Rows are methods, columns variants. Environments where only the expert scores have no correlation.
+    Rows are the methods that were trained in all of them, columns variants. Environments where only the expert scores
+    have no correlation.
     """
     found = pd.read_csv(FILE).query("task != @SAME_LAYOUT")
-    return found.groupby(["method", "variant"])["others"].mean().unstack().reindex(NAMES)
+    means = {}
+    for tasks in found.groupby("method")["task"].agg(lambda names: tuple(task for task in TASKS if task in {*names})):
+        rows = found[found["task"].isin(tasks)]
+        methods = [name for name in NAMES if {*tasks} <= {*rows.loc[rows["method"] == name, "task"]}]
+        of_method = rows.groupby(["method", "variant"])["others"].mean().unstack()
+        means[", ".join(tasks)] = of_method.loc[methods, [name for name in VARIANTS if name in of_method]]
+    return dict(sorted(means.items(), key=lambda item: -len(item[0])))
 
 
 def policies() -> pd.DataFrame:
@@ -85,14 +95,18 @@ def policies() -> pd.DataFrame:
 
 def tables() -> dict[str, str]:
     """The tables by name."""
-    found = means()
-    variants = [variant for variant in VARIANTS if variant in found]
-    rows = [(name, *(number(found.loc[method, variant]) for variant in variants)) for method, name in NAMES.items()]
+    groups = compared()
+    variants = [*next(iter(groups.values()))]
+    rows: list[tuple[str, ...]] = []
+    for tasks, found in groups.items():
+        rows.append((f"**{tasks}**", *[""] * len(variants)))
+        rows += [(NAMES[str(name)], *map(number, values)) for name, *values in found.itertuples()]
     scores = policies()
     tasks = [task for task in TASKS if task in scores]
     trained = [
         (name, *(", ".join(number(scores[task][method, policy]) for policy in ("own", "ppo")) for task in tasks))
         for method, name in NAMES.items()
+        if method in scores.index
     ]
     trained.append((DENSE, *(number(scores[task].get(("dense", "ppo"), math.nan)) for task in tasks)))
     return {"learnt": table(("Method", *variants), rows), "trained": table(("Reward of", *tasks), trained)}

@@ -355,7 +355,7 @@ class ExplainSection(ReportSection):
     option = "explain"
 
     explain: Annotated[
-        bool, Meta(description="Replay all episodes, and say which goals failed ones pursued; see docs/explain.md.")
+        bool, Meta(description="Replay all episodes, and say which other goals failed ones reached: docs/explain.md.")
     ] = False
     last_solvable: Annotated[
         Natural,

@@ -61,7 +61,7 @@ def test_the_experiment_can_be_read(tmp_path: Path) -> None:
 
 def test_statements_about_learnt_rewards_agree_with_the_figures() -> None:
     text = " ".join((DOCS / "learnt-rewards.md").read_text().split())
-    found = learnt_rewards.means()
+    found = next(iter(learnt_rewards.compared().values()))
     assert found[["Layout", "All"]].to_numpy().max() < found[["Demo", "Colour"]].to_numpy().min()
     rows = pd.read_csv(learnt_rewards.FILE).set_index(["method", "task", "variant"])
     assert f"WGAIL-GP's AUC is {rows['auc']['wgail-gp', 'MatchRegions', 'Layout']:.2f}." in text
