@@ -234,7 +234,7 @@ class BaseSettings(Settings):
                 for body in bodies if policy.needs_plan else ():
                     task_spec(task).check_expert_body(body)
             known = dict.fromkeys(["", *map(shift_label, settings)])
-            known.pop(shift_label({BODY: self.body}), None)
+            known.pop(f"{BODY}:{self.body}", None)  # it is no shift of this evaluation
             labels[task] = list(known)
         return labels
 
@@ -254,7 +254,7 @@ class BaseSettings(Settings):
         shifts = dict.fromkeys(chain.from_iterable(labels.values()))
         for task in labels:
             own |= {} if task in KNOWN else {task: code_digest(task)}
-        for label in (*shifts, shift_label({BODY: self.body})):
+        for label in (*shifts, f"{BODY}:{self.body}"):
             own |= code_digests(label)
         own |= {self.wrap: source_digest(self.wrap)} if self.wrap else {}
         return {

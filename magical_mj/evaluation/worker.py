@@ -70,10 +70,10 @@ def prepared(policy: Any, settings: EvaluationSettings) -> tuple[list[Source], E
     Raises:
         SettingsError, TaskError, UnknownNameError: if a policy cannot be loaded, or the settings do not fit it.
     """
-    loaded = [(source, source.load()) for source in sources(policy, settings.run, settings.trust)]
-    preset = common_preset(act for _, act in loaded) if settings.preset is None else settings.preset
-    listed: list[Source] = []
-    for source, act in loaded:
+    found, listed = sources(policy, settings.run, settings.trust), list[Source]()
+    acts = [source.load() for source in found]
+    preset = common_preset(acts) if settings.preset is None else settings.preset
+    for source, act in zip(found, acts, strict=True):
         check_fit(act, settings.environments, preset, settings.like)
         listed.append(source.checked(act, preset))
         if settings.batched and "observations" not in listed[-1].uses:

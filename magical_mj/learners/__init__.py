@@ -19,14 +19,12 @@ if TYPE_CHECKING:
     from magical_mj.learners.bc import clone
     from magical_mj.learners.experiment import plan_experiment, run_experiment
     from magical_mj.learners.learner import Learner
-    from magical_mj.learners.methods import METHODS
     from magical_mj.learners.policy import TrainedPolicy, load_policy
     from magical_mj.learners.training import Progress, train
 from magical_mj.learners.config import load_settings
-from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.settings import METHODS, TrainingSettings
 
 _LAZY = {  # loaded at first use, so that the command line can list its commands without importing PyTorch
-    "METHODS": "methods",
     "Learner": "learner",
     "Progress": "training",
     "TrainedPolicy": "policy",

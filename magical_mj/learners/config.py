@@ -9,8 +9,7 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.learners.methods import METHODS, OWN
-from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, METHODS, OWN, STATE, TrainingSettings
 from magical_mj.tasks.registry import listed_tasks, tasks_in_file
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml

@@ -20,9 +20,8 @@ from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, flattened, load_settings, uses
 from magical_mj.learners.learner import device, keep_freed_memory
-from magical_mj.learners.methods import METHODS
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
-from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.settings import METHODS, TrainingSettings
 from magical_mj.learners.training import Progress, train
 from magical_mj.tasks.registry import environments, task_spec, tasks_in_file
 from magical_mj.utils.errors import SettingsError, check_name, counted

@@ -39,11 +39,10 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.config import from_toml
 from magical_mj.learners.data import Rollout
 from magical_mj.learners.learner import Method, threads_for
-from magical_mj.learners.methods import METHODS
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.ppo import RewardLearner
 from magical_mj.learners.run_folder import CONFIG, RunFolder
-from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.settings import METHODS, TrainingSettings
 from magical_mj.policies.facts import Learnt
 from magical_mj.policies.interface import actions_of, histories
 from magical_mj.policies.models import torch_settings

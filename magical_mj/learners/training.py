@@ -17,9 +17,8 @@ from typing import Final
 import torch
 
 from magical_mj.learners.learner import Method
-from magical_mj.learners.methods import METHODS
 from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
-from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.settings import METHODS, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files

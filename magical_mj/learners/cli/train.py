@@ -23,8 +23,7 @@ from magical_mj.cli import option
 from magical_mj.cli.console import Bars, check_fits, check_suffix, check_writable, console, how_to_continue, output_path
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, users, uses
-from magical_mj.learners.methods import METHODS, OWN
-from magical_mj.learners.settings import PPOSettings, TrainingSettings
+from magical_mj.learners.settings import METHODS, OWN, PPOSettings, TrainingSettings
 from magical_mj.policies.interface import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name, counted
 from magical_mj.utils.extras import check_extra
