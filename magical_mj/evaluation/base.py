@@ -234,7 +234,7 @@ class BaseSettings(Settings):
                 for body in bodies if policy.needs_plan else ():
                     task_spec(task).check_expert_body(body)
             known = dict.fromkeys(["", *map(shift_label, settings)])
-            known.pop(f"{BODY}:{self.body}", None)  # it is no shift of this evaluation
+            known.pop(f"{BODY}:{self.body}", None)  # all episodes have it
             labels[task] = list(known)
         return labels
 

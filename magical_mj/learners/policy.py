@@ -123,7 +123,7 @@ def read_policy(folder: Path | str) -> TrainedPolicy:
 
 
 def learnt_in(folder: Path) -> Learnt:
-    """What the training in a folder used, and its last update if it is unfinished, as far as there is a checkpoint."""
+    """The data of the training in a folder, and its last update if a checkpoint shows that it has not finished."""
     last = checkpoint.plain_values(folder / checkpoint.CHECKPOINT)
     update, updates = last.get("update", 0), last.get("updates", 0)
     return replace(learnt_from(folder), unfinished=f"update {update} of {updates}" if update < updates else "")

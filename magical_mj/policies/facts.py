@@ -24,7 +24,7 @@ SETTINGS: Final = {
     ("made", "played_in"): "played_in",
     ("made", "other_tasks"): "other_tasks",
 }
-"""A setting of a run, as (table, name) -> the field of `Learnt` that it determines. Later ones come first."""
+"""A setting of a run, as (table, name) -> its field of `Learnt`. If two are for one field, the later one counts."""
 
 
 class Learnt(Struct, frozen=True, omit_defaults=True):
@@ -46,10 +46,9 @@ class Learnt(Struct, frozen=True, omit_defaults=True):
     unfinished: str = ""
 
     def __post_init__(self) -> None:
-        if as_integer(self.demonstration_set, 1, LARGEST_SETTING) is None:
-            raise SettingsError(
-                f"demonstration_set must be a number of a set, not {short_repr(self.demonstration_set)}"
-            )
+        number = self.demonstration_set
+        if not isinstance(number, int) or as_integer(number, 1, LARGEST_SETTING) is None:
+            raise SettingsError(f"demonstration_set must be a number of a set, not {short_repr(number)}")
         check_variants(self.played_in, "played_in")
         check_tasks(self.other_tasks, "other_tasks")
         if self.unfinished and not re.fullmatch(r"\w+ \d{1,12} of \d{1,12}", self.unfinished):
@@ -61,11 +60,10 @@ def learnt_from(origin: object, policy: object = None) -> Learnt:
 
     Args:
         origin: the policy's origin. If it is the folder of a training, its settings decide, as far as they say it.
-        policy: the policy. Otherwise, the record is its attribute `learnt`, if it has one.
+        policy: the policy. Otherwise, the record is its attribute `learnt`, if that is a `Learnt`.
     """
-    learnt = getattr(policy, "learnt", UNKNOWN)
-    if not isinstance(learnt, Learnt):
-        raise SettingsError(f"the policy's attribute learnt must be a {Learnt.__name__}, not {short_repr(learnt)}")
+    given = getattr(policy, "learnt", None)
+    learnt = given if isinstance(given, Learnt) else UNKNOWN  # others may use the name for something else
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     if not path.is_file():
         return learnt

@@ -115,6 +115,7 @@ class Policy(Protocol):
             Then it contains neither the task's name nor, unless the policy also uses instructions, the sentence.
         preset, tasks, observation_shapes: the preset, the tasks and the observation shapes of its training. In a shape,
             None means any size. Evaluations that do not match them raise an error.
+        learnt: what its training used, a `magical_mj.policies.facts.Learnt`. Evaluations and entries record it.
     """
 
     def reset(self, episode: Episode) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import lzma
 from pathlib import Path
 from typing import cast
@@ -168,17 +169,16 @@ def test_an_entry_declares_that_its_policies_played_in_a_test_variant(tmp_path: 
     assert verify(tmp_path / "entry", jobs=1).unfit == [problem]
 
 
-@pytest.mark.parametrize("variants", [["All", "Layout"], "all of them"])
-def test_attributes_about_a_policys_training_are_checked(variants: object, tmp_path: Path) -> None:
+def test_what_a_policy_learnt_from_is_checked_and_recorded(tmp_path: Path) -> None:
     def policy(_: object) -> int:
         return 0
 
-    policy.learnt = {"played_in": variants}  # pyright: ignore[reportFunctionMemberAccess]
-    where = {"tasks": "MoveToRegion", "variants": "Demo", "episodes": 1, "jobs": 1}
-    with pytest.raises(SettingsError, match=r"played_in must be variants, .* not"):
-        Learnt(played_in=variants)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(SettingsError, match="the policy's attribute learnt must be a Learnt, not"):
-        evaluate({"X": policy}, out=tmp_path / "scores", **where)
+    for variants in (["All", "Layout"], "all of them"):
+        with pytest.raises(SettingsError, match=r"played_in must be variants, .* not"):
+            Learnt(played_in=variants)  # pyright: ignore[reportArgumentType]
+    policy.learnt = Learnt(played_in="Layout,All")  # pyright: ignore[reportFunctionMemberAccess]
+    evaluate({"X": policy}, tasks="MoveToRegion", variants="Demo", episodes=1, jobs=1, out=tmp_path)
+    assert json.loads((tmp_path / "run.json").read_text())["policies"][0]["played_in"] == "Layout,All"
 
 
 def test_an_entry_is_not_made_from_damaged_settings(tmp_path: Path) -> None:
