@@ -104,7 +104,7 @@ def findings() -> dict[str, list[float | str | Estimate]]:
     solved = [f"{100 * share:.0f} %" for name in (PIXELS, STATES, RELATIONAL) for share in same_block(name)[1:]]
     return {
         "Most methods remember.": [score(name, "Memory") for name in (PIXELS, STATES, "replay")],
-        "No method that only imitates generalises.": [
+        "Methods that only imitate hardly generalise.": [
             max(map(score, imitating("pictures"))),
             max(map(score, imitating("states"))),
             less(PIXELS, "replay"),
