@@ -15,7 +15,7 @@ from torch import nn
 import magical_mj
 from magical_mj.learners import Learner, TrainingSettings, load_settings, train
 from magical_mj.learners.augmentation import Augmentation
-from magical_mj.learners.data import Dataset
+from magical_mj.learners.data import TrainingData
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Actor, as_input
 
@@ -26,7 +26,7 @@ class Forgetful(Learner):
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
-        self.data = Dataset(settings, drop_noop=True)
+        self.data = TrainingData(settings, drop_noop=True)
         self.augment = Augmentation(settings.augment)
         self.generator = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
