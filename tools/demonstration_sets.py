@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -50,6 +51,12 @@ def scores_of(episodes: Iterable[EpisodeResult]) -> Scores:
     }
 
 
+@cache
+def from_set_1(entry: str) -> Scores:
+    """The scores of an entry, whose policies learnt from set 1."""
+    return scores_of(read_entry(ROOT / "results" / entry).counted)
+
+
 def stored(entry: str) -> Scores:
     """The scores in the file for a method."""
     found: dict[Pair, dict[int, NDArray[np.float64]]] = {}
@@ -82,7 +89,7 @@ def mean(scores: Scores, variant: str, tasks: Collection[str]) -> float:
 
 def gained(entry: str, variant: str) -> Estimate:
     """How much more a method scores in a variant after learning from set 2, over all tasks."""
-    sides = {1: stored(entry), -1: scores_of(read_entry(ROOT / "results" / entry).counted)}
+    sides = {1: stored(entry), -1: from_set_1(entry)}
     pairs = [pair for pair in sides[1] if pair[1] == variant]
     return estimate(
         [
@@ -95,7 +102,7 @@ def gained(entry: str, variant: str) -> Estimate:
 
 def lost(entry: str, tasks: Collection[str], variant: str = "Demo") -> tuple[float, float]:
     """How much lower a method's mean is with set 2 than with set 1, in score and as a share."""
-    before = mean(scores_of(read_entry(ROOT / "results" / entry).episodes), variant, tasks)
+    before = mean(from_set_1(entry), variant, tasks)
     loss = before - mean(stored(entry), variant, tasks)
     return loss, loss / before
 
