@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS
 from tests.helpers.evaluations import TEMPLATE
 
 EPISODES = 4
+PLAIN = asdict(TEMPLATE) | {"policy": "Nobody", "version": "", "mujoco": "", "gl": ""}
 Row = dict[str, Any]
 
 
@@ -67,9 +69,10 @@ def recorded(
     """An episode with made-up results."""
     scene = {"run": run, "task": task, "variant": variant, "seed": seed}
     played = {"score": score, "steps": len(actions), "actions": actions, "failure": failure, "seconds": 0.0}
-    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **scene, **played)
+    return EpisodeResult(**{**PLAIN, **scene, **played})
 
 
+@cache
 def whole(runs: int = 5) -> Entry:
     """An entry with made-up episodes in all 60 environments."""
     episodes = [

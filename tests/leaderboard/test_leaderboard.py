@@ -32,11 +32,12 @@ from magical_mj.leaderboard.standings import (
 )
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError
-from tests.helpers.entries import whole
+from tests.helpers.entries import recorded, whole
 
 
 def scored(entry: Entry, score: Callable[[EpisodeResult], float]) -> Entry:
-    return replace(entry, episodes=[dataclasses.replace(episode, score=score(episode)) for episode in entry.episodes])
+    episodes = [recorded(one.run, one.task, one.variant, one.seed, score(one), one.actions) for one in entry.episodes]
+    return replace(entry, episodes=episodes)
 
 
 def named(entry: Entry, name: str) -> Entry:
@@ -189,7 +190,7 @@ def test_other_shifts_are_not_in_entries(variant: str, shift: str) -> None:
 
 def test_only_the_seeds_of_the_protocol_count() -> None:
     entry = scored(whole(), lambda episode: 0.5)
-    more = [dataclasses.replace(episode, seed=episode.seed + 100, score=1.0) for episode in entry.episodes]
+    more = [recorded(one.run, one.task, one.variant, one.seed + 100, 1.0, one.actions) for one in entry.episodes]
     method = standing(replace(entry, episodes=entry.episodes + more))
     assert method.scores["Demo"].value == 0.5
     assert standing(replace(entry, episodes=more + entry.episodes[100:])).kind == "partial"
