@@ -250,8 +250,8 @@ def _repetitions(methods: Sequence[Standing]) -> Iterator[str]:
         found = next(filter(None, (repetition(method, other) for method in methods)), None)
         if found is None:
             yield (
-                f"{other.name} does not count as a repetition of {repeats}: it needs other authors, the same "
-                "observations, rules and privileges, and all environments."
+                f"{other.name} does not count as a repetition of {repeats}, an entry that must be on the page: it "
+                "needs other authors, the same observations, rules and privileges, and all environments."
             )
         else:
             value, low, high = found
