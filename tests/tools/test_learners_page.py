@@ -105,7 +105,7 @@ def test_statements_about_pretraining_agree_with_the_figures() -> None:
     assert f"from states by {found[0][0]} in Demo and {found[0][1]} in Colour" in text
     assert f"from images by {found[1][0]} and {found[1][1]}" in text
     inverse, explained = (pretraining.learnt(f"{objective}-random") for objective in ("inverse", "next"))
-    assert f"inverse dynamics recognises {inverse:.0%} of the actions".replace("%", " %") in text
+    assert f"Inverse dynamics recognises {inverse:.0%} of the actions".replace("%", " %") in text
     assert f"predicts {explained:.0%} of the next frame's change".replace("%", " %") in text
     own, *frozen = (
         estimate(pretraining.cells(starts, Start("LoRes4E", *row, 1_000), "Demo")).value
