@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,22 +114,10 @@ def rewards(demo: Demonstration) -> NDArray[np.float64]:
     return np.where(np.arange(steps) == steps - 1, demo.score, 0.0)
 
 
-class MadeEnvironment(NamedTuple):
-    """An environment ``gymnasium.make(id, **kwargs)``. Its ``reset(seed=...)`` accepts the seeds of the scenes."""
+def environment_of(demo: Demonstration, preset: str, **settings: Any) -> tuple[str, dict[str, Any]]:
+    """The id and the arguments with which `gymnasium.make` makes the environment of a demonstration.
 
-    id: str
-    kwargs: dict[str, Any]
-
-    def make(self) -> gymnasium.Env[Any, Any]:
-        """Creates the environment."""
-        return gymnasium.make(self.id, **self.kwargs)
-
-    def __str__(self) -> str:
-        return ", ".join([f'"{self.id}"', *(f"{name}={value!r}" for name, value in self.kwargs.items())])
-
-
-def environment_of(demo: Demonstration, preset: str, **settings: Any) -> MadeEnvironment:
-    """The environment of a demonstration, with its body and its shifts.
+    It has the demonstration's body and shifts. Its ``reset(seed=...)`` accepts the seeds of the scenes.
 
     Args:
         demo: the demonstration.
@@ -144,7 +131,7 @@ def environment_of(demo: Demonstration, preset: str, **settings: Any) -> MadeEnv
     if suite is None:
         facts = {"body": body if body != GRIPPER else "", "shifts": demo.shifts}
         kwargs = {name: value for name, value in facts.items() if value}
-        return MadeEnvironment(env_id(demo.task, demo.variant, preset), {**kwargs, **settings})
+        return env_id(demo.task, demo.variant, preset), {**kwargs, **settings}
     if preset != "State":
         raise DemonstrationError(f"data sets of {demo.task} must have the preset State, not {preset or 'views'}")
-    return MadeEnvironment(suite.state_id(demo.task, demo.variant, body), {})
+    return suite.state_id(demo.task, demo.variant, body), {}

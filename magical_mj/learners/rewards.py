@@ -91,17 +91,14 @@ def learner_of_reward(path: Path, settings: TrainingSettings) -> Method:
     return learner
 
 
-class Agreement(NamedTuple):
-    """How well sums of rewards agree with scores."""
+def agreement(
+    sums: Sequence[float] | NDArray[np.float64], scores: Sequence[float] | NDArray[np.float64]
+) -> tuple[float, float]:
+    """The agreement of the sums of a reward over episodes with their scores: rank correlation and AUC.
 
-    correlation: float
-    """In [-1, 1]; 0 if all sums are equal, NaN if all scores are equal."""
-    auc: float
-    """In [0, 1]; NaN if all episodes or none are solved."""
-
-
-def agreement(sums: Sequence[float] | NDArray[np.float64], scores: Sequence[float] | NDArray[np.float64]) -> Agreement:
-    """The agreement of the sums of a reward over episodes with their scores."""
+    The correlation is in [-1, 1]; 0 if all sums are equal, NaN if all scores are equal. The AUC of solved episodes is
+    in [0, 1]; NaN if all episodes or none are solved.
+    """
     ranks, wanted = (pd.Series(values).rank().to_numpy() for values in (sums, scores))
     solved = np.asarray(scores) == 1.0
     correlation = auc = np.nan
@@ -109,7 +106,7 @@ def agreement(sums: Sequence[float] | NDArray[np.float64], scores: Sequence[floa
         correlation = float(np.corrcoef(ranks, wanted)[0, 1]) if np.ptp(ranks) else 0.0
     if 0 < (count := int(solved.sum())) < len(solved):
         auc = float((ranks[solved].sum() - count * (count + 1) / 2) / (count * (len(solved) - count)))
-    return Agreement(correlation, auc)
+    return correlation, auc
 
 
 def evaluate_rewards(
@@ -173,11 +170,11 @@ def agreements(frame: pd.DataFrame) -> pd.DataFrame:
         environment are averaged.
     """
     rows = []
-    for (method, task, variant, run), group in frame.groupby(["method", "task", "variant", "run"], sort=False):
-        found = agreement(group["sum"].to_numpy(), group["score"].to_numpy())
-        rows.append({"method": method, "task": task, "variant": variant, "run": run, **found._asdict()})
-    names = ["method", "task", "variant"]
-    return pd.DataFrame(rows).groupby(names, sort=False)[["correlation", "auc"]].mean().reset_index()
+    for (method, task, variant, _), group in frame.groupby(["method", "task", "variant", "run"], sort=False):
+        rows.append((method, task, variant, *agreement(group["sum"].to_numpy(), group["score"].to_numpy())))
+    names, measures = ["method", "task", "variant"], ["correlation", "auc"]
+    runs = pd.DataFrame(rows, columns=[*names, *measures])
+    return runs.groupby(names, sort=False)[measures].mean().reset_index()
 
 
 class _Played(NamedTuple):

@@ -72,11 +72,11 @@ def test_the_score_itself_agrees_fully_and_a_constant_not_at_all(
 
 
 def test_the_figures_treat_ties_as_half() -> None:
-    assert agreement([3, 2, 2, 1], [1.0, 1.0, 0.0, 0.0]).auc == pytest.approx(3.5 / 4)
-    assert agreement([1, 2, 3], [0.1, 0.5, 0.5]).correlation == pytest.approx(np.sqrt(0.75))
+    assert agreement([3, 2, 2, 1], [1.0, 1.0, 0.0, 0.0])[1] == pytest.approx(3.5 / 4)
+    assert agreement([1, 2, 3], [0.1, 0.5, 0.5])[0] == pytest.approx(np.sqrt(0.75))
     assert agreement([3, 2, 1], [0.0, 0.5, 1.0]) == pytest.approx((-1.0, 0.0))
     assert np.isnan(agreement([1, 2], [1.0, 1.0])).all()
-    assert np.isnan(agreement([1, 2], [0.0, 0.5]).auc)
+    assert np.isnan(agreement([1, 2], [0.0, 0.5])[1])
 
 
 def test_the_rewards_of_all_methods_are_judged_on_the_same_episodes(

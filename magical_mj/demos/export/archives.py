@@ -136,13 +136,13 @@ def to_robomimic(
     path = files.to_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     seen = {"image_size": IMAGE_SIZE} if VIEWS[views] else {}
-    env = environment_of(demos[0], "" if VIEWS[views] else "State", **seen, action="continuous", reward="score")
+    env, kwargs = environment_of(demos[0], "" if VIEWS[views] else "State", **seen, action="continuous", reward="score")
     content = io.BytesIO()  # not directly into the file, because HDF5 ends the process if the disk is full
     with files.new_file(path, overwrite=overwrite) as unfinished:
         with h5py.File(content, "w") as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(demo.actions) for demo in demos)
-            data.attrs["env_args"] = json.dumps({"env_name": env.id, "type": GYM, "env_kwargs": env.kwargs})
+            data.attrs["env_args"] = json.dumps({"env_name": env, "type": GYM, "env_kwargs": kwargs})
             for number, demo in enumerate(demos):
                 group = data.create_group(f"demo_{number}")
                 group.attrs["num_samples"] = len(demo.actions)

@@ -76,8 +76,9 @@ def to_webdataset(
     facts = about(demos)
     made_in, gymnasium = EACH, {}
     if "tasks" not in facts:
-        environment = environment_of(demos[0], preset)
-        made_in, gymnasium = f"`gymnasium.make({environment})`", {"gymnasium": environment._asdict()}
+        name, kwargs = environment_of(demos[0], preset)
+        arguments = ", ".join([f'"{name}"', *(f"{key}={value!r}" for key, value in kwargs.items())])
+        made_in, gymnasium = f"`gymnasium.make({arguments})`", {"gymnasium": {"id": name, "kwargs": kwargs}}
     metadata = {**facts, "preset": preset, **gymnasium, "features": dict(FEATURES)}
     with files.new_folder(folder, overwrite=overwrite) as unfinished:
         unfinished.mkdir()

@@ -72,8 +72,9 @@ def to_minari(
         "description": f"{len(demos)} demonstrations of {environment} by the {makers} of magical_mj",
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
+    made, kwargs = environment_of(first, preset, reward="score")
     with (
-        closing(environment_of(first, preset, reward="score").make()) as env,
+        closing(gymnasium.make(made, **kwargs)) as env,
         files.new_folder(path, overwrite=overwrite) as unfinished,
     ):
         _fill(unfinished, name, env, about, episodes)
