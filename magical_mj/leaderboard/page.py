@@ -46,7 +46,7 @@ INTRODUCTION: Final = (
     f"or more, with authors and commands, and re-run; {DAGGER}: published, the paper's in the original simulator; all "
     "others are partial. Replayed: the actions lead to the scores, but anybody can tape an expert. Re-run: the entry's "
     "policies scored the same in fresh scenes on this machine. Repeated: others trained it again, in another entry, "
-    "to the same score."
+    "and the 95 % interval of the difference contains 0."
 )
 USES: Final = "may also use"
 HEADINGS: Final = {

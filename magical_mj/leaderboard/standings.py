@@ -322,8 +322,8 @@ def repetition(method: Standing, other: Standing) -> Estimate | None:
     """How much higher a method's mean score is in an entry whose authors trained it again, over its environments.
 
     None if the other entry is no such repetition: its card must name the method, and other authors. Observations,
-    rules and privileges must be the same, and all environments must be played. If the interval excludes 0, the
-    repetition failed.
+    rules and privileges must be the same, and all environments must be played. It succeeded if the interval contains 0.
+    If an environment has one scene, there is no interval, and this is not known.
     """
     card, own = other.entry.card, method.entry.card
     fits = (
@@ -352,7 +352,7 @@ def standings(entries: Mapping[str, Entry], reruns: Mapping[str, Estimate] = Map
     """All methods, by block and by `Standing.rank`. Entries and their re-runs are given by name."""
     blocks = tuple(BLOCKS)
     own = [standing(entry, reruns.get(name)) for name, entry in entries.items()]
-    found = {method.name: [repetition(method, other) for other in own] for method in own}
-    repeated = {name for name, each in found.items() if any(one is not None and not one.decided for one in each)}
+    found = [(method.name, repetition(method, other)) for method in own for other in own]
+    repeated = {name for name, one in found if one is not None and one.low <= 0 <= one.high}  # not if they are NaN
     own = [replace(method, repeated=method.name in repeated) for method in own]
     return sorted([*own, *published()], key=lambda method: (blocks.index(method.block), *method.rank))
