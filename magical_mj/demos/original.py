@@ -217,7 +217,7 @@ class _Kept:
     """The arguments of a class or function in a pickle, and the state of its result."""
 
     maker: ClassVar[str]
-    """Its name, or "record" for those of the original."""
+    """The name of the class or function, or "record" for those of the original."""
     args: tuple[Any, ...]
     state: Any = None
 

@@ -134,7 +134,7 @@ def _ordered(conjuncts: Sequence[Conjunct]) -> list[Conjunct]:
 
 
 def _in_place(conjuncts: Sequence[Conjunct], clauses: Iterable[Sequence[str]]) -> list[list[str]]:
-    """The clauses with their regions. If the intent is about several regions, "the region" can be any of them."""
+    """The clauses, in which a region is "a region" if the intent is about several, otherwise "the region"."""
     several = any(
         one.argument == HOME or any(test.value in ("matched", "mismatched") for test in one.selector)
         for one in conjuncts

@@ -1,4 +1,4 @@
-"""Frozen encoders: behavioural cloning on convolutions of an earlier training, which do not change any more."""
+"""Frozen encoders: behavioural cloning on the convolutions of an earlier training, which are not trained further."""
 
 from __future__ import annotations
 

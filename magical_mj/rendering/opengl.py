@@ -44,7 +44,7 @@ TRANSLUCENT: Final = (
     "group that these views do not show, such as group=4"
 )
 KEPT: Final = 8
-"""Drawing contexts of a canvas, of 4 MB each without shadows."""
+"""The number of drawing contexts that a canvas keeps. Each takes 4 MB without shadows."""
 _OFFSCREEN: Final = mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 _ALL: Final = mujoco.mjtCatBit.mjCAT_ALL.value

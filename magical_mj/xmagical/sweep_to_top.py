@@ -113,7 +113,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def distance(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """The distances of the debris into the zone."""
+    """The sum of the distances of the debris into the zone."""
     return sum(
         0.0 if there else WRONG + max(ARRIVED - block.y, 0.0)
         for block, there in zip(final.blocks, arrived(final), strict=True)

@@ -32,7 +32,7 @@ CONFIDENCE: Final = 0.95
 USUAL: Final = 0.02
 """The usual variance of a method's run means in an environment, as a share of m (1 - m), with m the mean."""
 EARLIER: Final = 2
-"""The degrees of freedom as which the usual variance counts."""
+"""The weight of the usual variance, as degrees of freedom."""
 ALIKE: Final = 0.75
 """The usual correlation between the means of a run in two variants of a task."""
 SHARED: Final = 0.1
