@@ -36,8 +36,8 @@ environments. This is MAGICAL re-created on MuJoCo, for Gymnasium and dm_env.</p
 
 <p>The same policy twice, learnt by behavioural cloning. The task: bring another block that matches the one in the goal
 region into the region. <a href="play/inspect.html#FindDupe-Layout-0">Inspect the scene in 3-D</a>,
-<a href="play/">play</a> all environments, or see the <a href="standings.html">leaderboard</a>, the
-<a href="{paper}">paper</a>{code}.</p>
+<a href="play/">play</a> all environments, <a href="play/intents.html">build a goal</a>, or see the
+<a href="standings.html">leaderboard</a>, the <a href="{paper}">paper</a>{code}.</p>
 
 ## The eight tasks
 

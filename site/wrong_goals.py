@@ -44,9 +44,10 @@ WITHOUT_BLOCKS: Final = {"same place": "Where the demonstrations' region was", "
 TEMPLATE: Final = """## Wrong goals
 
 What did policies do that failed? For each task, their commonest wrong goals, each with the methods
-that pursued it most often, and, for comparison, random actions. The shares are of all episodes of one run, in the first
-scenes of each environment (16 to 40 episodes, in brackets 95 % intervals over scenes), by the [endings](#endings)
-below. Where every block has to be moved, no block is wrong. Point at a picture to animate it.
+that pursued it most often, and random actions: a share that is not above theirs shows no goal. The shares are of all
+episodes of one run, in the first scenes of each environment (16 to 40 episodes, in brackets 95 % intervals over
+scenes), by the [endings](#endings) below. Where every block has to be moved, no block is wrong. Point at a picture to
+animate it.
 
 {tasks}"""
 TASK: Final = '### {task}\n\n<div class="cards small">{cards}</div>'

@@ -73,6 +73,7 @@ async function showScenes(intent, search) {
     found += Number(end !== null);
     if (found === SHOWN || tried === TRIED) break;
   }
+  element("scenes-title").parentElement.hidden = !found;
   const [[why] = [""]] = Object.entries(whys).sort((a, b) => b[1] - a[1]);
   element("problem").textContent = found ? "" : tried ? `No end was found that satisfies it, in any of ${tried} scenes: its relations may contradict each other.`
     : `It can start in none of this page's scenes; in most of them, ${why}.`;
