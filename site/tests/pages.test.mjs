@@ -195,7 +195,10 @@ test("a second visit needs no network", async () => {
     const visit = await keeping.context.newPage();
     const until = (/** @type {string} */ text) => visit.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text);
     await visit.goto(other.address);
-    await visit.waitForFunction(async () => (await caches.match("media/home-Layout.webp")) && caches.match("."));
+    await visit.evaluate(async () => {  // until it is stored
+      const missing = async () => (await Promise.all([".", "media/home-Demo.webp", "media/home-Layout.webp"].map((one) => caches.match(one)))).includes(undefined);
+      while (await missing()) await new Promise((resolve) => setTimeout(resolve, 50));
+    });
     await visit.goto(`${other.address}play/?speed=40#FindDupe-All-3`);
     await until("Press");
     await visit.waitForFunction(() => navigator.serviceWorker.controller?.scriptURL.endsWith("play/worker.js"));
@@ -211,7 +214,7 @@ test("a second visit needs no network", async () => {
     await visit.waitForFunction(() => document.title.startsWith("FindDupe-All-3 ") && !document.getElementById("poster"));
     assert.equal(await visit.textContent("#message"), "");
     await visit.goto(`${other.address}index.html`);
-    assert.equal(await visit.locator("figure img").first().evaluate((image) => /** @type {HTMLImageElement} */ (image).naturalWidth), 448);
+    await visit.waitForFunction(() => [...document.querySelectorAll("figure img")].every((image) => /** @type {HTMLImageElement} */ (image).naturalWidth === 448));
     await visit.goto(`${other.address}play/intents.html#line(all)`);
     await visit.locator("#scenes a").first().waitFor();
   } finally {

@@ -22,7 +22,7 @@ const homeOf = ({ regions, blocks }, i) => regions.find((region) => contains(reg
 /** The block that a reference names. @param {string} reference @param {Scene} scene */
 function blockOf(reference, scene) {
   const found = all(scene).filter((i) => reference.split(" ").every((word) => [scene.blocks[i].colour, scene.blocks[i].shape].includes(word)));
-  return found.length === 1 ? found[0] : undefinedThere(`${found.length} blocks are a ${reference}`);
+  return found.length === 1 ? found[0] : undefinedThere(`${found.length || "no"} block${found.length ? "s fit" : " fits"} “${reference}”`);
 }
 
 /** @type {Record<string, (value: string, equal: boolean, scene: Scene) => number[]>} name of a test -> the blocks that pass it */
