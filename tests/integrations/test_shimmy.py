@@ -8,8 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import magical_mj
+from magical_mj.actions import NOOP
+from tests.helpers.cloning import cloned, network
+from tests.helpers.libraries import demonstrations
 
 pytest.importorskip("shimmy", reason="shimmy is missing: make integrations-test LIBRARY=shimmy")
 
@@ -34,21 +38,23 @@ def test_demonstrations_and_a_trained_policy_score_the_same(
     assert reward == demonstration.score == 1.0
     model: Any = PPO("MultiInputPolicy", env, n_steps=128, seed=0, device="cpu")
     model.set_logger(configure(str(tmp_path), []))  # the usual one leaves a folder behind
-    model.learn(1024)
-
-    def act(states: Any) -> int:
-        return int(model.predict({"state": np.reshape(states, env.observation_space["state"].shape)})[0])
-
-    model.set_random_seed(0)
-    ours = magical_mj.evaluate(act, tasks="MoveToRegion", variants="Demo", preset="State", episodes=5, jobs=1)
-    model.set_random_seed(0)
-    theirs = []
-    for _ in range(5):
-        (observation, _), over = env.reset(), False
+    model.learn(512)
+    data = demonstrations()
+    draw = torch.Generator().manual_seed(0)
+    samples = (torch.randint(len(data["actions"]), (64,), generator=draw).numpy() for _ in range(1500))
+    rows = ((torch.from_numpy(data["observations"][one]), torch.from_numpy(data["actions"][one])) for one in samples)
+    act = cloned(rows, network(data["observations"].shape[1]))
+    scores = []
+    for acts in (act, lambda _: NOOP):
+        (score,) = magical_mj.evaluate(acts, tasks="MoveToRegion", preset="State", variants="Demo", episodes=1, jobs=1)[
+            "score"
+        ]
+        (observation, _), reward, over = env.reset(), 0.0, False
         while not over:
-            observation, reward, terminated, truncated, _ = env.step(act(observation["state"]))
+            observation, reward, terminated, truncated, _ = env.step(acts(np.ravel(observation["state"])))
             over = terminated or truncated
-        theirs.append(reward)
-    assert theirs == ours["score"].tolist()
-    record_property("compared", "a demonstration; PPO of stable-baselines3, 1,024 steps in Demo")
-    record_property("result", f"1.00, {np.mean(theirs):.2f} by both")
+        assert reward == score
+        scores.append(score)
+    assert scores == [1.0, 0.0]
+    record_property("compared", "a demonstration, PPO of stable-baselines3, a cloned network and no-op, in Demo")
+    record_property("result", "1.00 and 0.00 by both")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 
 import magical_mj
 from tests.helpers.cloning import cloned, network
+from tests.helpers.commands import code_block
 from tests.helpers.libraries import EPISODES, compare, demonstrations
 
 pytest.importorskip("torchrl", reason="torchrl is missing: make integrations-test LIBRARY=torchrl")
@@ -57,6 +59,14 @@ def test_torchrl_finds_nothing_wrong(name: str, options: dict[str, Any]) -> None
     check_env_specs(env)
     assert ("pixels" in env.reset()) == ("from_pixels" in options)
     env.close()
+
+
+def test_the_pages_code_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "integrations.md").read_text("utf-8")
+    names: dict[str, Any] = {}
+    exec(code_block(page, "python", "import magical_mj\nimport torch"), names)
+    assert len(names["rollout"]) == 60
+    assert capsys.readouterr().out.startswith("torch.Size([60, ")
 
 
 def test_torchrl_seeds_are_ours_and_the_info_is_read() -> None:
