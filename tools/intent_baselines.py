@@ -3,7 +3,8 @@
     python -m tools.intent_baselines play OUT            plays all rows; called again, it continues
     python -m tools.intent_baselines play OUT expert     or some
     python -m tools.intent_baselines check               replays a tenth of the episodes in results/intents.jsonl.xz
-    python -m tools.intent_baselines write OUT...        writes this file and the table; each folder is a run
+    python -m tools.intent_baselines write OUT...        adds their rows to this file, or replaces them, and writes the
+                                                         table; each folder is a run
     python -m tools.intent_baselines write               writes the table
 
 It needs the packages in methods/goals and methods/intents. Policies for many intents are trained before, with
@@ -157,9 +158,10 @@ def kept() -> list[EpisodeResult]:
     return [episode_in(line) for line in lines]
 
 
-def keep(episodes: Iterable[EpisodeResult]) -> None:
-    """Writes the file of episodes."""
-    lines = "".join(episode.line() for episode in episodes)
+def keep(episodes: Sequence[EpisodeResult]) -> None:
+    """Adds episodes to the file. They replace all earlier ones of the same baselines."""
+    new = {one.policy for one in episodes}
+    lines = "".join(one.line() for one in [*(one for one in kept() if one.policy not in new), *episodes])
     KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
 
 
