@@ -96,6 +96,9 @@ def test_findings_about_baselines_are_those_of_the_episodes() -> None:
     several, one = INFERRED
     more = "{:.2f} ({:.2f} to {:.2f})".format(*estimate([cell(several, "score"), cell(one, "score", -1.0)]))
     assert f"higher by {more} from four contrasting scenes than from one" in page
+    learnt = [one for one in episodes if "-policy" in one.policy]
+    assert max(one.score for one in learnt) < 1.0
+    assert f"solve none of {len(learnt)} episodes" in page
 
 
 def test_members_of_sets_with_other_demo_scenes_are_in_their_set() -> None:
