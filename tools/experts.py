@@ -45,7 +45,7 @@ def page(scores: Sequence[EpisodeResult]) -> str:
             f"{len(scores) // len(ENVIRONMENTS)} episodes in each environment, by the paper's rules.",
             f"{len(scores) - len(missed)} of {len(scores)} episodes have the full score.",
             *(f"- {line}" for line in missed),
-            "\nAn episode takes these seconds on one core (means of the task's variants, the lowest and the highest): "
+            "\nMean seconds for an episode on one core, in the fastest and in the slowest variant of each task: "
             + ", ".join(f"{task} {_seconds(scores, task)}" for task in TASKS)
             + ".\n",
         ]
@@ -58,7 +58,7 @@ def _seconds(scores: Sequence[EpisodeResult], task: str) -> str:
         for pair in ENVIRONMENTS
         if pair[0] == task
     ]
-    return f"{min(means):.1f} to {max(means):.1f}"
+    return " to ".join(dict.fromkeys(f"{mean:.1f}" for mean in (min(means), max(means))))
 
 
 def episodes(scores: Sequence[EpisodeResult]) -> str:

@@ -69,7 +69,7 @@ def list_environments(
     others = [pair for pair in pairs if pair[0] not in TASKS]
     for what, group in (
         ("The benchmark", benchmark),
-        ("Beside the benchmark: other suites and installed tasks", others),
+        ("Not in the benchmark: other suites and installed tasks", others),
     ):
         _print_table(out, group, what if tasks is None else "")
 

@@ -25,7 +25,7 @@ from magical_mj.utils.errors import RenderingError
 FLOOR, WALL, ROBOT, FINGER, REGION, BLOCK = 0, 1, 2, 3, 16, 64
 """Values of a segmentation. Region i is REGION + i, block i is BLOCK + i. Everything beyond the walls is WALL."""
 SEGMENTS: Final = MappingProxyType({"world": WALL, "face": ROBOT, "left_finger": FINGER, "right_finger": FINGER})
-"""Body -> its value."""
+"""Body -> its value in a segmentation."""
 SEGMENTATION: Final = "-segmentation"
 """The suffix of a camera's name that selects its segmentation."""
 NOT_OURS: Final = (

@@ -1,4 +1,4 @@
-"""What the package plugs in: the suite with its tasks, its Gymnasium ids, its expert and its state vector.
+"""The suite x-magical: its tasks, Gymnasium ids, expert and state vector.
 
 The ids are ``magical_mj/<Task>-<Body>-<State|Pixels>-<Allo|Ego>-<Demo|TestX>-v0``; see `suite_id`.
 """

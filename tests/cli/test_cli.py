@@ -37,7 +37,7 @@ def test_list_shows_every_environment(shell: Shell) -> None:
     lines = out.splitlines()
     assert code == 0
     assert lines[0] == "The benchmark: 8 tasks, 60 environments"
-    assert lines[62] == "Beside the benchmark: other suites and installed tasks: 1 task, 6 environments"
+    assert lines[62] == "Not in the benchmark: other suites and installed tasks: 1 task, 6 environments"
     rows = [line.split() for line in (*lines[2:62], *lines[64:])]
     sweep = [("SweepToTop", variant) for variant in ("Demo", "Layout", "Colour", "Shape", "Dynamics", "All")]
     assert [(row[0], row[1]) for row in rows] == [*magical_mj.ENVIRONMENTS, *sweep]

@@ -147,7 +147,7 @@ def _new_places(results: Results) -> Iterator[Table]:
     yield from _plain(
         "new_places",
         "Mean score in new places: the scenes where it is wrong to move what stands where the demonstrations moved "
-        "something, or to end where they ended. Beside it its 95 % interval, the floor there, and the number of "
+        "something, or to end where they ended. With its 95 % interval, the floor there, and the number of "
         "environments. MoveToCorner and MakeLine have no such scene",
         ("Method", "score", "interval", "floor", "environments"),
         rows,
