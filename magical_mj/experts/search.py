@@ -145,6 +145,8 @@ def look(path: Any, at: int, costs: Any, farthest: Any) -> None:
         free = True
         for step in range(steps + 1):
             x, y = path[at, 0] + step * (dx / steps), path[at, 1] + step * (dy / steps)
+            if step == steps:
+                x, y = path[then, 0], path[then, 1]  # as in numpy.linspace: rounding may lead into another cell
             free = free and costs[_cell(x, y, heading)] == 0
         if free:
             farthest[0] = then

@@ -15,8 +15,9 @@ from magical_mj import TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.experts import Expert, GoalPicture
 from magical_mj.experts.driving import HumanExecution, Lookahead, drive, steer
+from magical_mj.experts.grid import CELL
 from magical_mj.experts.manoeuvres import manoeuvres, obstacles, simplified
-from magical_mj.experts.navigation import EMPTY, SearchTree, cell_costs, cells, explore
+from magical_mj.experts.navigation import EMPTY, SearchTree, cell_costs, cells, explore, farthest
 from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks import move_to_region
 from magical_mj.tasks.planning import Noise, Subgoal
@@ -98,6 +99,16 @@ def test_routes_are_driven() -> None:
         for _ in range(4):
             world.act(Gripper.OPEN)  # it comes to rest
         assert math.dist(world.robot[:2], tree.poses[node][:2]) < 0.22
+
+
+def test_a_straight_line_ends_in_the_cell_of_its_last_pose() -> None:
+    """Also if the pose is on the border of a cell, where rounding could lead into the next one."""
+    rng, free = np.random.default_rng(0), cell_costs(np.empty((0, 3)), EMPTY)
+    for start, end in zip(rng.uniform(-0.8, 0.8, (100, 2)), CELL * rng.integers(-16, 17, (100, 2)), strict=True):
+        (dx, dy), costs = end - start, np.full_like(free, -1)
+        line = np.linspace(start, end, max(2, math.ceil(math.hypot(dx, dy) / CELL)))
+        costs[cells(np.column_stack([line, np.full(len(line), math.atan2(-dx, dy))]))] = 0
+        assert farthest([(*start, 0.0), (*end, 0.0)], 0, costs) == 1
 
 
 def test_a_route_goes_round_a_block() -> None:
