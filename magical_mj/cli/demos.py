@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -27,7 +27,7 @@ from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError, counted
-from magical_mj.utils.parallel import map_unordered
+from magical_mj.utils.parallel import map_here, map_unordered
 from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
@@ -188,12 +188,18 @@ def make_missing(
     order = {pair: number for number, pair in enumerate(dict.fromkeys(key[:2] for key in paths))}
     todo = [(key, paths[key]) for key in sorted(paths, key=lambda key: -order[key[:2]]) if key not in there]
     try:
-        messages = list(with_bar(screen, doing, map_unordered(partial(write_one, make), todo, jobs), len(todo)))
+        messages = list(with_bar(screen, doing, _mapped(partial(write_one, make), todo, jobs), len(todo)))
     except KeyboardInterrupt:
         finished = sum(path.exists() for path in paths.values())
         complain(f"interrupted: {finished} of {len(paths)} demonstrations are in {out}; the same command continues")
         raise
     return sorted(filter(None, messages))
+
+
+def _mapped(function: Callable[[Any], Any], items: Sequence[Any], jobs: int | None) -> Iterator[Any]:
+    """The function's results; with one job, or one item, of this process."""
+    alone = jobs == 1 or len(items) == 1
+    return map_here(function, items) if alone else map_unordered(function, items, jobs)
 
 
 def check_made(failures: Sequence[str]) -> None:
@@ -203,7 +209,7 @@ def check_made(failures: Sequence[str]) -> None:
 
 
 def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str:
-    """Makes and writes one demonstration in a worker process. Returns an error message, or "" if none."""
+    """Makes and writes one demonstration. Returns an error message, or "" if none."""
     key, path = work
     try:
         magical_mj.demos.write(make(*key), path)
@@ -294,7 +300,7 @@ def verify_all(
     """
     screen = console()
     chosen = sources_of(paths, tasks, variants, which)
-    work = map_unordered(partial(check, asked_for(tasks, variants)), chosen, jobs)
+    work = _mapped(partial(check, asked_for(tasks, variants)), chosen, jobs)
     outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome is not None]
     if not outcomes:
         raise DemonstrationError(f"none of the {len(chosen)} demonstrations is of these tasks and variants")
@@ -325,7 +331,7 @@ class Checked(NamedTuple):
 
 
 def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> Checked | None:
-    """Checks one demonstration in a worker process. None if it is not in the `wanted` environments."""
+    """Checks one demonstration. None if it is not in the `wanted` environments."""
     name = str(source) if isinstance(source, Path) else f"{source.name} {source.scene_seed}"
     try:
         if isinstance(demo := read_asked(source, wanted), str):
