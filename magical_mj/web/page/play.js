@@ -252,8 +252,8 @@ function changeShifts({ target }) {
 
 /** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
 function showChoice(isOther, isNew) {
-  const { task, variant, seed, environment, wanted } = shown, { puzzle } = environment, [{ scene: first }] = environment.scenes;
-  const own = wanted && { summary: wanted.sentence.slice(0, -1), hint: wanted.text, solved: wanted.end ?? first };
+  const { task, variant, seed, environment, wanted } = shown, { puzzle } = environment;
+  const own = wanted && { summary: wanted.sentence.slice(0, -1), hint: wanted.text, solved: wanted.end ?? environment.scenes[0].scene };
   const { summary, hint, solved } = own ?? (puzzle ? described(puzzle) : catalogue.tasks[task]);
   showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
