@@ -26,7 +26,7 @@ from magical_mj.utils.errors import ClosedError, CopyError, PhysicsError, Settin
 from magical_mj.utils.frozen import FrozenDict
 from magical_mj.variants import check_seed
 
-_EPISODE: Final = ("scene_model", "model", "data", "episode_shifts", "steps", "trajectory", "_renderers")
+_EPISODE: Final = ("scene_model", "_model", "_data", "episode_shifts", "_steps", "trajectory", "_renderers")
 """The attributes of an engine that `close` frees."""
 
 
@@ -55,12 +55,6 @@ class Engine(Simulation):
         speeds: whether vectors of x-magical's speeds are also actions (`magical_mj.assets.robot.speed_signal`).
 
     Attributes:
-        task: the task; None for plain scenes.
-        variant: the variant.
-        rules: the rules of score and horizon.
-        horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
-        seed: the seed of the current episode's scene; None if the scene was not drawn from a seed.
-        shifts: the strengths of the shifts by name, without `body`.
         limit: the largest number of actions in an episode of this engine: the horizon, or fewer.
 
     Raises:
@@ -94,7 +88,7 @@ class Engine(Simulation):
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
         self._begin(setup, *setup.scene_and_shifts(strengths, seed, scene), renderer, strengths)
-        self.seed = seed
+        self._seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
@@ -114,20 +108,50 @@ class Engine(Simulation):
         """Initialises the engine at the start of an episode with this scene and these shifts."""
         check_renderer(renderer)
         super().__init__(setup, SceneModel(scene), renderer=renderer)
-        self.task, self.variant, self.rules, self.horizon = setup.task, setup.variant, setup.rules, setup.horizon
-        self.limit, self.shifts = setup.horizon, FrozenDict(strengths)
+        self.limit = setup.horizon
+        self._shifts: Mapping[str, int] = FrozenDict(strengths)
         self.start(scene, episode_shifts)
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None, seed: int | None = None) -> None:
         """Starts an episode in a scene that `Setup.scene_and_shifts` returned. `seed` is that of the scene, if any."""
         self._broken = True  # until the start has succeeded
         super().start(scene, shifts)
-        self.seed, self._broken = seed, False
+        self._seed, self._broken = seed, False
+
+    @property
+    def task(self) -> str | None:
+        """The task; None for plain scenes."""
+        return self._setup.task
+
+    @property
+    def variant(self) -> str:
+        """The variant."""
+        return self._setup.variant
+
+    @property
+    def rules(self) -> Rules:
+        """The rules of score and horizon."""
+        return self._setup.rules
+
+    @property
+    def horizon(self) -> int | None:
+        """The number of actions of an episode; None if it never ends, as in plain scenes."""
+        return self._setup.horizon
+
+    @property
+    def seed(self) -> int | None:
+        """The seed of the current episode's scene; None if the scene was not drawn from a seed."""
+        return self._seed
+
+    @property
+    def shifts(self) -> Mapping[str, int]:
+        """The strengths of the shifts by name, without `body`."""
+        return self._shifts
 
     @property
     def over(self) -> bool:
         """Whether the episode has ended, at its limit or because the simulation became unstable."""
-        steps = self.steps  # an error if the engine is closed
+        steps = self._steps  # an error if the engine is closed
         return self._broken or (self.limit is not None and steps >= self.limit)
 
     def reset(
@@ -152,15 +176,15 @@ class Engine(Simulation):
             StateError: if the state does not fit the task, or its episode has ended.
             SettingsError: if more than one of seed, scene and state is given.
         """
-        self.setup.check_start(seed=seed, scene=scene, state=state, limit=self.limit)
+        self._setup.check_start(seed=seed, scene=scene, state=state, limit=self.limit)
         if state is not None:
             self.set_state(state)
             return
         if seed is not None:
             seed = check_seed(seed)
         elif scene is None:
-            scene, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
-        self.start(*self.setup.scene_and_shifts(self.shifts, seed, scene, draws), seed)
+            scene, seed, draws = self.initial_scene, self._seed, self.draws if draws is None else draws
+        self.start(*self._setup.scene_and_shifts(self._shifts, seed, scene, draws), seed)
 
     def step(self, action: Any) -> bool:
         """Executes one action of 1/8 s. Returns whether the episode has ended.
@@ -206,9 +230,9 @@ class Engine(Simulation):
                 scene, the current episode ends.
             InvalidSceneError: if the state's scene does not belong to this task.
         """
-        self.setup.check_state(state)  # before anything is changed
+        self._setup.check_state(state)  # before anything is changed
         if state.scene != self.initial_scene or state.draws != self.draws:
-            self.start(*self.setup.scene_and_shifts({}, scene=state.scene, draws=state.draws))
+            self.start(*self._setup.scene_and_shifts({}, scene=state.scene, draws=state.draws))
             self._broken = True  # until everything below has succeeded
         self.resume(state)
         self._broken = False
@@ -237,12 +261,12 @@ class Engine(Simulation):
 
     def _parts(self) -> tuple[Any, ...]:
         """The arguments of `restored` for a copy."""
-        episode = self.seed, self.get_state(), self._broken, self.limit
-        return self.setup, self.shifts, *episode, self.renderer
+        episode = self._seed, self.get_state(), self._broken, self.limit
+        return self._setup, self._shifts, *episode, self.renderer
 
     def _check_model(self, expected: mujoco.MjModel) -> None:
         """Raises a `CopyError` if the model differs from that of an unchanged engine in this episode."""
-        if changes := different_numbers(self.model, expected):
+        if changes := different_numbers(self._model, expected):
             raise CopyError(
                 f"the engine's model was changed by hand ({', '.join(changes[:5])}), and a copy would lack that: "
                 "change it in a shift of your own (docs/adding-a-shift.md), which copies have as well"
@@ -279,5 +303,5 @@ def restored(
     engine = Engine.__new__(Engine)
     engine._begin(setup, state.scene, EpisodeShifts(state.draws), renderer, shifts)
     engine.set_state(state)
-    engine.seed, engine._broken, engine.limit = seed, broken, limit
+    engine._seed, engine._broken, engine.limit = seed, broken, limit
     return engine

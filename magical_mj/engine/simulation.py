@@ -43,12 +43,8 @@ class Simulation:
         cameras: the names of the views' cameras in the model, where they differ from the views' names.
 
     Attributes:
-        setup: task, variant, rules and body, and the properties that follow from them.
         scene_model: the initial scene of the current episode, and its coordinates.
-        model: MuJoCo's model. `start` replaces it if the new scene has another structure.
-        data: MuJoCo's data of that model.
         episode_shifts: the shifts of the current episode.
-        steps: the number of actions since the start of the episode.
         trajectory: the scenes of the episode so far if the score depends on all of them; otherwise empty.
     """
 
@@ -61,12 +57,12 @@ class Simulation:
         renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        self.setup, self.scene_model = setup, scene_model
-        self.model = new_model(scene_model.structure) if model is None else model
-        self.data = mujoco.MjData(self.model) if data is None else data
+        self._setup, self.scene_model = setup, scene_model
+        self._model = new_model(scene_model.structure) if model is None else model
+        self._data = mujoco.MjData(self._model) if data is None else data
         self.renderer, self._cameras = renderer, cameras
         self.episode_shifts = EpisodeShifts()
-        self.steps, self.trajectory = 0, list[Scene]()
+        self._steps, self.trajectory = 0, list[Scene]()
         self._last_remaining: tuple[Any, float] = None, 0.0  # (steps, positions), and the distance there
         self._renderers: dict[str, Renderer] = {}
         self._encoder: tuple[Scene, bool, StateEncoder] | None = None
@@ -79,9 +75,29 @@ class Simulation:
         return simulation
 
     @property
+    def setup(self) -> Setup:
+        """Task, variant, rules and body, and the properties that follow from them."""
+        return self._setup
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model. `start` replaces it if the new scene has another structure."""
+        return self._model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data of that model."""
+        return self._data
+
+    @property
+    def steps(self) -> int:
+        """The number of actions since the start of the episode."""
+        return self._steps
+
+    @property
     def scene(self) -> Scene:
         """The current scene, with the poses of robot, blocks and fingers."""
-        return self.scene_model.read(self.data.qpos)
+        return self.scene_model.read(self._data.qpos)
 
     @property
     def initial_scene(self) -> Scene:
@@ -96,7 +112,7 @@ class Simulation:
     @property
     def instruction(self) -> str:
         """The sentence that describes the task in this episode; "" for plain scenes."""
-        return self.episode_shifts.instruction(self.setup.spec.instruction, str(self.setup.task))
+        return self.episode_shifts.instruction(self._setup.spec.instruction, str(self._setup.task))
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
         """Starts an episode in this scene with these shifts. The result equals that of a newly compiled model.
@@ -108,12 +124,12 @@ class Simulation:
         if scene != self.scene_model.scene:
             self.scene_model = SceneModel(scene)
         if self.scene_model.structure != before:
-            self.model = new_model(self.scene_model.structure)
-            self.data = mujoco.MjData(self.model)
+            self._model = new_model(self.scene_model.structure)
+            self._data = mujoco.MjData(self._model)
             self._renderers = {}
         elif changed:
-            write_numbers(self.model, compiled_model(before))
-        model, data = self.model, self.data
+            write_numbers(self._model, compiled_model(before))
+        model, data = self._model, self._data
         change = self.episode_shifts.model if self.episode_shifts.changes_model else None
         self.scene_model.rewrite(model, data, change=change)
         mujoco.mj_resetData(model, data)
@@ -128,13 +144,17 @@ class Simulation:
 
     def clear_records(self) -> None:
         """Sets the number of steps to 0, and the trajectory to the initial scene if the score depends on it."""
-        self.steps = 0
-        self.trajectory = [self.scene_model.scene] if self.setup.spec.trajectory else []
+        self._steps = 0
+        self.trajectory = [self.scene_model.scene] if self._setup.spec.trajectory else []
         self._last_remaining = None, 0.0
+
+    def take_records(self, other: Simulation) -> None:
+        """Takes the number of steps and the trajectory of another simulation of the same episode."""
+        self._steps, self.trajectory = other.steps, other.trajectory
 
     def physics_copy(self) -> Simulation:
         """A copy of the model's current state. It has no shifts and no records, and executes actions as commanded."""
-        twin = Simulation(self.setup, self.scene_model, self.model, renderer=self.renderer, cameras=self._cameras)
+        twin = Simulation(self._setup, self.scene_model, self._model, renderer=self.renderer, cameras=self._cameras)
         twin.restore(self.save())
         return twin
 
@@ -146,7 +166,7 @@ class Simulation:
 
     def record(self) -> None:
         """Counts an action after it was simulated, and stores the scene if the score depends on it."""
-        self.steps += 1
+        self._steps += 1
         if self.trajectory:
             self.trajectory.append(self.scene)
 
@@ -156,16 +176,16 @@ class Simulation:
         Raises:
             InvalidActionError: if the action is neither one of the 18 nor, with `speeds`, a vector of speeds.
         """
-        if self.setup.speeds:
+        if self._setup.speeds:
             self._command_speeds(action)
             return
         scene_model = self.scene_model
         table = controls(scene_model.scene.robot.body, scene_model.scene.dynamics.veer)
-        self.data.ctrl[scene_model.coordinates.ctrl] = table[self.episode_shifts.action(action_number(action))]
+        self._data.ctrl[scene_model.coordinates.ctrl] = table[self.episode_shifts.action(action_number(action))]
 
     def _command_speeds(self, action: Any) -> None:
         """Writes the controls of a vector of speeds, or of one of the 18 actions, as full speed or none."""
-        scene_model, data = self.scene_model, self.data
+        scene_model, data = self.scene_model, self._data
         size = 3 if scene_model.has_fingers else 2
         if np.ndim(action) == 0 or isinstance(action, Action):
             vector = to_vector(self.episode_shifts.action(action_number(action)))[:size]
@@ -187,7 +207,7 @@ class Simulation:
         Raises:
             PhysicsError: if the simulation becomes unstable.
         """
-        model, data = self.model, self.data
+        model, data = self._model, self._data
         warnings = data.warning.number
         before = warnings.tobytes()
         mujoco.mj_step2(model, data)
@@ -207,27 +227,27 @@ class Simulation:
         Raises:
             InvalidSceneError: if the scene has more blocks or regions than the vector has entries for.
         """
-        scene, data, at = self.scene_model.scene, self.data, self.scene_model.coordinates
+        scene, data, at = self.scene_model.scene, self._data, self.scene_model.coordinates
         if self._encoder is None or self._encoder[0] is not scene or self._encoder[1] != start:
             self._encoder = scene, start, StateEncoder(scene, start=start)
         return self._encoder[2](data.qpos[at.qpos], data.qvel[at.qvel], data.qpos[at.fingers])
 
     def fingers(self) -> NDArray[np.float64]:
         """Angles of the left and the right finger, rad. Shape (2,)."""
-        return self.scene_model.fingers(self.data.qpos)
+        return self.scene_model.fingers(self._data.qpos)
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the current state, as `magical_mj.Engine.render` without a check of its arguments."""
         kind, camera = KINDS[view], self._cameras.get(view, view)
         if (renderer := self._renderers.get(kind)) is None:
-            renderer = self._renderers[kind] = new_renderer(self.model, kind, self.renderer)
+            renderer = self._renderers[kind] = new_renderer(self._model, kind, self.renderer)
         if not self.episode_shifts.changes_pictures or view not in VIEWS:
-            return renderer.draw(self.data, camera, size, out)
+            return renderer.draw(self._data, camera, size, out)
         uncovered = np.empty((size, size), np.uint8) if self.episode_shifts.changes_ground else None
         target = (
             None if self.episode_shifts.filters else out
         )  # filters need a contiguous array, and `out` may have gaps
-        picture = renderer.draw(self.data, camera, size, target, uncovered)
+        picture = renderer.draw(self._data, camera, size, target, uncovered)
         frame = self._frame(view, self.episode_shifts.steps)
         picture = self.episode_shifts.picture(picture, frame, uncovered, self.scene_model.scene.half_width)
         if out is None or target is out:
@@ -238,9 +258,9 @@ class Simulation:
 
     def _frame(self, view: str, step: int) -> Frame:
         """The description of a picture that shifts receive: the view, the step and the camera."""
-        camera = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, self._cameras.get(view, view))
-        (x, y, _), axes = self.data.cam_xpos[camera].tolist(), self.data.cam_xmat[camera].tolist()
-        return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self.model.cam_fovy[camera])))
+        camera = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, self._cameras.get(view, view))
+        (x, y, _), axes = self._data.cam_xpos[camera].tolist(), self._data.cam_xmat[camera].tolist()
+        return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self._model.cam_fovy[camera])))
 
     def free(self) -> None:
         """Frees the simulation's renderers. The drawing context is shared and remains."""
@@ -254,11 +274,11 @@ class Simulation:
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now. Raises an `InvalidSceneError` without a task."""
-        return self.setup.spec.checked_score(self.scored_scenes, self.setup.rules)
+        return self._setup.spec.checked_score(self.scored_scenes, self._setup.rules)
 
     def side_effects(self) -> int | None:
         """The number of moved blocks that the goal does not name; None if the task does not define it."""
-        count = self.setup.spec.side_effects
+        count = self._setup.spec.side_effects
         return None if count is None else count(self.scene_model.scene, self.scene)
 
     @np.errstate(all="ignore")
@@ -271,16 +291,16 @@ class Simulation:
             InvalidSceneError: without a task.
             TaskError: if the task does not define it.
         """
-        now = self.steps, self.data.qpos.tobytes()
+        now = self._steps, self._data.qpos.tobytes()
         if self._last_remaining[0] != now:  # dense rewards ask before and after each step
-            self._last_remaining = now, self.setup.spec.remaining(self.scored_scenes, self.setup.rules)
+            self._last_remaining = now, self._setup.spec.remaining(self.scored_scenes, self._setup.rules)
         return self._last_remaining[1]
 
     def get_state(self) -> State:
         """The exact current state of the episode. Takes about 1/40 of a step's time."""
         return State(
             self.scene_model.scene,
-            self.steps,
+            self._steps,
             self.save(),
             draws=self.episode_shifts.draws,
             commands={name: tuple(last) for name, last in self.episode_shifts.commands.items()},
@@ -290,25 +310,25 @@ class Simulation:
     def resume(self, state: State) -> None:
         """Continues from a state of an episode with the same initial scene and the same values of shifts."""
         self.restore(state.simulation)
-        self.steps = int(state.steps)
-        self.trajectory = list(state.trajectory) if self.setup.spec.trajectory else []
+        self._steps = int(state.steps)
+        self.trajectory = list(state.trajectory) if self._setup.spec.trajectory else []
         self._last_remaining = None, 0.0
-        self.episode_shifts.resume(self.steps, state.commands)
+        self.episode_shifts.resume(self._steps, state.commands)
 
     def save(self) -> NDArray[np.float64]:
         """MuJoCo's complete current state in a fresh array. Shape (state size + number of trees,).
 
         It is MuJoCo's integration state, and which trees (bodies with their children) sleep: that state lacks this.
         """
-        size = mujoco.mj_stateSize(self.model, _INTEGRATION)
-        saved = np.empty(size + self.model.ntree)
-        mujoco.mj_getState(self.model, self.data, saved[:size], _INTEGRATION)
-        saved[size:] = self.data.tree_asleep
+        size = mujoco.mj_stateSize(self._model, _INTEGRATION)
+        saved = np.empty(size + self._model.ntree)
+        mujoco.mj_getState(self._model, self._data, saved[:size], _INTEGRATION)
+        saved[size:] = self._data.tree_asleep
         return saved
 
     def coordinates(self, saved: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The positions and the velocities in a state that `save` returned. Shapes (nq,) and (nv,)."""
-        nq, nv = self.model.nq, self.model.nv  # they follow the time, the first number
+        nq, nv = self._model.nq, self._model.nv  # they follow the time, the first number
         return saved[1 : 1 + nq], saved[1 + nq : 1 + nq + nv]
 
     def restore(self, saved: NDArray[np.float64]) -> None:
@@ -318,7 +338,7 @@ class Simulation:
             StateError: if it is not a state of this model.
         """
         before = self.save()
-        length, trees = len(before), self.model.ntree
+        length, trees = len(before), self._model.ntree
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (length,)
         if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # with larger numbers, MuJoCo resets silently
             raise StateError(
@@ -337,7 +357,7 @@ class Simulation:
             raise StateError(f"the state is damaged: MuJoCo cannot continue from it ({error})") from error
 
     def _put(self, saved: NDArray[np.float64]) -> None:
-        model, data = self.model, self.data
+        model, data = self._model, self._data
         state, asleep = np.split(saved, [len(saved) - model.ntree])
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, state, _INTEGRATION)

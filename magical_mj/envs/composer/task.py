@@ -125,7 +125,7 @@ class SceneTask(composer.Task):
             renderer = self.settings.renderer
             own = Simulation(self.setup, self.scene_model, model, data, renderer, CAMERA_NAMES)
             if simulation is not None:  # a copy of the physics is in the same episode
-                own.steps, own.trajectory = simulation.steps, simulation.trajectory
+                own.take_records(simulation)
             self._simulation, self._simulated = own, (id(model), id(data))
             simulation = own
         self.scene_model.coordinates = simulation.scene_model.coordinates
