@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Iterator
+from contextlib import nullcontext
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +22,7 @@ from dm_env import test_utils
 import magical_mj
 from magical_mj.actions import ACTIONS
 from magical_mj.engine import Engine, State
+from magical_mj.engine.simulation import different_numbers
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import task_spec
@@ -233,6 +235,29 @@ def test_an_adapter_may_seed_the_generator_before_the_first_reset() -> None:
         env.reset()
         scenes.append(env.initial_scene)
     assert scenes[0] == scenes[1]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_an_episode_with_the_blocks_of_loading_after_another_has_its_own_model(fails: bool) -> None:
+    env = magical_mj.load("FixColour", "All", seed=3, observations=())
+    failures = [fails]
+
+    def fail_once(*_: object) -> None:
+        if failures[0]:
+            failures[0] = False
+            raise RuntimeError("a hook that fails")
+
+    env.add_extra_hook("initialize_episode", fail_once)
+    with pytest.raises(RuntimeError) if fails else nullcontext():
+        env.reset(seed=5)
+    for seed in (3, 7):
+        env.reset(seed=seed)
+        engine = Engine("FixColour", "All", seed=seed)
+        for action in (1, 10, 4):
+            env.step(action)
+            engine.step(action)
+        assert env.get_state() == engine.get_state()
+        assert not different_numbers(env.physics.model.ptr, engine.model)
 
 
 def test_states_go_from_here_to_engines_and_back() -> None:

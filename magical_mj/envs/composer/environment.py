@@ -16,7 +16,6 @@ from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
-from magical_mj.assets.scene_model import Structure
 from magical_mj.engine import State
 from magical_mj.engine.engine import Engine, restored
 from magical_mj.engine.episode import Setup
@@ -68,7 +67,6 @@ class Environment(composer.Environment):
 
     def _compile(self, task: SceneTask, random_state: np.random.RandomState) -> None:
         """Compiles the trees by calling composer's constructor again. A reset compiles only with `recompile`."""
-        self._structure = None  # until the compilation has succeeded
         task.compile_next()
         super().__init__(
             task,
@@ -77,7 +75,6 @@ class Environment(composer.Environment):
             recompile_mjcf_every_episode=self._recompile,
         )
         task.root_entity.compiled()
-        self._structure: Structure | None = task.scene_model.structure
         for name, hook in self._hooks_added:
             super().add_extra_hook(name, hook)
 
@@ -171,14 +168,14 @@ class Environment(composer.Environment):
         if self._recompile:
             if task.root_entity.edited:  # composer looks for the hooks of new entities only in its constructor
                 self._compile(task, self.random_state)
-        elif self._never_reset or task.scene_model.structure != self._structure or task.outdated:
+        elif self._never_reset or task.outdated:
             task.root_entity.refuse_variations()
             if not self._never_reset:  # composer's own reset compiles the first time
                 task.compile_next()
                 task.root_entity.show(scene)  # composer compiles this scene
                 self._compile(task, self.random_state)
+        self._never_reset = False  # also if composer compiles, and a hook fails afterwards
         timestep = super().reset()
-        self._never_reset = False
         if state is not None:
             task.simulation(self.physics).resume(state)  # again: composer's reset has computed accelerations since
         self._over = task.should_terminate_episode(self.physics)

@@ -17,7 +17,7 @@ from dm_env import specs
 
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
-from magical_mj.assets.scene_model import SceneModel
+from magical_mj.assets.scene_model import SceneModel, Structure
 from magical_mj.engine import State
 from magical_mj.engine.episode import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
@@ -86,6 +86,7 @@ class SceneTask(composer.Task):
         self._simulation: Simulation | None = None
         self._simulated = 0, 0  # the identities of its model and data, which it keeps alive
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None  # a model and its copy before shifts
+        self._structure: Structure | None = None  # that of the compiled model
         self._arena = Arena(scene)
         self.stepwise = self.substeps_hooked = False
         self._observers, self._stacks = list[int](), list[LatestFrames]()
@@ -178,13 +179,14 @@ class SceneTask(composer.Task):
 
     def compile_next(self) -> None:
         """Prepares the next compilation: composer then reads the trees and the number of substeps per action."""
-        self._arena.compiling = True
+        self._arena.compiling, self._structure = True, None
         self.stepwise, self._observers = self._composition()
 
     @property
     def outdated(self) -> bool:
-        """Whether users have changed trees, observables or hooks of substeps, which requires a compilation."""
-        return self._arena.edited or self._composition() != (self.stepwise, self._observers)
+        """Whether a compilation is required: for other blocks, or if users changed trees, observables or hooks."""
+        other_blocks = self.scene_model.structure != self._structure
+        return other_blocks or self._arena.edited or self._composition() != (self.stepwise, self._observers)
 
     def _composition(self) -> tuple[bool, list[int]]:
         """Whether a hook or an observable needs every substep, and the identities of all observables."""
@@ -206,6 +208,7 @@ class SceneTask(composer.Task):
         """Raises a `SettingsError` if hooks have changed attributes that the scene determines."""
         del physics, random_state
         self._arena.check_owned()
+        self._structure = self.scene_model.structure
 
     def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Writes the scene into the compiled model, and sets the initial state."""
