@@ -251,7 +251,8 @@ def _repetitions(methods: Sequence[Standing]) -> Iterator[str]:
         if found is None:
             yield (
                 f"{other.name} does not count as a repetition of {repeats}, an entry that must be on the page: it "
-                "needs other authors, the same observations, rules and privileges, and all environments."
+                "needs other authors, the same observations, rules and privileges, all environments, and as many runs "
+                "and episodes."
             )
         else:
             value, low, high = found

@@ -322,7 +322,8 @@ def repetition(method: Standing, other: Standing) -> Estimate | None:
     """How much higher a method's mean score is in an entry whose authors trained it again, over its environments.
 
     None if the other entry is no such repetition: its card must name the method, and other authors. Observations,
-    rules and privileges must be the same, and all environments must be played. It succeeded if the interval contains 0.
+    rules and privileges must be the same, and all environments must be played, with as many runs and episodes. It
+    succeeded if the interval contains 0.
     If an environment has one scene, there is no interval, and this is not known.
     """
     card, own = other.entry.card, method.entry.card
@@ -331,9 +332,15 @@ def repetition(method: Standing, other: Standing) -> Estimate | None:
         and card.authors not in (None, own.authors)
         and (other.entry.observations, other.entry.rules) == (method.entry.observations, method.entry.rules)
         and {*other.privileges} == {*method.privileges}
-        and method.episodes.keys() <= other.episodes.keys()
+        and all(_as_many(other.episodes.get(pair, {}), runs) for pair, runs in method.episodes.items())
     )
     return difference(other, method, method.episodes) if fits else None
+
+
+def _as_many(runs: Mapping[int, Floats], other: Mapping[int, Floats]) -> bool:
+    """Whether an environment was played in as many runs as another time, and in as many episodes."""
+    played, needed = (sum(int(np.isfinite(scores).sum()) for scores in each.values()) for each in (runs, other))
+    return len(runs) >= len(other) and played >= needed
 
 
 def _better(first: Floats, second: Floats) -> Any:

@@ -19,7 +19,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
 from magical_mj.observations import STATE_NAMES
-from magical_mj.policies.facts import Learnt, learnt_from
+from magical_mj.policies.facts import UNKNOWN, Learnt, learnt_from
 from magical_mj.policies.interface import HISTORY, Episode
 from magical_mj.policies.loading import loader_in, policy_in
 from magical_mj.policies.models import Model, torch_settings
@@ -45,7 +45,7 @@ class TrainedPolicy(Model):
         learnt: what its training used.
     """
 
-    def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str, learnt: Learnt) -> None:
+    def __init__(self, actor: nn.Module, tasks: Sequence[str], preset: str, learnt: Learnt = UNKNOWN) -> None:
         super().__init__(self._draw_actions, remembers=preset == STATE)
         self.actor, self.tasks, self.preset, self.learnt = actor, tuple(tasks), preset, learnt
         self._device = next(actor.parameters()).device

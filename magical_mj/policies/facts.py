@@ -60,10 +60,17 @@ def learnt_from(origin: object, policy: object = None) -> Learnt:
 
     Args:
         origin: the policy's origin. If it is the folder of a training, its settings decide, as far as they say it.
-        policy: the policy. Otherwise, the record is its attribute `learnt`, if that is a `Learnt`.
+        policy: the policy. Otherwise, the record is its attribute `learnt`, if it has one.
+
+    Raises:
+        SettingsError: if `learnt` is not a `Learnt`, or the settings are not as described there.
     """
-    given = getattr(policy, "learnt", None)
-    learnt = given if isinstance(given, Learnt) else UNKNOWN  # others may use the name for something else
+    learnt = getattr(policy, "learnt", UNKNOWN)
+    if not isinstance(learnt, Learnt):
+        raise SettingsError(
+            f"learnt of a policy must be a magical_mj.policies.facts.Learnt, such as Learnt(demonstration_set=2), not "
+            f"{short_repr(learnt)}"
+        )
     path = Path(origin) / CONFIG if isinstance(origin, str | os.PathLike) else Path()
     if not path.is_file():
         return learnt

@@ -165,11 +165,11 @@ def begin(policy: Act | BatchPolicy, episode: Episode) -> None:
 
     If it has no `__call__`, it acts by `act_batch`, and therefore starts by `reset_batch`.
     """
-    reset = getattr(policy, "reset", None)
+    reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
     if reset is not None and callable(policy):
         reset(episode)
-    elif isinstance(policy, BatchPolicy):
-        policy.reset_batch([episode])
+    elif reset_batch is not None:
+        reset_batch([episode])
 
 
 def act(policy: Act | BatchPolicy, observation: Any) -> Any:

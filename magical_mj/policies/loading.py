@@ -221,12 +221,11 @@ def doubts(source: Source, policy: Act, preset: str, *, is_chosen: bool) -> Iter
         preset: the preset of its observations.
         is_chosen: whether `common_preset` has chosen the preset.
     """
-    fitting = _fitting(policy)
-    if is_chosen and len(fitting) > 1 and not hasattr(policy, "preset"):
-        others = ", ".join(name for name in fitting if name != preset)
+    others = [name for name in _fitting(policy) if name not in ("", preset)]
+    if is_chosen and others and not hasattr(policy, "preset"):
         yield (
-            f"{source.name} is played with the preset {preset}, but observations of {others} have the same shape: if "
-            "it was trained on those, or to avoid this warning, give --preset (preset=...)"
+            f"{source.name} is played with the preset {preset}, but observations of {', '.join(others)} have the same "
+            "shape: if it was trained on those, or to avoid this warning, give --preset (preset=...)"
         )
     if stopped := source.learnt.unfinished:
         yield (

@@ -76,6 +76,9 @@ def test_an_entry_is_repeated_if_others_trained_it_to_the_same_score() -> None:
         "all environments": repeated(
             replace(entry, episodes=[one for one in entry.episodes if one.task == "FixColour"]), authors="Somebody else"
         ),
+        "as many runs": repeated(
+            replace(entry, episodes=[one for one in entry.episodes if one.run == 0]), authors="Somebody else"
+        ),
     }
     for expected, other in others.items():
         methods = [method for method in standings({"a": entry, "b": other}) if method.kind != "published"]

@@ -175,6 +175,32 @@ def test_a_policy_that_fails_is_told_what_it_was_given() -> None:
             magical_mj.evaluate(act, preset=preset, **SMALL)
 
 
+def test_a_policy_may_begin_by_reset_batch_and_act_alone() -> None:
+    class Counting:
+        started = 0
+
+        def reset_batch(self, episodes: list[magical_mj.evaluation.Episode]) -> None:
+            self.started += len(episodes)
+
+        def __call__(self, observation: object) -> int:
+            return 0
+
+    policy = Counting()
+    magical_mj.evaluate(policy, tasks="MoveToRegion", variants="Demo", episodes=2)
+    assert policy.started == 2
+
+
+def test_what_a_policy_learnt_from_has_its_own_type() -> None:
+    class Declares:
+        learnt: Any = "demonstration_set=2"
+
+        def __call__(self, observation: object) -> int:
+            return 0
+
+    with pytest.raises(SettingsError, match=r"Learnt\(demonstration_set=2\)"):
+        magical_mj.evaluate(Declares(), tasks="MoveToRegion", variants="Demo", episodes=1)
+
+
 def test_errors_list_the_kinds_of_policies() -> None:
     with pytest.raises(UnknownNameError, match=r"module:object, FILE.zip, FILE.onnx, a run's folder"):
         magical_mj.evaluate("somebody", **SMALL)
