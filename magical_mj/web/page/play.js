@@ -268,6 +268,7 @@ function showChoice(isOther, isNew) {
     draw(element("solved"), catalogue.look, solved, "allo");
     element("scenes").replaceChildren(...environment.scenes.map((entry) => sceneButton(entry, catalogue.look, () => play(entry.seed))));
   }
+  element("more").hidden = !may("scenes");  // not before: what is above would still move it
   for (const button of element("scenes").children) button.ariaCurrent = String(Number(button.dataset.seed) === seed);
 }
 
@@ -560,6 +561,6 @@ if (catalogue.collects) {
   }
 }
 for (const choice of ["task", "variant", "seed"]) element(choice).parentElement.hidden ||= !may("scenes");
-for (const choice of ["next", "more"]) element(choice).hidden = !may("scenes");
+element("next").hidden = !may("scenes");
 await start();
 
