@@ -38,7 +38,7 @@ CONTRASTING_DEMOS: Final = 4
 MATCHED: Final = ("seen", "combined", "selector", "relation")
 TEST_VARIANTS: Final = ("Layout", "All")
 SCENES: Final = 20
-"""Shortcuts are tried in so many scenes of Layout, and as many of All."""
+"""The number of scenes of Layout, and of All, in which shortcuts are tried."""
 FLOOR: Final = 0.1
 """A shortcut satisfies a test intent in at most this share of the scenes."""
 GLANCE, GLANCE_MOST = 4, 0.25

@@ -44,7 +44,7 @@ from tools.pages import ROOT, filled
 from tools.tables import table
 
 MEASURED: Final = 5
-"""Shortcuts are measured in so many scenes of Layout, and as many of All. They are other scenes than those in
+"""The number of scenes of Layout, and of All, in which shortcuts are measured. They are other scenes than those in
 which the sets were chosen."""
 GIVEN: Final = 4
 """The number of demonstrations that an intent should have in each kind of scenes."""
@@ -104,7 +104,7 @@ def floors_table() -> str:
 
 
 def write_table(name: str, content: str) -> None:
-    """Writes a table into docs/intents-evaluation.md. Its name is that of the command, too."""
+    """Writes a table into docs/intents-evaluation.md. The table is named after the command."""
     page = ROOT / "docs" / "intents-evaluation.md"
     page.write_text(filled(page.read_text("utf-8"), {name: content}, f"python -m tools.intents {name}"), "utf-8")
 

@@ -321,10 +321,9 @@ def difference(first: Standing, second: Standing, pairs: Iterable[Pair] = ENVIRO
 def repetition(method: Standing, other: Standing) -> Estimate | None:
     """How much higher a method's mean score is in an entry whose authors trained it again, over its environments.
 
-    None if the other entry is no such repetition: its card must name the method, and other authors. Observations,
-    rules and privileges must be the same, and all environments must be played, with as many runs and episodes. It
-    succeeded if the interval contains 0.
-    If an environment has one scene, there is no interval, and this is not known.
+    None if the other entry does not repeat it: its card must name the method, and other authors. Observations, rules
+    and privileges must be the same, and all environments must be played, with as many runs and episodes. The
+    repetition succeeded if the interval contains 0. With one scene in an environment, the interval is unknown (NaN).
     """
     card, own = other.entry.card, method.entry.card
     fits = (

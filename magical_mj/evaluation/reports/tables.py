@@ -318,7 +318,7 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
 
 
 def _plain(name: str, caption: str, header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[Table]:
-    """A table of these rows, without headings. None if there are no rows."""
+    """A table of these rows, without headings, if there are any."""
     if rows:
         yield Table(name, caption, header, (("", tuple(rows)),))
 

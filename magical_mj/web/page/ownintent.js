@@ -22,14 +22,14 @@ export const loadGrammar = () => fetchJson("intents.json");
 export async function intentIn(text, scene) {
   const grammar = await loadGrammar(), intent = parsed(text, grammar), lack = lackOf(intent, scene, grammar);
   const goal = lack ? null : goalIn(intent, scene, grammar), end = goal && plannedEnd(goal, scene);
-  const said = { text: textOf(intent, grammar), sentence: sentenceOf(intent, grammar), goal, lack, end, horizon: horizonOf(scene, end ?? scene, grammar) };
+  const said = { text: textOf(intent, grammar), sentence: sentenceOf(intent, grammar), goal, lack, end, horizon: horizonOf(scene, end, grammar) };
   const clauses = intent.map((part) => clauseOf(part, intent, grammar));
   return { ...said, outcome: (final, points) => outcome(goal ?? [], clauses, scene, final, points) };
 }
 
-/** The number of actions for an episode, by the estimated cost of a plan, as in Python. @param {Scene} initial @param {Scene} end @param {import("./intent.js").Grammar} grammar */
+/** The number of actions for an episode, by the estimated cost of a plan, as in Python. Without a known end, all objects move. @param {Scene} initial @param {Scene | null} end @param {import("./intent.js").Grammar} grammar */
 function horizonOf(initial, end, { time: { least, rounded, rate, fetch, carry } }) {
-  const ways = [initial.robot, ...initial.blocks].map((one, i) => distance(one, i ? end.blocks[i - 1] : end.robot)).filter((way) => way > 0);
+  const ways = [initial.robot, ...initial.blocks].map((one, i) => end ? distance(one, i ? end.blocks[i - 1] : end.robot) : 1).filter((way) => way > 0);
   const cost = ways.reduce((sum, way) => sum + fetch + carry * way, 0);
   return Math.max(least, rounded * Math.ceil(rate * cost / rounded));
 }
