@@ -116,7 +116,8 @@ def test_al_weighs_the_features_of_both_sides() -> None:
     assert [len(features) for features in learner.latest] == [16, 16]  # of the 20 that are asked for
     for task in (0, 1):
         mean = expert[everything.tasks == task].mean(0) - novice[:, task].flatten(0, 1).mean(0)
-        torch.testing.assert_close(learner.weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
+        # The means nearly cancel, so how a machine rounds their sums shows in the direction.
+        torch.testing.assert_close(learner.weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-3)
     assert metrics["distance"] > 0
     third = learner.ppo.collect()
     learner.learn_reward(third)
