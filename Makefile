@@ -17,11 +17,11 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
 
-test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
+test: $(VENV)/.installed-dev  ## run the tests; ARGS="-k scene" selects some, ARGS="-m weekly" those that CI runs each week
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup --junit-xml=out/tests.xml $(ARGS)
 
 fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processes, no training
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" tests/scene tests/variants tests/tasks tests/engine $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow and not weekly" tests/scene tests/variants tests/tasks tests/engine $(ARGS)
 
 bench: $(VENV)/.installed-dev  ## measure speed
 	$(BIN)/python -m tools.benchmarks $(ARGS)

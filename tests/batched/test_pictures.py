@@ -105,6 +105,7 @@ def test_an_accelerator_draws_the_same_bytes() -> None:
     assert different_bytes(12, 10) == 0
 
 
+@pytest.mark.weekly
 @needs_numba_cuda
 def test_an_accelerator_draws_shifts_with_the_same_bytes() -> None:
     faults = {draw_shifts({"sensor": 4}, seed)["sensor"]["fault"] for seed in range(8)}
@@ -112,6 +113,7 @@ def test_an_accelerator_draws_shifts_with_the_same_bytes() -> None:
     assert different_bytes(8, 16, "camera:3,light:4,texture:4,palette:3,sensor:4") == 0
 
 
+@pytest.mark.weekly
 @needs_numba_cuda
 def test_the_kernels_compile_for_an_accelerator(monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing but cosine and sine, which are CUDA's own functions, fuses a product with a sum."""

@@ -339,7 +339,7 @@ def meet(folder: Path, patience: float, number: int) -> bool:
     return met
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 @pytest.mark.filterwarnings("ignore")  # warnings of the libraries
 def test_dask_works_on_the_cluster_and_survives_the_loss_of_a_worker(tmp_path: Path) -> None:
     """Plays at most the given number of units at once. One of two workers is killed after the first scores."""

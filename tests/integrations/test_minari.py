@@ -23,6 +23,7 @@ import minari
 pytestmark = pytest.mark.filterwarnings("default")  # the library's own are not ours to mend
 
 
+@pytest.mark.weekly
 def test_a_policy_learns_from_a_data_set(
     record_property: Callable[[str, object], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -218,7 +218,7 @@ episodes = 1
 """
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_trainings_of_the_papers_size_continue_where_they_stopped(tmp_path: Path) -> None:
     """The script's own loop, with small sizes. It is stopped, and called again."""
     (tmp_path / "pixels-bc.toml").write_text(f'methods = ["bc"]\n{SMALL}')

@@ -6,9 +6,13 @@ import pytest
 
 from tools.coverage import contained, told_apart
 
+WEEKLY = [(1, 20, 1), (1, 100, 8), (2, 20, 2), (5, 100, 8)]
+
 
 @pytest.mark.xdist_group("results")
-@pytest.mark.parametrize(("runs", "scenes", "tasks"), [(1, 20, 1), (1, 100, 8), (2, 20, 2), (2, 100, 8), (5, 100, 8)])
+@pytest.mark.parametrize(
+    ("runs", "scenes", "tasks"), [(2, 100, 8), *(pytest.param(*sizes, marks=pytest.mark.weekly) for sizes in WEEKLY)]
+)
 def test_intervals_contain_the_true_mean(runs: int, scenes: int, tasks: int) -> None:
     assert contained(runs, scenes, tasks, samples=200)[0] >= 0.91
 

@@ -63,6 +63,7 @@ def test_pretraining_sees_every_variant_of_other_tasks_in_dev_scenes_only(tmp_pa
     assert {demo.score for demo in found} == {1.0}
 
 
+@pytest.mark.weekly
 def test_an_encoder_declares_its_scenes_and_is_used(
     shell: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,6 +108,7 @@ def test_inverse_dynamics_learns_which_action_leads_to_the_next_observation() ->
     assert np.mean([one["accuracy"] for one in learnt_in_one_episode("inverse", 60)]) > 0.75
 
 
+@pytest.mark.weekly
 def test_the_next_frame_is_predicted_better_than_by_the_last_one() -> None:
     """In one episode."""
     assert np.mean([one["explained"] for one in learnt_in_one_episode("next", 150)]) > 0.2

@@ -171,7 +171,7 @@ def test_pictures_are_refused() -> None:
         train(load_settings("goals", "FixColour"), "never-made")
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_the_installed_package_announces_the_method(tmp_path: Path) -> None:
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", "site"]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PROJECT)], cwd=tmp_path, check=True)

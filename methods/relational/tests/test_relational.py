@@ -518,7 +518,7 @@ def test_the_table_of_scores_is_that_of_the_entry() -> None:
         assert f"| {task} | {' | '.join(means)} |\n" in text
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 @EXPORTS
 def test_the_onnx_file_computes_what_the_networks_compute(tmp_path: Path) -> None:
     train(load_settings("relational", "MoveToRegion", **SMALL), tmp_path / "run")
