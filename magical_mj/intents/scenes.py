@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Final, TypeVar
 
 import numpy as np
@@ -20,7 +21,7 @@ from magical_mj.intents.relations import HOME, Conjunct
 from magical_mj.intents.selectors import REGION, Test, UngroundedError
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE, REGION_SIZE, SHAPES, Colour, Shape
-from magical_mj.tasks.rules import coloured, pick, shaped, shuffled, uniform_integer
+from magical_mj.tasks.rules import pick, shuffled, uniform_integer
 from magical_mj.utils.errors import IntentError, PlacementError
 from magical_mj.variants.placement import layout
 
@@ -198,12 +199,21 @@ def _named(intent: Intent) -> list[tuple[Colour | None, Shape | None]]:
 def colours_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
     """Other colours of blocks and regions."""
 
+    @cache  # most scenes need many draws
+    def region(number: int, colour: Colour) -> GoalRegion:
+        return replace(scene.regions[number], colour=colour)
+
+    @cache
+    def block(number: int, colour: Colour) -> Block:
+        return replace(scene.blocks[number], colour=colour)
+
     def draw(keep: float) -> Scene:
         def colour(item: Block | GoalRegion) -> Colour:
             return item.colour if rng.random() < keep else pick(rng, COLOURS)
 
-        regions = tuple(replace(region, colour=colour(region)) for region in scene.regions)
-        return coloured(replace(scene, regions=regions), map(colour, scene.blocks))
+        regions = tuple(region(number, colour(item)) for number, item in enumerate(scene.regions))
+        blocks = tuple(block(number, colour(item)) for number, item in enumerate(scene.blocks))
+        return replace(scene, regions=regions, blocks=blocks)
 
     return _first_grounded(intent, scene, draw)
 
@@ -211,8 +221,13 @@ def colours_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scen
 def shapes_rule(intent: Intent, rng: np.random.Generator, scene: Scene) -> Scene:
     """Other shapes of blocks."""
 
+    @cache
+    def block(number: int, shape: Shape) -> Block:
+        return replace(scene.blocks[number], shape=shape)
+
     def draw(keep: float) -> Scene:
-        return shaped(scene, [b.shape if rng.random() < keep else pick(rng, SHAPES) for b in scene.blocks])
+        shapes = (one.shape if rng.random() < keep else pick(rng, SHAPES) for one in scene.blocks)
+        return replace(scene, blocks=tuple(block(number, shape) for number, shape in enumerate(shapes)))
 
     return _first_grounded(intent, scene, draw)
 
