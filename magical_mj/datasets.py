@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from magical_mj import demos as demonstrations
 from magical_mj.demos.demonstration import Demonstration, only_environment
-from magical_mj.demos.export import default_target, digest_tag, make_data_set
 from magical_mj.demos.learning import observations
 from magical_mj.demos.shipped import DemonstrationSet, of_demo_scene, set_suffix
+from magical_mj.exports.formats import default_target, digest_tag, make_data_set
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError, check_name
 
@@ -83,7 +83,7 @@ def load(
 
             return LeRobotDataset(target, root=target)
         case _:
-            from magical_mj.demos.export.folders import ARCHIVE
+            from magical_mj.exports.folders import ARCHIVE
 
             return Path(target) / ARCHIVE
 

@@ -17,7 +17,7 @@ import magical_mj
 from magical_mj import demos
 from magical_mj.assets.robot import speed_signal
 from magical_mj.cli import main
-from magical_mj.demos.export.folders import to_xirl
+from magical_mj.exports.folders import to_xirl
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from magical_mj.xmagical.sweep_to_top import DEMO, original_scene, state_vector

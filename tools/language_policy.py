@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import magical_mj
-from magical_mj.demos.export.lerobot import to_lerobot
+from magical_mj.exports.lerobot import to_lerobot
 from magical_mj.shifts.words import SENTENCES
 from magical_mj.tasks.registry import task_spec
 

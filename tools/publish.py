@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Final
 
 import magical_mj
-from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.shipped import DemonstrationSet
+from magical_mj.exports.folders import to_webdataset
 from magical_mj.tasks.registry import listed_tasks
 from tools.hub import rehearse
 

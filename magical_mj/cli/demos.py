@@ -19,7 +19,6 @@ from typer import Argument, Option
 import magical_mj
 from magical_mj.cli import option
 from magical_mj.cli.console import check_suffix, check_writable, complain, console, make_writable_folder, with_bar
-from magical_mj.cli.demos_export import export_demos
 from magical_mj.cli.film import film
 from magical_mj.cli.stored_demos import Paths, Set, asked_for, read_asked, read_chosen, sources_of
 from magical_mj.scene.bodies import GRIPPER
@@ -376,6 +375,3 @@ def video(
                     movie.add(views, step, demo.actions[step - 1], reached)
             movie.end()
     console().print(out, soft_wrap=True)
-
-
-app.command(name="export")(export_demos)

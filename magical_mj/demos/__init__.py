@@ -7,9 +7,11 @@ Example:
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
+from magical_mj.demos.archive import to_npz
 from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, write
-from magical_mj.demos.export.archives import to_npz
-from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.original import from_original
 from magical_mj.demos.recording import (
@@ -47,9 +49,16 @@ __all__ = [
     "recorded",
     "render_demo",
     "stream",
-    "to_minari",
+    "to_minari",  # pyright: ignore[reportUnsupportedDunderAll] - an addition, which the core does not import
     "to_npz",
     "transitions",
     "verify",
     "write",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports the export to Minari at first use."""
+    if name == "to_minari":
+        return import_module("magical_mj.exports.minari").to_minari
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.actions import to_discrete, to_vector
 from magical_mj.demos import Demonstration
-from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
+from magical_mj.exports.lerobot import IMAGE_SIZE
 from magical_mj.intents.by_set import set_of
 from magical_mj.intents.given import GivenSettings, demonstrations_given, other_task, with_states
 from magical_mj.intents.tasks import PREFIX

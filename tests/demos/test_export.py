@@ -19,7 +19,8 @@ import magical_mj
 from magical_mj import demos
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
-from magical_mj.demos.export.archives import to_robomimic
+from magical_mj.exports import folders
+from magical_mj.exports.robomimic import to_robomimic
 from magical_mj.protocol import PROTOCOL
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 from tests.helpers.commands import example
@@ -58,7 +59,7 @@ def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
 
 def test_webdataset_export(demo: Demonstration, tmp_path: Path) -> None:
     """In the order in which a stream reads it, with a card that says what it is."""
-    archive = demos.export.folders.to_webdataset([demo, demo], tmp_path / "set", "State")
+    archive = folders.to_webdataset([demo, demo], tmp_path / "set", "State")
     assert archive.read_bytes()[4:8] == bytes(4)  # no time: it is the same whenever it is made
     with tarfile.open(archive, "r|gz") as stream:
         parts = {member.name: stream.extractfile(member).read() for member in stream}  # pyright: ignore[reportOptionalMemberAccess]
@@ -77,7 +78,7 @@ def test_webdataset_export(demo: Demonstration, tmp_path: Path) -> None:
     assert card.startswith("---\nlicense: apache-2.0")
     assert "scores 1.00 to 1.00" in card
     with pytest.raises(FileExistsError):
-        demos.export.folders.to_webdataset([demo], tmp_path / "set")
+        folders.to_webdataset([demo], tmp_path / "set")
 
 
 def test_data_sets_in_one_call(tmp_path: Path, minari: Any) -> None:
@@ -391,14 +392,14 @@ def test_the_environment_that_a_data_set_names_observes_what_it_holds(
         name = magical_mj.env_id(str(task), str(variant), "State")
         made = gymnasium.make(name, body=str(body), shifts=str(shifts))
         check(made, lambda step, rows=file["observations"]: {"": rows[step]}, int(seed))
-    archive = demos.export.folders.to_webdataset([demo], tmp_path / "set", "LoRes4A")
+    archive = folders.to_webdataset([demo], tmp_path / "set", "LoRes4A")
     with tarfile.open(archive) as stream:
         parts = {member.name: stream.extractfile(member).read() for member in stream}  # pyright: ignore[reportOptionalMemberAccess]
     about = json.loads(parts["_metadata.json"])
     made = gymnasium.make(about["gymnasium"]["id"], **about["gymnasium"]["kwargs"])
     check(made, lambda step: {"": np.load(io.BytesIO(parts[f"000-{step:04}.obs.npy"]))}, about["scene_seeds"][0])
     assert f'`gymnasium.make("{about["gymnasium"]["id"]}"' in (tmp_path / "set" / "README.md").read_text()
-    demos.export.folders.to_xirl([demo, demo], tmp_path / "xirl")
+    folders.to_xirl([demo, demo], tmp_path / "xirl")
     folder = tmp_path / "xirl" / "valid" / demo.scene.robot.body / "0"
     made = gymnasium.make(magical_mj.env_id(demo.task, demo.variant), **how, renderer="software")
     check(made, lambda step: {"allo": np.asarray(Image.open(folder / f"{step}.png"))}, demo.scene_seed)

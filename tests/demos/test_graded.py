@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import magical_mj
-from magical_mj.demos.export.folders import about
 from magical_mj.demos.shipped import FILES, stored_rows
+from magical_mj.exports.folders import about
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError

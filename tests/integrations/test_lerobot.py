@@ -19,8 +19,8 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.actions import to_vector
-from magical_mj.demos.export.folders import to_webdataset
-from magical_mj.demos.export.lerobot import to_lerobot
+from magical_mj.exports.folders import to_webdataset
+from magical_mj.exports.lerobot import to_lerobot
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import DemonstrationError, InvalidSceneError, MagicalError, SettingsError, UnknownNameError

@@ -12,7 +12,7 @@ import torch
 
 import magical_mj
 from magical_mj.actions import NOOP
-from magical_mj.demos.export.minari import to_minari
+from magical_mj.exports.minari import to_minari
 from tests.helpers.cloning import cloned, network
 from tests.helpers.libraries import EPISODES, TASK, compare, returns
 

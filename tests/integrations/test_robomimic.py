@@ -12,7 +12,7 @@ import torch
 
 import magical_mj
 from magical_mj.actions import NOOP, to_discrete, to_vector
-from magical_mj.demos.export.archives import to_robomimic
+from magical_mj.exports.robomimic import to_robomimic
 from tests.helpers.cloning import cloned, network
 from tests.helpers.libraries import EPISODES, TASK, compare, returns
 

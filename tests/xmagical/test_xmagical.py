@@ -16,8 +16,9 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.cli.film import in_words
-from magical_mj.demos.export.archives import to_npz, to_robomimic
-from magical_mj.demos.export.folders import to_xirl
+from magical_mj.demos.archive import to_npz
+from magical_mj.exports.folders import to_xirl
+from magical_mj.exports.robomimic import to_robomimic
 from magical_mj.scene.bodies import BODIES, Body, body_named
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.registry import task_spec

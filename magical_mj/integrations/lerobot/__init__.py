@@ -31,7 +31,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical_mj.actions import to_discrete
-from magical_mj.demos.export.lerobot import (
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.presets import STATE_BOUND
+from magical_mj.exports.lerobot import (
     FINGERS,
     IMAGE_SIZE,
     NO_STATE,
@@ -42,8 +44,6 @@ from magical_mj.demos.export.lerobot import (
     missing_lerobot,
     state,
 )
-from magical_mj.envs.gymnasium_env import MagicalEnv
-from magical_mj.envs.presets import STATE_BOUND
 from magical_mj.observations import FINGERS as FINGER_ENTRIES
 from magical_mj.observations import STATE_NAMES
 from magical_mj.policies.interface import NEUTRAL, Episode

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, console, counting, how_to_continue, with_bar
-from magical_mj.cli.demos_export import check_target
+from magical_mj.exports.cli.export import check_target
 from magical_mj.utils.errors import counted
 from magical_mj.utils.settings import LARGEST_SETTING
 
@@ -44,7 +44,7 @@ def make_intents(
     force: option.Force = False,
 ) -> None:
     """Make demonstrations of intents by the expert; --to exports them. Called again, the command continues."""
-    from magical_mj.demos.export import default_target, make_data_set  # imported late: it loads the simulator
+    from magical_mj.exports.formats import default_target, make_data_set  # imported late: it loads the simulator
     from magical_mj.intents.expert_data import dataset
 
     check_fits(context, to is not None, "with --to", "out", "preset", "force")

@@ -1,4 +1,4 @@
-"""Exports demonstrations to the formats of other libraries, as `magical-mj demos export` does."""
+"""The formats of data sets by name, as `magical-mj demos export` offers them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from magical_mj.demos.archive import to_npz
 from magical_mj.demos.demonstration import SUFFIX, Demonstration
-from magical_mj.demos.export.archives import to_npz, to_robomimic
-from magical_mj.demos.export.folders import to_webdataset, to_xirl
-from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
-from magical_mj.demos.export.minari import minari_name, to_minari
+from magical_mj.exports.folders import to_webdataset, to_xirl
+from magical_mj.exports.lerobot import PRESETS, to_lerobot
+from magical_mj.exports.minari import minari_name, to_minari
+from magical_mj.exports.robomimic import to_robomimic
 from magical_mj.protocol import DEMONSTRATIONS
 from magical_mj.utils.errors import SettingsError
 

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.actions import to_vector
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.demos.export.folders import CARD, EACH, about, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.recording import render_demo
+from magical_mj.exports.folders import CARD, EACH, about, card
 from magical_mj.observations import STATE_NAMES
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import constants as c

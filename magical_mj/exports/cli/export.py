@@ -48,9 +48,9 @@ def export_demos(
     force: option.Force = False,
 ) -> None:
     """Export demonstrations for other tools."""
-    from magical_mj.demos.export import default_target, make_data_set
-    from magical_mj.demos.export.minari import dataset_path
     from magical_mj.demos.shipped import set_suffix
+    from magical_mj.exports.formats import default_target, make_data_set
+    from magical_mj.exports.minari import dataset_path
 
     check_fits(context, to == "npz", "with --to npz", "drop_noop")
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
@@ -88,16 +88,16 @@ def export_demos(
 
 def _tag(to: str, paths: Paths, demos: list[Demonstration]) -> str:
     """The tag of a data set of recordings in Minari's folder, where all data sets of this user are."""
-    from magical_mj.demos.export import digest_tag
+    from magical_mj.exports.formats import digest_tag
 
     return digest_tag(demos) if paths and to == "minari" else ""
 
 
 def check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
     """Raises an error unless a data set can be made at `target`. `sources` are the folders of its demonstrations."""
-    from magical_mj.demos.export import SUFFIXES
-    from magical_mj.demos.export.lerobot import require_lerobot
-    from magical_mj.demos.export.minari import dataset_path
+    from magical_mj.exports.formats import SUFFIXES
+    from magical_mj.exports.lerobot import require_lerobot
+    from magical_mj.exports.minari import dataset_path
 
     if to in SUFFIXES:
         path = Path(target)
