@@ -143,6 +143,13 @@ def test_import_needs_no_extra_and_no_opengl() -> None:
     assert result.stdout.split() == []
 
 
+def test_commands_and_help_load_no_simulator() -> None:
+    """Also those of additions. Every command starts with them."""
+    code = "import sys; from magical_mj.cli.app import all_commands; all_commands(); print('mujoco' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["False"]
+
+
 def test_importing_the_package_registers_the_environments_and_leaves_the_import_system_alone() -> None:
     code = (
         "import sys; before = list(sys.meta_path); import magical_mj; import gymnasium; "

@@ -13,12 +13,16 @@ Example:
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from magical_mj.intents.ambiguity import explain, rivals
-from magical_mj.intents.expert_data import dataset
 from magical_mj.intents.floors import shortcuts
 from magical_mj.intents.intent import Intent, parse
 from magical_mj.intents.names import EIGHT, SETS
 from magical_mj.intents.question import question_of, questions
+
+if TYPE_CHECKING:
+    from magical_mj.intents.expert_data import dataset
 
 __all__ = [
     "EIGHT",
@@ -32,3 +36,12 @@ __all__ = [
     "rivals",
     "shortcuts",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports `dataset` at first use, since it loads the simulator, which the help of commands does not need."""
+    if name == "dataset":
+        from magical_mj.intents.expert_data import dataset
+
+        return dataset
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
