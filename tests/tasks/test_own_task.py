@@ -123,7 +123,7 @@ def test_it_is_listed_and_played_by_its_name_and_by_its_reference(user: User) ->
 
 @pytest.mark.slow
 def test_it_is_evaluated_and_reported(user: User) -> None:
-    episodes = "--variants Demo --episodes 1 --preset LoRes4A --jobs 1"
+    episodes = "--variants Demo --episodes 1 --preset State --jobs 1"
     user.runs(
         f"""
         does("evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
