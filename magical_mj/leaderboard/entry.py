@@ -11,7 +11,6 @@ import lzma
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 from itertools import chain
 from operator import attrgetter
@@ -387,7 +386,7 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
     """The episodes in the columns of an entry, which are checked."""
     columns = msgspec.structs.asdict(content.episodes)
     shared: dict[str, Any] = {"policy": content.card.method, "rules": content.rules, "preset": content.observations}
-    shared |= {"seconds": 0.0, "version": "", "mujoco": "", "gl": ""}
+    shared |= {name: ", ".join(found) for name, found in msgspec.structs.asdict(content.versions).items()}
     episodes: list[EpisodeResult] = []
     for environment in sorted({environment for column in columns.values() for environment in column}):
         pair, _, shift = environment.partition(" ")
@@ -402,7 +401,9 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
         numbers: set[tuple[int, int]] = set()
         for values in zip(*(column[environment] for column in columns.values()), strict=True):
             fields = dict(zip(columns, values, strict=True))
-            episode = EpisodeResult(task=task, variant=variant, steps=len(fields["actions"]), **fields, **shared)
+            episode = EpisodeResult(
+                task=task, variant=variant, steps=len(fields["actions"]), seconds=0.0, **fields, **shared
+            )
             if (episode.run, episode.seed) in numbers:
                 remedy = "if these are two runs, evaluate one of them again with another --run"
                 raise EvaluationError(f"{name} holds an episode twice: {episode.title}; {remedy}")
@@ -419,10 +420,8 @@ class Entries:
         return is_entry(path)
 
     def episodes(self, path: Path) -> Iterator[EpisodeResult]:
-        """The episodes of an entry, with the versions of all of them."""
-        entry = read_entry(path)
-        played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
-        return (replace(episode, **played_with) for episode in entry.episodes)
+        """The episodes of an entry."""
+        return iter(read_entry(path).episodes)
 
 
 ENTRIES: Final = Entries()
