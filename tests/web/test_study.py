@@ -18,8 +18,9 @@ from tests.helpers.limits import full_disk
 pytest.importorskip("websockets")
 
 from magical_mj.web.asking import question_data
-from magical_mj.web.collection import ROOM, Collection, Study
+from magical_mj.web.collection import ROOM, Collection
 from magical_mj.web.server import PlayerSession, poses
+from magical_mj.web.study import Study
 
 QUOTA = 100
 LAYOUT = Study({"MoveToRegion-Layout": QUOTA}, lease_minutes=20)

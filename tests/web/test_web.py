@@ -26,8 +26,9 @@ from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
 from magical_mj.protocol import PROTOCOL
 from magical_mj.utils.errors import SettingsError
-from magical_mj.web.collection import Collection, Study, read_study
+from magical_mj.web.collection import Collection
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
+from magical_mj.web.study import Study, read_study
 from tests.helpers.commands import Shell
 
 websockets = pytest.importorskip("websockets")

@@ -92,8 +92,9 @@ def collect(
     check_environments(pairs)
     address = checked_origin(origin)
     check_extra("games in a browser", "web")
-    from magical_mj.web.collection import Collection, Study, read_study  # imported late: it loads the simulator
+    from magical_mj.web.collection import Collection  # imported late: it loads the simulator
     from magical_mj.web.server import PlayServer
+    from magical_mj.web.study import Study, read_study
 
     asked = Study({f"{task}-{variant}": wanted for task, variant in pairs}) if study is None else read_study(study)
     collection = Collection(make_writable_folder(out), asked)
