@@ -5,49 +5,38 @@ import { addressOf, parseAddress, shiftsOf } from "./address.js";
 import { agreement } from "./agreement.js";
 import { showAddress } from "./choice.js";
 import { Controls } from "./controls.js";
-import { draw, fitToScreen, outline } from "./draw.js";
+import { draw, fitToScreen } from "./draw.js";
 import { edit, editedEnvironment, linkedScene } from "./edited.js";
+import { pursuedIn, share, showEnd, tell } from "./ended.js";
 import { Game } from "./game.js";
 import { goalScore } from "./goal.js";
 import { onProgress } from "./mujoco.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
-import { pursued } from "./pursued.js";
-import { described, drawn, isSecret, outcome, puzzleNames } from "./puzzles.js";
+import { described, drawn, isSecret, puzzleNames } from "./puzzles.js";
 import { recording, save } from "./recording.js";
-import { compared, loadMethods, recordedActions, recordedIn } from "./replays.js";
 import { sceneButton } from "./scenelist.js";
-import { fetchFile, fetchJson, inBrowser, isChange, loadEnvironment } from "./scenes.js";
+import { fetchFile, inBrowser, isChange, loadEnvironment } from "./scenes.js";
 import { lack, score } from "./score.js";
 import { remembered, Seat } from "./server.js";
 import { chosenShifts, showShifts } from "./shiftmenu.js";
+import { catalogue, element, isServed, may, policies, shown } from "./shown.js";
+import { actionsOf, BC, EXPERT, NO_EXPERT, OWN, showWatchable, watchable, watchedWords } from "./watching.js";
 
-/** @typedef {import("./scenes.js").Entry} Entry */
-/** @typedef {string | number[][]} Script  actions, as letters or as vectors of speeds */
 /** @typedef {{task: string, variant: string}} Name */
 
-/** @param {string} id */
-const element = (id) => /** @type {any} */ (document.getElementById(id));
 const arena = element("arena");
 const puzzleButtons = /** @type {HTMLElement[]} */ ([...element("puzzle").querySelectorAll("button")]);
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
-const catalogue = await fetchJson("catalogue.json");
 /** @type {import("./address.js").Environment[]} those of tasks, and those of puzzles */
 const environments = [...catalogue.environments, ...catalogue.puzzles];
-/** The features that participants of a study may use. Without a study, all of them. @param {string} what */
-const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
 const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
 const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times real time
-const seat = catalogue.simulation === "server" ? new Seat(sayConnection) : null;
-const methods = seat ? {} : await loadMethods();
-const BC = "bc", OWN = "own", EXPERT = "expert", DEMO = "demo-";  // names in addresses: policies that run in the page, and known actions
-const NO_EXPERT = "The expert runs in Python: not in changed scenes and intents";
+const seat = isServed ? new Seat(sayConnection) : null;
 const PUZZLE = "#puzzle";  // the address of a random puzzle
 const INTENT = "intent";  // in the list of tasks: the goal is a visitor's
 /** @type {Uint8Array | null} the visitor's policy */
 let own = null;
-/** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
-const policies = seat ? {} : await fetchJson("policies/scores.json");
 onProgress((share) => {
   if (shown.game) return;
   element("time").value = share;
@@ -61,16 +50,6 @@ const ready = seat ? Promise.resolve() : asked.then(() => {
 });
 const open = seat?.open ?? inBrowser(ready);
 
-/** The current state of the page. */
-const shown = {
-  task: "", variant: "", seed: -1, shifts: "", /** a changed scene, as JSON, or "" */ scene: "",
-  /** a visitor's intent as text, or "" */ intent: "", /** the same in this scene @type {import("./ownintent.js").OwnIntent | null} */ wanted: null, editing: false, horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
-  /** what is watched, as in addresses, or "" */ method: "", /** whether the player has taken over */ taken: false,
-  /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
-  /** @type {import("./puzzles.js").Judged} */ judged: {}, /** the episode whose outcome is shown @type {Game | null} */ told: null, /** which rival it reached, in words */ rival: "",
-  /** @type {Game | null} */ game: null,
-  /** @type {(() => void) | null} draws it again */ again: null,
-};
 let choices = 0;  // only the last choice is shown, in whatever order they are loaded
 
 /**
@@ -178,51 +157,6 @@ function unsent() {
   return catalogue.collects && shown.game?.over && !shown.watching && !shown.game.sent;
 }
 
-/**
- * The known actions of what is watched in a scene. Null if there are none.
- * @param {string} method @param {string} task @param {string} variant @param {Entry} entry @param {import("./scenes.js").Environment} environment
- * @returns {Promise<Script | null>}
- */
-async function actionsOf(method, task, variant, { seed, expert, shifts }, { demonstrations, scenes }) {
-  if (method === EXPERT) return scenes.length === 1 ? scenes[0].expert : expert;  // all seeds of Demo have one scene
-  if (method.startsWith(DEMO)) return demonstrations[Number(method.slice(DEMO.length)) - 1] ?? null;
-  const place = { task, variant, seed };
-  return shifts || recordedIn(methods, place).every((one) => one.method !== method) ? null : recordedActions(method, place);
-}
-
-/** The names of everything that can be watched in the current scene, by their names in addresses, in groups. @returns {Record<string, [string, string][]>} */
-function watchable() {
-  const { task, variant, seed, shifts, scene, wanted, environment: { demonstrations, scenes } } = shown;
-  const entry = scenes.find((one) => one.seed === seed || scenes.length === 1);
-  return {
-    "This scene": wanted ? [] : [
-      ...entry?.expert.length ? [/** @type {[string, string]} */ ([EXPERT, `The ${shown.environment.puzzle ? "demonstration" : "expert"} (H)`])] : [],
-      ...demonstrations.map((_, i) => /** @type {[string, string]} */ ([`${DEMO}${i + 1}`, `Demonstration ${i + 1}`])),
-    ],
-    "Policies that act in this page": seat ? [] : [
-      ...task in policies ? [/** @type {[string, string]} */ ([BC, "BC from states (B)"])] : [], [OWN, "A policy of yours: open a file …"],
-    ],
-    "Recorded episodes of the leaderboard": shifts || scene || wanted ? [] : recordedIn(methods, { task, variant, seed })
-      .map(({ method, name, score }) => /** @type {[string, string]} */ ([method, `${score.toFixed(2)} ${name}`])),
-  };
-}
-
-/** Lists what can be watched. */
-function showWatchable() {
-  const groups = Object.entries(watchable()).filter(([, choices]) => choices.length).map(([label, choices]) => {
-    const group = document.createElement("optgroup");
-    group.label = label;
-    group.append(...choices.map(([value, text]) => new Option(text, value)));
-    return group;
-  });
-  const without = shown.scene || shown.wanted ? [new Option(NO_EXPERT)] : [];
-  for (const option of without) option.disabled = true;
-  element("watch").replaceChildren(new Option("nobody", ""), ...groups, ...without);
-  element("watch").value = shown.method;
-  element("watching").hidden = !groups.length || !may("expert");
-  element("take").hidden = !shown.watching || shown.taken;
-}
-
 /** Lists the tasks, and the shown puzzle. */
 function showTasks() {
   const names = puzzleNames(catalogue.puzzles), puzzle = shown.environment.puzzle ? [new Option(`Puzzle ${names.indexOf(shown.task) + 1} of ${names.length}`, shown.task)] : [];
@@ -299,54 +233,6 @@ function show(initial, scene) {
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now}`
     : shown.taken || (done && !watching) ? "Playing" : watching ? `Watching ${watchedWords()}` : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
-}
-
-/** Says once what an ended episode reached: of a puzzle, or which rival of the task. @param {Game} game @param {number | null} points  null: without a score */
-function tell(game, points) {
-  const { task, watching, judged, wanted, environment: { puzzle } } = shown, { initial, now } = game;
-  Object.assign(shown, { told: game, rival: "" });
-  if (puzzle && !watching) {
-    element("words").textContent = outcome(puzzle, judged, initial, now, points ?? 0);
-    element("summary").textContent = puzzle.sentence;
-  }
-  if (puzzle || wanted || seat || points === null || points === 1) return;
-  import("./rivals.js").then(({ rivalReached }) => rivalReached(task, initial, now)).then((rival) => {
-    if (shown.game === game) shown.rival = rival && `It reached another goal that the demonstrations reach: “${rival}”`;
-  }).catch(() => {});  // offline, only this sentence is missing
-}
-
-/** What an episode pursued. Not of puzzles, which have their own sentences, and not for participants of studies. @param {import("./scene.js").Scene} initial @param {import("./scene.js").Scene} final @param {number} points */
-const pursuedIn = (initial, final, points) => shown.environment.puzzle || catalogue.collects ? null : shown.wanted ? shown.wanted.outcome(final, points)
-  : pursued(shown.task, catalogue.demonstrated[shown.task], initial, final, points);
-
-/** Shows what the finished episode pursued, with the blocks outlined, and how its score compares. Null before the end. @param {import("./pursued.js").Pursued | null} what @param {number} points */
-function showEnd(what, points) {
-  const { task, variant, seed, scene, shifts, wanted, game } = shown, isCompared = what && !scene && !shifts && !wanted;
-  const words = { "pursued-words": what?.sentence ?? "", rival: shown.rival, compared: isCompared ? compared(recordedIn(methods, { task, variant, seed }), points) : "" };
-  for (const [id, text] of Object.entries(words)) if (element(id).textContent !== text) element(id).textContent = text;
-  element("ended").hidden = !what;
-  element("outlines").hidden = !what?.moved.length && !what?.intended.length;
-  if (what && game) outline(element("allo"), catalogue.look, game.now, what);
-  element("share").hidden = seat !== null || !game?.over;
-  document.body.classList.toggle("over", game?.over ?? false);
-}
-
-/** Shares the address of what is shown, with the score. */
-async function share() {
-  const { task, variant, seed, wanted, environment: { puzzle } } = shown, what = wanted ? `“${wanted.sentence}”` : puzzle ? "a puzzle" : `${task}-${variant}-${seed}`;
-  const text = `Score ${element("score").textContent} in ${what}, MAGICAL:`, url = location.href;
-  if (navigator.canShare?.({ text, url })) return navigator.share({ text, url }).catch(() => {});  // the visitor may cancel it
-  await navigator.clipboard.writeText(`${text} ${url}`).then(() => say("Score and link were copied"), () => say(url));
-}
-
-/** What is watched. A policy of the page with its mean scores. */
-function watchedWords() {
-  const { method } = shown;
-  if (method === EXPERT) return shown.environment.puzzle ? `demonstration ${shown.seed + 1}` : "the expert";
-  if (method.startsWith(DEMO)) return `demonstration ${method.slice(DEMO.length)}`;
-  if (method !== BC) return methods[method]?.name ?? "your policy";
-  const scores = Object.entries(policies[shown.task]).map(([variant, score]) => `${score.toFixed(2)} in ${variant}`);
-  return `BC from states: on average it scores ${scores.join(", ")}`;
 }
 
 /** Shows a message until another scene is shown. @param {Error | string} what @param {() => void} [retry] */
@@ -526,7 +412,7 @@ element("policy").onchange = async () => {
   own = new Uint8Array(await element("policy").files[0].arrayBuffer());
   play(shown.seed, { method: OWN });
 };
-for (const [id, press] of Object.entries({ again, next, take, share, edit: change })) element(id).onclick = () => press();
+for (const [id, press] of Object.entries({ again, next, take, share: () => share(say), edit: change })) element(id).onclick = () => press();
 element("want").onclick = () => showPuzzle(drawn(catalogue.puzzles, shown.task), "Demo", 0);
 for (const button of puzzleButtons) button.onclick = () => showPuzzle(shown.task, button.dataset.variant ?? "", Number(button.dataset.seed));
 element("save").onclick = catalogue.collects ? send
