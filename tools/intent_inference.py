@@ -1,30 +1,34 @@
 """Measures intent inference and policies for many intents on all test intents, by the scenes of their demonstrations.
 
-    python -m tools.intent_inference goals       writes a table in docs/intents-evaluation.md
-    python -m tools.intent_inference learnt OUT  writes another one, of the trainings in OUT
+    python -m tools.intent_inference goals          writes a table in docs/intents-evaluation.md
+    python -m tools.intent_inference learnt OUT...  measures trainings, each into a new file in results, and writes
+                                                    another table, of all these files
 
 It needs the packages in methods/goals and methods/intents. Plans replace demonstrations and episodes: inference depends
-on initial and final scenes only, and the objects that a policy chooses are brought to their targets. The first takes
-five minutes of a core, the second one.
+on initial and final scenes only, and the final scenes that policies search for are reached. The first takes five
+minutes of a core, the second eleven for each training.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import torch
 from magical_goals.inference import infer
 from magical_goals.policy import SHOWN, chosen
-from magical_intents.network import Planner
-from magical_intents.plans import ends_of, followed
-from magical_intents.policy import KINDS as NETWORKS
-from magical_intents.policy import load_policy
+from magical_intents.ends import Judged, after, judged_in, resting, simple_rivals
+from magical_intents.policy import DEMONSTRATIONS, load_policy
+from magical_intents.scorer import Scorer
+from magical_intents.search import searched
 from magical_intents.symmetries import words_of
 from magical_intents.train import MOST_SHOWN
+from torch import Tensor
 
 from magical_mj.evaluation.reports.intervals import Cell, Estimate, estimate
 from magical_mj.intents import Intent
@@ -34,10 +38,14 @@ from magical_mj.intents.plans import planned, solved
 from magical_mj.intents.selectors import REST
 from magical_mj.intents.tasks import Task, spec_of
 from magical_mj.scene import Scene
+from magical_mj.tasks.planning import Noise
+from magical_mj.utils import files
 from magical_mj.variants import vary
 from tools.pages import ROOT, filled, table
 
 PAGE: Final = ROOT / "docs" / "intents-evaluation.md"
+LEARNT: Final = ROOT / "results" / "intents-learnt-*.jsonl"
+"""The files of `measure`."""
 INTENTS: Final = 50
 """The number of intents of each set."""
 KINDS: Final[Mapping[str, Mapping[str, Any]]] = {
@@ -98,42 +106,99 @@ def inference() -> str:
     return table(("Demonstrations in", "Relations found", *TESTS, "Solved", "Gain over one scene"), rows)
 
 
-class Reached(NamedTuple):
-    """What a policy for many intents reaches in one intent: means over test scenes."""
+def four_shown(task: Task) -> list[tuple[Scene, Scene]]:
+    """The ends of four demonstrations, in one demo scene after the other. Those in the same scene differ."""
+    noise = Noise(np.random.default_rng(0), 1.0)
+    pairs = shown(task)
+    for scene, end in pairs[: MOST_SHOWN - len(pairs)] * MOST_SHOWN:
+        pairs.append((scene, solved(task.intent, scene, noise) or end))
+    return pairs[:MOST_SHOWN]
 
+
+class Reached(NamedTuple):
+    """What a policy for many intents reaches in one intent: means over test scenes.
+
+    Attributes:
+        given: what it receives.
+        task: the intent, with the seed of its demo scenes.
+        chosen: how often it prefers an end that reaches the intent to the ends of rivals, and to random ones.
+        solved: how often the end that it searches reaches the intent.
+        score: the score of that end.
+    """
+
+    given: str
+    task: str
+    chosen: float
     solved: float
     score: float
 
 
-def reached(planner: Planner, task: Task) -> Reached:
-    """What a planner reaches, given the sentence, or a demonstration in each demo scene of a task."""
-    intent, scenes = task.intent, test_scenes(task)
-    ends = (shown(task) * MOST_SHOWN)[:MOST_SHOWN]
-    given = words_of(intent.sentence) if planner.reads else ends_of(ends)
-    pairs = list(zip(scenes, followed(planner, given, scenes), strict=True))
-    solved, scores = ([measure(*pair) for pair in pairs] for measure in (intent.holds, intent.score))
-    return Reached(float(np.mean(solved)), float(np.mean(scores)))
+@torch.inference_mode()
+def reached(scorer: Scorer, task: Task) -> Iterator[Reached]:
+    """What a scorer reaches, given the sentence, and given a demonstration in each demo scene of a task."""
+    intent, scenes = task.intent, test_scenes(task)[::OFFICIAL_EPISODES]
+    initial = torch.from_numpy(resting(scenes))
+    others, rng = simple_rivals(intent, spec_of(task).demo), np.random.default_rng(0)
+    asked = [one for scene in scenes for one in judged_in(intent, scene, others, rng)]
+    scales = {"the sentence": scorer.told(torch.from_numpy(words_of(intent.sentence))[None])}
+    for kind, settings in KINDS.items():
+        pairs = four_shown(replace(task, **settings))
+        ends = (torch.from_numpy(resting(each))[None] for each in zip(*pairs, strict=True))
+        scales[f"demonstrations in {kind}"] = scorer.shown(*ends)
+    for given, each in scales.items():
+        ends = searched(scorer, each.expand(len(scenes), -1), initial).numpy()
+        pairs = [(scene, after(scene, end)) for scene, end in zip(scenes, ends, strict=True)]
+        found = (
+            [choice(scorer, each, one) for one in asked],
+            *([measure(*pair) for pair in pairs] for measure in (intent.holds, intent.score)),
+        )
+        yield Reached(given, str(task), *(float(np.mean(values)) for values in found))
 
 
-def learnt(out: Path) -> str:
-    """The table of the policies for many intents: means over intents, with intervals, and differences to one scene."""
-    reads, shows = (load_policy(out / kind).planner for kind in NETWORKS[1:])
-    rows, first = [], None
-    for given, planner, settings in (
-        ("the sentence", reads, {}),
-        *((f"demonstrations in {kind}", shows, settings) for kind, settings in KINDS.items()),
-    ):
-        by_set = {name: [reached(planner, replace(task, **settings)) for task in tasks_in(name)] for name in TESTS}
-        score = _cell(by_set, "score")
-        more = "" if first is None else _text(estimate([score, first]))
-        if planner is shows and first is None:
-            first = _cell(by_set, "score", -1.0)
-        sets = (f"{np.mean([one.score for one in by_set[name]]):.2f}" for name in TESTS)
-        rows.append((given, _text(estimate([_cell(by_set, "solved")])), *sets, _text(estimate([score])), more))
-    return table(("Given", "Solved", *TESTS, "Score", "Gain over one scene"), rows)
+def choice(scorer: Scorer, scales: Tensor, asked: Judged) -> bool:
+    """Whether a scorer prefers the end of the intent's cheapest plan to all ends that do not reach it."""
+    wrong = asked.scores < 1.0
+    ends = torch.from_numpy(np.concatenate([asked.ends[:1], asked.ends[wrong]]))
+    start = torch.from_numpy(asked.start).expand(len(ends), -1)
+    return int(scorer(start, ends, scales.expand(len(ends), -1)).argmax()) == 0
 
 
-def _cell(by_set: Mapping[str, list[Found]] | Mapping[str, list[Reached]], measure: str, weight: float = 1.0) -> Cell:
+def measure(out: Path) -> None:
+    """Writes what the policies of a training reach into a new file, which is never altered."""
+    scorer, number = load_policy(out / DEMONSTRATIONS).scorer, len(measured())
+    found = [one for name in TESTS for task in tasks_in(name)[:INTENTS] for one in reached(scorer, task)]
+    files.write(LEARNT.with_name(f"intents-learnt-{number}.jsonl"), "".join(f"{json.dumps(one)}\n" for one in found))
+
+
+def measured() -> list[list[Reached]]:
+    """What each training reaches."""
+    paths = sorted(LEARNT.parent.glob(LEARNT.name))
+    return [[Reached(*json.loads(line)) for line in path.read_text("utf-8").splitlines()] for path in paths]
+
+
+def learnt() -> str:
+    """The table of the policies for many intents: means over intents and trainings, with intervals, and differences."""
+    runs, rows = measured(), []
+    number_of = {str(task): name for name in TESTS for task in tasks_in(name)}
+
+    def cell(given: str, measure: str, weight: float = 1.0) -> Cell:
+        values = [[getattr(one, measure) for one in run if one.given == given] for run in runs]
+        return Cell(np.array(values), weight, "policies", "intents")
+
+    one_scene, *more = (f"demonstrations in {kind}" for kind in KINDS)
+    for given in ("the sentence", one_scene, *more):
+        own = [one for run in runs for one in run if one.given == given]
+        sets = (f"{np.mean([one.score for one in own if number_of[one.task] == name]):.2f}" for name in TESTS)
+        parts = [given]
+        for measure in ("chosen", "solved", "score"):
+            gain = estimate([cell(given, measure), cell(one_scene, measure, -1.0)])
+            parts += [_text(estimate([cell(given, measure)])), _text(gain) if given in more else ""]
+        rows.append((*parts, *sets))
+    gain = "Gain over one scene"
+    return table(("Given", "Right end chosen", gain, "Solved", gain, "Score", gain, *TESTS), rows)
+
+
+def _cell(by_set: Mapping[str, list[Found]], measure: str, weight: float = 1.0) -> Cell:
     """The values of all intents, as one run."""
     values = [[getattr(one, measure) for name in TESTS for one in by_set[name]]]
     return Cell(np.array(values), weight, "policies", "intents")
@@ -147,8 +212,10 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["goals"]:
             tables = {"inference": inference()}
-        case ["learnt", out]:
-            tables = {"learnt": learnt(Path(out))}
+        case ["learnt", *out]:
+            for folder in map(Path, out):
+                measure(folder)
+            tables = {"learnt": learnt()}
         case _:
             sys.exit(__doc__)
     PAGE.write_text(filled(PAGE.read_text("utf-8"), tables, "python -m tools.intent_inference"), "utf-8")

@@ -1,4 +1,4 @@
-"""Labels for the planner, in hindsight: the objects that a demonstration moved, and the positions that they reached.
+"""Labels for the skill, in hindsight: the objects that a demonstration moved, and the positions that they reached.
 
 A demonstration moves blocks one after the other, and then perhaps the robot. The label of a step is the object that is
 being brought, or will be brought next, and the position that it reached. Labels are computed from states and actions
@@ -21,8 +21,6 @@ ROBOT: Final = MAX_BLOCKS
 """The number of the robot among objects. Blocks have their own numbers."""
 DONE: Final = MAX_BLOCKS + 1
 """The label of steps after the last object was brought."""
-UNDONE: Final = -1
-"""The label of states where some object must still be brought, and it is not known which one."""
 STIRRED: Final = 0.003
 """Smaller motions of a block in a step (units) do not count."""
 PAUSE: Final = 6
@@ -47,24 +45,6 @@ class Labels(NamedTuple):
 
     objects: NDArray[np.int64]
     places: NDArray[np.float32]
-
-
-class Shown(NamedTuple):
-    """A demonstration, until shortly after the last object was brought.
-
-    Attributes:
-        states: before each action, shape (steps, names).
-        actions: numbers, shape (steps,).
-        labels: the objects and their targets.
-        final: the last state of the whole demonstration, shape (names,).
-        decisive: the first step of each object's label, and of `DONE`.
-    """
-
-    states: NDArray[np.float32]
-    actions: NDArray[np.int64]
-    labels: Labels
-    final: NDArray[np.float32]
-    decisive: NDArray[np.int64]
 
 
 def labels_of(states: NDArray[np.float32], actions: NDArray[Any]) -> Labels:
