@@ -1,0 +1,57 @@
+"""Scores of behavioural cloning from states under shifts: the second table of docs/shift-curves.md.
+
+tools/shifts.sh trains and evaluates it. `python -m tools.shift_curves runs/shifts/BC-states-*-0-scores` then packs the
+episodes into results/shifts.jsonl.xz, from which `python -m tools.tables` makes the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import lzma
+import sys
+from pathlib import Path
+from typing import Final
+
+import pandas as pd
+
+from magical_mj.evaluation.scores import EpisodeResult, parse, read
+from magical_mj.shifts.registry import axis_and_strength
+from tools.pages import ROOT, number, table
+
+KEPT: Final = ROOT / "results" / "shifts.jsonl.xz"
+"""The file of the episodes: lines as of an evaluation."""
+STRENGTHS: Final = range(6)
+
+
+def episodes() -> list[EpisodeResult]:
+    """The episodes in the file of the repository."""
+    return [parse(line) for line in lzma.decompress(KEPT.read_bytes()).splitlines()]
+
+
+def pack(folders: list[Path]) -> None:
+    """Writes the file of the repository from the folders of evaluations. An existing one is not replaced."""
+    if KEPT.exists():
+        sys.exit(f"{KEPT} exists already: move it elsewhere first")
+    lines = "".join(episode.line() for folder in folders for episode in read(folder))
+    KEPT.write_bytes(lzma.compress(lines.encode(), preset=9 | lzma.PRESET_EXTREME))
+
+
+def tables() -> dict[str, str]:
+    """The mean score of each axis and strength, in which tasks have the same weight. The largest loss comes first."""
+    rows = [(*(axis_and_strength(one.shift) or ("", 0)), one.task, one.score) for one in episodes()]
+    found = pd.DataFrame(rows, columns=["axis", "strength", "task", "score"])
+    of_task = found.groupby(["axis", "strength", "task"])["score"].mean()
+    plain, lines = of_task[""][0], list[list[str]]()
+    axes = of_task.drop("").groupby(["axis", "strength"]).mean().unstack("strength").sort_values(STRENGTHS[-1])
+    for axis, shifted in axes.iterrows():
+        tasks = of_task[axis][STRENGTHS[-1]].index
+        missing = plain.index.difference(tasks)
+        name = f"{axis} (without {' and '.join(missing)})" if len(missing) else str(axis)
+        lines.append([name, number(plain[tasks].mean()), *map(number, shifted)])
+    return {"states": table(("From states, BC", *map(str, STRENGTHS)), lines)}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="evaluations")
+    pack(parser.parse_args().folders)
