@@ -44,8 +44,8 @@ from tools.pages import ROOT, filled
 from tools.tables import table
 
 MEASURED: Final = 5
-"""The number of scenes of Layout, and of All, in which shortcuts are measured. They are other scenes than those in
-which the sets were chosen."""
+"""The number of scenes of Layout, and of All, for measuring shortcuts. They are other scenes than those for
+choosing the sets."""
 GIVEN: Final = 4
 """The number of demonstrations that an intent should have in each kind of scenes."""
 SHOWN: Final = (

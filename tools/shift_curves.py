@@ -1,7 +1,7 @@
 """Scores of behavioural cloning from states under shifts: the second table of docs/shift-curves.md.
 
 tools/shifts.sh trains and evaluates it. `python -m tools.shift_curves runs/shifts/BC-states-*-0-scores` then packs the
-episodes into results/shifts.jsonl.xz, from which `python -m tools.tables` makes the table.
+episodes into results/shifts.jsonl.xz, and `python -m tools.tables` makes the table of them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def pack(folders: list[Path]) -> None:
 
 
 def tables() -> dict[str, str]:
-    """The mean score of each axis and strength, in which tasks have the same weight. The largest loss comes first."""
+    """The mean scores by axis and strength. All tasks count equally. The lowest score at strength 5 comes first."""
     rows = [(*(axis_and_strength(one.shift) or ("", 0)), one.task, one.score) for one in episodes()]
     found = pd.DataFrame(rows, columns=["axis", "strength", "task", "score"])
     of_task = found.groupby(["axis", "strength", "task"])["score"].mean()

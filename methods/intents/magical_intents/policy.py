@@ -33,7 +33,7 @@ SENTENCE, DEMONSTRATIONS = "sentence", "demonstrations"
 SHARPNESS: Final = 2.0
 """Actions are drawn from the skill's probabilities with this exponent."""
 STANDING: Final = 0.5
-"""The exponent after a step in which the robot rested, so that a robot that is stuck tries other actions."""
+"""The exponent if the robot rested in the last step, so that a robot that is stuck tries other actions."""
 MOTION: Final = (0.01, 0.03)
 """A robot rests if it moves less in a step: in units or rad, and a finger in rad."""
 ARRIVED: Final = 0.06

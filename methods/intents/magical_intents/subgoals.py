@@ -67,7 +67,7 @@ def labels_of(states: NDArray[np.float32], actions: NDArray[Any]) -> Labels:
 
 
 def _brought(states: NDArray[np.float32], actions: NDArray[Any]) -> list[tuple[int, int]]:
-    """Blocks that were brought with closed fingers, and the step at which each arrived, in the order of arrival.
+    """Blocks that were brought with closed fingers, and the steps when they arrived, in this order.
 
     If several blocks moved at the same time, only the one that moved farthest counts: it pushed the others.
     """
