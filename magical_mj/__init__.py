@@ -84,7 +84,8 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"{__name__}.{name}")
     if name in _NAMES:
-        return getattr(import_module(f"{__name__}.{_NAMES[name]}"), name)
+        globals()[name] = found = getattr(import_module(f"{__name__}.{_NAMES[name]}"), name)  # for the next uses
+        return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

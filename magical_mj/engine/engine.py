@@ -82,7 +82,7 @@ class Engine(Simulation):
         task_spec(task)  # rejects None as well, which is the task of plain scenes in `Setup`
         strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body, speeds)
-        if unable := [name for name in strengths if setup.speeds and overrides(shift_class(name), "action")]:
+        if setup.speeds and (unable := [name for name in strengths if overrides(shift_class(name), "action")]):
             raise SettingsError(f"the shift {unable[0]!r} changes the 18 actions, but the actions here are speeds")
         setup.check_start(seed=seed, scene=scene)
         if scene is None:

@@ -41,4 +41,5 @@ _MODULES: Final = {  # loaded at first use, so that additions can import a part 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"magical_mj.{_MODULES[name]}"), name)
+    globals()[name] = found = getattr(import_module(f"magical_mj.{_MODULES[name]}"), name)  # for the next uses
+    return found

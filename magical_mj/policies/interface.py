@@ -165,7 +165,7 @@ def begin(policy: Act | BatchPolicy, episode: Episode) -> None:
 
     If it has no `__call__`, it acts by `act_batch`, and therefore starts by `reset_batch`.
     """
-    reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
+    reset, reset_batch = getattr(policy, "reset", None), getattr(policy, "reset_batch", None)
     if reset is not None and callable(policy):
         reset(episode)
     elif reset_batch is not None:

@@ -222,9 +222,9 @@ def expand_shifts(
     """
     if not isinstance(shifts, str):
         each: Any = [shifts] if isinstance(shifts, Mapping) else shifts
-        return _unique(parse_shifts(setting, task) for setting in each)
+        return _unique([parse_shifts(setting, task) for setting in each])
     settings: list[dict[str, int | str]] = []
-    for part in filter(None, (part.strip() for part in shifts.split(","))):
+    for part in filter(None, map(str.strip, shifts.split(","))):
         if part == "all":
             noticed = [kind for kind in AXES if not effects(kind) <= set(unnoticed)]
             supported = [kind.name for kind in noticed if task is None or not kind.supports(task)]
@@ -272,10 +272,14 @@ def names_in(label: str) -> list[str]:
 
 def code_digests(label: str) -> dict[str, str]:
     """Name -> hash of its module, for the shifts and bodies in a label that do not belong to the benchmark."""
-    names = [name for name in names_in(label) if name not in SHIFTS and name not in BODIES]
-    for name in filter(is_reference, names):
-        resolve(name)  # imports its module
-    return {name: source_digest(name if is_reference(name) else shift_class(name).__module__) for name in names}
+    digests: dict[str, str] = {}
+    for name in names_in(label):
+        if is_reference(name):
+            resolve(name)  # imports its module
+            digests[name] = source_digest(name)
+        elif name not in SHIFTS and name not in BODIES:
+            digests[name] = source_digest(shift_class(name).__module__)
+    return digests
 
 
 def _range(part: str) -> tuple[str, int, int]:
