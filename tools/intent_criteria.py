@@ -27,14 +27,14 @@ from magical_mj.intents.readings import moved_blocks
 from magical_mj.intents.relations import Conjunct
 from magical_mj.intents.scenes import keeps
 from magical_mj.intents.selectors import REST
-from magical_mj.intents.tasks import LEAST_STEPS, Task, first_demo, found_draws, spec_of, task_of, with_contrasting
+from magical_mj.intents.tasks import LEAST_STEPS, Task, first_demo, found_draws, spec_of, task_of, with_further
 from magical_mj.scene import Scene
 from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import IntentError, PlacementError
 from magical_mj.variants import vary
 
-CONTRASTING_DEMOS: Final = 4
-"""The number of contrasting demo scenes of test intents that the file has."""
+DEMOS: Final = 4
+"""The number of random demo scenes that the file has, and of contrasting ones for test intents."""
 MATCHED: Final = ("seen", "combined", "selector", "relation")
 TEST_VARIANTS: Final = ("Layout", "All")
 SCENES: Final = 20
@@ -72,11 +72,13 @@ def examined(task: Task, *, test: bool = False) -> tuple[Draws, TaskSpec] | str:
         if not test:
             random = shortcuts["random places"]
             share = sum(intent.holds(scene, random.end(intent, spec.demo, scene)) for scene in scenes) / len(scenes)
-            return f"random places satisfy {share:.0%}" if share > CHANCE else (found_draws(intent, task.seed), spec)
+            draws = with_further(replace(task, demos=DEMOS), found_draws(intent, task.seed))
+            return f"random places satisfy {share:.0%}" if share > CHANCE else (draws, spec)
         if why := floor(intent, spec, SCENES, FLOOR):
             return why
         draws = msgspec.structs.replace(found_draws(intent, task.seed), **effort(intent, spec))
-        draws = with_contrasting(replace(task, demos=CONTRASTING_DEMOS, contrasting=True), draws)
+        for contrasting in (False, True):
+            draws = with_further(replace(task, demos=DEMOS, contrasting=contrasting), draws)
         return draws, spec_of(task, draws)
     except (IntentError, PlacementError) as error:
         return str(error)

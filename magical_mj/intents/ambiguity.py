@@ -260,7 +260,7 @@ def _of_selectors(kind: Conjunct, masks: Flags, valid: Flags, initial: Scene, fi
     if relation.each is not None:
         return _of_each(kind, relation.each, ~masks if kind.selector == REST else masks, initial, final) & valid
     if not relation.of_blocks or kind.relation == "clustered":
-        return np.full(len(valid), _all(kind.parts, initial, final))
+        return np.full(len(valid), _all(kind.parts, kind.blocks(initial), initial, final))
     unique, position = np.unique(masks, axis=0, return_inverse=True)
     together = np.zeros(len(unique), np.bool_)
     for number, mask in enumerate(unique):

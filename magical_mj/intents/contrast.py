@@ -36,13 +36,15 @@ CHECKED: Final = 60
 """The rivals of Diagnose are among this number of the simplest ones. There are fewer if scenes refute fewer."""
 SCENES: Final = 10
 """The number of scenes that show whether a rival can be refuted."""
+RANDOM_RULES: Final = (colours_rule,)
+"""The rules of random demo scenes after the first one."""
 DRAWS: Final = 100
 """The number of scenes that are drawn for a rival before another one is tried."""
 
 
 def random_scene(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:
     """A further demo scene, with other colours and poses."""
-    return redrawn(intent, rng, first, colours_rule)
+    return redrawn(intent, rng, first, *RANDOM_RULES)
 
 
 def candidate(intent: Intent, rng: np.random.Generator, first: Scene) -> Scene:

@@ -7,7 +7,7 @@ those of other intents in the user's cache folder.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -28,7 +28,10 @@ class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
         task: the text of the intent, with the seed of its demo scenes if it is not 0.
         steps: the horizon.
         first: the number of the draw of the first demo scene.
-        contrasting: the number of the chosen draw for each further demo scene, as far as they are known.
+        random: for each random demo scene after the first, how many random numbers its rejected draws take, as far as
+            known; -1 if all were rejected, and it equals the first.
+        contrasting: for each contrasting one the number of the chosen candidate, as far as known.
+        candidates: the same as `random` for these.
         set: the set that it is in.
         cost: the mean cost of plans in Layout and All, in actions; 0 if it is not known.
         moves: the mean number of blocks that these plans move.
@@ -37,7 +40,9 @@ class Draws(msgspec.Struct, frozen=True, omit_defaults=True):
     task: str
     steps: int
     first: int
+    random: tuple[int, ...] = ()
     contrasting: tuple[int, ...] = ()
+    candidates: tuple[int, ...] = ()
     set: str = ""
     cost: float = 0.0
     moves: float = 0.0
@@ -58,11 +63,12 @@ _cached: dict[str, Draws] = {}
 """The content of the cache file, with what this process has found."""
 
 
-def known(task: str) -> Draws | None:
-    """The stored draws of a task, if any."""
-    if (found := _shipped().get(task) or _cached.get(task)) is None:
+def known(task: str, enough: Callable[[Draws], bool]) -> Draws | None:
+    """The stored draws of a task, if any. The cache file is read unless others are `enough`."""
+    found = _cached.get(task) or _shipped().get(task)
+    if found is None or not enough(found):
         _cached.update((draws.task, draws) for draws in _readable(_path()))
-        found = _cached.get(task)
+        found = _cached.get(task, found)
     return found
 
 

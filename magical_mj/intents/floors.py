@@ -51,7 +51,7 @@ class Misread(Intent):
     def parts(self, initial: Scene, final: Scene) -> list[list[bool]]:
         """For each conjunct, whether it holds for each of the chosen blocks."""
         pairs = zip(self.conjuncts, self.chosen, strict=True)
-        return [conjunct.parts_of(blocks, initial, final) for conjunct, blocks in pairs]
+        return [conjunct.parts(blocks, initial, final) for conjunct, blocks in pairs]
 
     def blocks(self, initial: Scene) -> list[tuple[int, ...]]:
         """For each conjunct, the chosen blocks."""

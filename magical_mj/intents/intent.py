@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -80,8 +81,8 @@ class Intent:
         Raises:
             UngroundedError: if a conjunct is undefined in the initial scene.
         """
-        named = self._named(initial)
-        return [conjunct.parts(initial, final, named) for conjunct in self.conjuncts]
+        chosen = self.blocks(initial)
+        return [conjunct.parts(blocks, initial, final) for conjunct, blocks in zip(self.conjuncts, chosen, strict=True)]
 
     def blocks(self, initial: Scene) -> list[tuple[int, ...]]:
         """For each conjunct, the blocks that it selects.
@@ -89,8 +90,11 @@ class Intent:
         Raises:
             UngroundedError: if a selector is undefined in the initial scene.
         """
-        named = self._named(initial)
-        return [conjunct.blocks(initial, named) for conjunct in self.conjuncts]
+        chosen = [conjunct.blocks(initial) for conjunct in self.conjuncts]
+        named = set(itertools.chain(*chosen))
+        others = tuple(index for index in range(len(initial.blocks)) if index not in named)
+        pairs = zip(self.conjuncts, chosen, strict=True)
+        return [others if conjunct.selector == REST else blocks for conjunct, blocks in pairs]
 
     def grounded(self, initial: Scene) -> bool:
         """Whether every conjunct applies to at least one block, or the robot, in the initial scene."""
@@ -98,11 +102,6 @@ class Intent:
             return all(self.parts(initial, initial))
         except UngroundedError:
             return False
-
-    def _named(self, initial: Scene) -> tuple[int, ...]:
-        """The blocks that the conjuncts without the selector `others` select."""
-        named = [conjunct.blocks(initial) for conjunct in self.conjuncts if conjunct.selector != REST]
-        return tuple(sorted({index for blocks in named for index in blocks}))
 
     @cached_property
     def bits(self) -> float:

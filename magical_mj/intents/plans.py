@@ -217,7 +217,7 @@ class _Attempt:
 def _drive(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The subgoal of the robot, if a relation about it does not hold."""
     about = [conjunct for conjunct in intent.conjuncts if not conjunct.definition.of_blocks]
-    if all(all(conjunct.parts(initial, now)) for conjunct in about):
+    if all(all(conjunct.parts((), initial, now)) for conjunct in about):
         return []
     wants = [slack_of(conjunct, initial, None) for conjunct in about]
     places = _places(now.regions)

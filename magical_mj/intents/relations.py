@@ -78,21 +78,17 @@ class Conjunct:
         """The definition of its relation."""
         return RELATIONS[self.relation]
 
-    def parts(self, initial: Scene, final: Scene, named: tuple[int, ...] = ()) -> list[bool]:
-        """Whether it holds, for each object.
+    def parts(self, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
+        """Whether it holds, for each object that it applies to.
 
         Args:
+            blocks: the blocks that it selects; none for relations of the robot.
             initial: the initial scene of the episode.
             final: the final scene, with the same blocks.
-            named: the blocks that the other conjuncts select, for the selector ``others``.
 
         Raises:
             UngroundedError: if it is undefined in the initial scene, or needs a block and selects none.
         """
-        return self.parts_of(self.blocks(initial, named), initial, final)
-
-    def parts_of(self, blocks: tuple[int, ...], initial: Scene, final: Scene) -> list[bool]:
-        """Whether it holds for these blocks, for each object. See `parts`."""
         relation = self.definition
         if relation.each is not None:
             flags = relation.each(self.argument, initial, final)
@@ -105,13 +101,14 @@ class Conjunct:
             raise UngroundedError(f"{self} is about {len(blocks)} blocks")
         return relation.together(self, blocks, initial, final)
 
-    def blocks(self, initial: Scene, named: tuple[int, ...] = ()) -> tuple[int, ...]:
-        """The blocks that it selects; none for relations of the robot."""
-        if not self.definition.of_blocks:
-            return ()
-        if self.selector == REST:
-            return tuple(index for index in range(len(initial.blocks)) if index not in named)
-        return selected(self.selector, initial)
+    def blocks(self, initial: Scene) -> tuple[int, ...]:
+        """The blocks that it selects; none for relations of the robot, and for the selector ``others``.
+
+        Raises:
+            UngroundedError: if the selector is undefined in the initial scene.
+        """
+        chooses = self.definition.of_blocks and self.selector != REST
+        return selected(self.selector, initial) if chooses else ()
 
     def judged(self, blocks: Sequence[int], initial: Scene) -> list[int]:
         """The blocks among these that the relation applies to: not, for example, the reference of `near`."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -15,7 +16,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from magical_mj.intents.contrast import candidate, contrasting_scenes, diagnosis, random_scene
+from magical_mj.intents.contrast import RANDOM_RULES, contrasting_scenes, diagnosis
 from magical_mj.intents.distances import remaining
 from magical_mj.intents.draws import Draws, known, remember
 from magical_mj.intents.intent import Intent, parse
@@ -24,13 +25,16 @@ from magical_mj.intents.readings import others_moved
 from magical_mj.intents.scenes import (
     ALL_RULES,
     INNER_MARGIN,
+    Rule,
     accepts,
     colours_rule,
     count_rule,
     demo_scene,
     drawn_scene,
     missing,
+    proposed,
     redrawn,
+    rejected,
     shapes_rule,
     size_of,
 )
@@ -119,22 +123,14 @@ def spec_of(task: Task, draws: Draws | None = None) -> TaskSpec:
     """The definition of a task, by default with `draws_of`. Raises an `IntentError` if no scene was found for it."""
     intent = task.intent
     draws = draws_of(task) if draws is None else draws
-    rng_of = partial(_rng, intent, task.seed)
-    demo = drawn_scene(intent, rng_of(FIRST, draws.first))
-    if demo is None:
-        raise IntentError(f"the stored draw {draws.first} of {draws.task} is wrong: empty the cache folder")
-    if task.contrasting:
-        chosen = enumerate(draws.contrasting[: task.demos - 1])
-        further = [candidate(intent, rng_of(CONTRASTING, *place), demo) for place in chosen]
-    else:
-        further = [random_scene(intent, rng_of(RANDOM, number), demo) for number in range(task.demos - 1)]
+    demo = _first(task, draws)
     return TaskSpec(
         name=task.name,
         summary=f"{intent.sentence[0].lower()}{intent.sentence[1:-1]}",  # in the form of other tasks' summaries
         wordings=intent.wordings,
         label=f"{PREFIX}{task}",
         demo=demo,
-        further_demos=tuple(further),
+        further_demos=tuple(_further(task, draws, demo)),
         steps=draws.steps,
         score=partial(_score, intent),
         distance=partial(_distance, intent),
@@ -157,21 +153,57 @@ def draws_of(task: Task) -> Draws:
     Raises:
         IntentError: if no scene was found for the intent.
     """
-    name = str(Task(task.intent, task.seed))
-    draws = known(name)
+    draws = known(str(Task(task.intent, task.seed)), partial(_complete, task))
     if draws is None:
         remember(draws := found_draws(task.intent, task.seed))
-    if task.contrasting and len(draws.contrasting) < task.demos - 1:
-        remember(draws := with_contrasting(task, draws))
+    if not _complete(task, draws):
+        remember(draws := with_further(task, draws))
     return draws
 
 
-def with_contrasting(task: Task, draws: Draws) -> Draws:
-    """The draws with choices of contrasting demo scenes."""
-    rng_of = partial(_rng, task.intent, task.seed)
-    _, demo = demo_scene(task.intent, partial(rng_of, FIRST))
-    choices = contrasting_scenes(task.intent, partial(rng_of, CONTRASTING), demo, task.demos - 1)
-    return msgspec.structs.replace(draws, contrasting=tuple(choices))
+def _complete(task: Task, draws: Draws) -> bool:
+    """Whether the draws have those of all demo scenes."""
+    return len(draws.candidates if task.contrasting else draws.random) >= task.demos - 1
+
+
+def with_further(task: Task, draws: Draws) -> Draws:
+    """The draws with those of the demo scenes after the first one."""
+    intent, rng_of = task.intent, partial(_rng, task.intent, task.seed)
+    demo = _first(task, draws)
+    if task.contrasting and len(draws.contrasting) < task.demos - 1:
+        choices = contrasting_scenes(intent, partial(rng_of, CONTRASTING), demo, task.demos - 1)
+        draws = msgspec.structs.replace(draws, contrasting=tuple(choices))
+    rules, rngs = _rules(task), (rng_of(*place) for place in _places(task, draws))
+    name = "candidates" if task.contrasting else "random"
+    return msgspec.structs.replace(draws, **{name: tuple(rejected(intent, rng, demo, *rules) for rng in rngs)})
+
+
+def _first(task: Task, draws: Draws) -> Scene:
+    """The first demo scene."""
+    demo = drawn_scene(task.intent, _rng(task.intent, task.seed, FIRST, draws.first))
+    if demo is None:
+        raise IntentError(f"the stored draw {draws.first} of {draws.task} is wrong: empty the cache folder")
+    return demo
+
+
+def _further(task: Task, draws: Draws, first: Scene) -> Iterator[Scene]:
+    """The other demo scenes."""
+    numbers = draws.candidates if task.contrasting else draws.random
+    for place, skipped in zip(_places(task, draws), numbers, strict=False):
+        rng = _rng(task.intent, task.seed, *place, skipped=max(0, skipped))
+        yield first if skipped < 0 else proposed(task.intent, rng, first, *_rules(task))
+
+
+def _places(task: Task, draws: Draws) -> list[tuple[int, ...]]:
+    """The numbers of the random generators of the demo scenes after the first one."""
+    if task.contrasting:
+        return [(CONTRASTING, *choice) for choice in enumerate(draws.contrasting[: task.demos - 1])]
+    return [(RANDOM, number) for number in range(task.demos - 1)]
+
+
+def _rules(task: Task) -> tuple[Rule, ...]:
+    """The rules of the demo scenes after the first one."""
+    return ALL_RULES if task.contrasting else RANDOM_RULES
 
 
 def found_draws(intent: Intent, seed: int) -> Draws:
@@ -195,9 +227,10 @@ def first_demo(intent: Intent, seed: int) -> int:
     return demo_scene(intent, partial(_rng, intent, seed, FIRST))[0]
 
 
-def _rng(intent: Intent, seed: int, *numbers: int) -> np.random.Generator:
-    """The random generator of one draw."""
-    return np.random.Generator(np.random.PCG64([zlib.crc32(str(intent).encode()), seed, *numbers]))
+def _rng(intent: Intent, seed: int, *numbers: int, skipped: int = 0) -> np.random.Generator:
+    """The random generator of one draw, after some random numbers."""
+    bits = np.random.PCG64([zlib.crc32(str(intent).encode()), seed, *numbers])
+    return np.random.Generator(bits.advance(skipped))
 
 
 def _score(intent: Intent, initial: Scene, final: Scene, rules: Rules = "paper") -> float:

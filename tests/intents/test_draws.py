@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from magical_mj.intents import parse
 from magical_mj.intents.draws import Draws
-from magical_mj.intents.tasks import Task, draws_of, found_draws, spec_of
+from magical_mj.intents.names import tasks_in
+from magical_mj.intents.scenes import accepts, rejected
+from magical_mj.intents.tasks import Task, draws_of, found_draws, spec_of, with_further
 
 SHOW = "import magical_mj; print(magical_mj.sample_scene('intent:line(colour=red) [seed=7]', 'Layout', 3).digest())"
 
@@ -29,6 +33,28 @@ def test_draws_of_other_intents_are_kept(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(further) == 2
     assert spec_of(four).further_demos == further
     assert msgspec.json.decode(path.read_bytes().splitlines()[-1], type=Draws) == draws_of(four)
+
+
+@pytest.mark.parametrize(("name", "number"), [("dev", 3), ("selector", 7), ("long", 49)])
+@pytest.mark.parametrize("contrasting", [False, True])
+def test_stored_demo_scenes_are_those_that_a_search_accepts(name: str, number: int, contrasting: bool) -> None:
+    task = replace(tasks_in(name)[number], demos=3, contrasting=contrasting)
+    stored = draws_of(task)
+    searched = with_further(task, Draws(stored.task, stored.steps, stored.first))
+    further = spec_of(task, searched).further_demos
+    assert spec_of(task, stored).further_demos == further
+    assert len(set(further)) == 2
+    assert all(accepts(task.intent, scene) for scene in further)
+
+
+def test_without_an_accepted_scene_a_demo_scene_repeats_the_first() -> None:
+    intent = parse("in(colour=red, region) & untouched(others)")
+    scene, rng = intent.spec().demo, np.random.Generator(np.random.PCG64(0))
+    assert rejected(intent, rng, scene, lambda _, __, scene: replace(scene, blocks=())) == -1
+    task = Task(intent, demos=3)
+    draws = msgspec.structs.replace(draws_of(task), random=(-1, 0))
+    spec = spec_of(task, draws)
+    assert spec.further_demos[0] == spec.demo != spec.further_demos[1]
 
 
 def test_a_damaged_cache_gives_the_same_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
