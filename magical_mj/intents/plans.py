@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -66,7 +66,8 @@ class _Choice(NamedTuple):
 def plan(intent: Intent, initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The remaining subgoals: those of blocks, or if none remains, that of the robot."""
     todo: list[Subgoal] = []
-    for _ in range(TRIES):
+    arranged = any(conjunct.relation in ARRANGED for conjunct in intent.conjuncts)
+    for _ in range(TRIES if arranged or noise.strength else 1):  # only arrangements vary without noise
         todo = _Attempt(intent, initial, now, noise).subgoals()
         if _blocks_hold(intent, initial, scene_after(now, todo)) and not _overlaps(now, todo):
             break
@@ -253,7 +254,12 @@ def _crowding(places: Floats, scene: Scene, index: int) -> Floats:
 @lru_cache(maxsize=64)
 def _places(regions: tuple[GoalRegion, ...]) -> Floats:
     """Positions anywhere in the arena and, closer together, in the regions."""
-    return np.array([*places_anywhere(), *(place for region in regions for place in places_inside(region))])
+    return np.concatenate([_anywhere(), *(np.array(places_inside(region)) for region in regions)])
+
+
+@cache
+def _anywhere() -> Floats:
+    return np.array(places_anywhere())
 
 
 def _overlaps(now: Scene, todo: Sequence[Subgoal]) -> bool:
