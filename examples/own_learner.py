@@ -30,13 +30,8 @@ class Forgetful(Learner):
         self.augment = Augmentation(settings.augment)
         self.generator = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
-            self.network = Actor(settings.network, len(settings.tasks), batch_norm=True).to(self.device)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), 3e-4)
-
-    @property
-    def actor(self) -> Actor:
-        """The policy's network."""
-        return self.network
+            self.actor = Actor(settings.network, len(settings.tasks), batch_norm=True).to(self.device)
+        self.optimizer = torch.optim.Adam(self.actor.parameters(), 3e-4)
 
     def update(self) -> Mapping[str, float]:
         """Trains on one batch. Returns the values for metrics.csv."""
@@ -44,8 +39,8 @@ class Forgetful(Learner):
         stacks = self.augment(as_input(images, self.device), self.generator)
         forget = torch.rand(len(stacks), 1, 1, 1, generator=self.generator).to(self.device) < 0.5
         stacks = torch.where(forget, stacks[:, -3:].repeat(1, 4, 1, 1), stacks)
-        self.network.train()
-        logits = self.network(stacks, tasks.to(self.device))
+        self.actor.train()
+        logits = self.actor(stacks, tasks.to(self.device))
         loss = nn.functional.cross_entropy(logits, actions.to(self.device))
         self.optimizer.zero_grad()
         loss.backward()
@@ -54,12 +49,12 @@ class Forgetful(Learner):
 
     def get_state(self) -> dict[str, Any]:
         """The content of a checkpoint."""
-        weights, optimizer = self.network.state_dict(), self.optimizer.state_dict()
+        weights, optimizer = self.actor.state_dict(), self.optimizer.state_dict()
         return {"weights": weights, "optimizer": optimizer, "generator": self.generator.get_state()}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continues from a checkpoint."""
-        self.network.load_state_dict(state["weights"])
+        self.actor.load_state_dict(state["weights"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
 

@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from magical_mj import Engine, evaluate
+from magical_mj import Engine, demos, evaluate
 from magical_mj.actions import NOOP
 from magical_mj.demos import Transitions
 from magical_mj.demos.recording import demonstrate
 from magical_mj.experts import Expert
 from magical_mj.learners import clone, load_settings
-from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners.data import drawn
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.policies.interface import Episode, begin
 from magical_mj.tasks.registry import SPLITS, task_spec
@@ -56,7 +56,7 @@ class Replay:
 @cache
 def known(task: str) -> list[list[int]]:
     """The actions of each of a task's demonstrations."""
-    return [demonstration.actions.tolist() for demonstration in shipped(task)]
+    return [demonstration.actions.tolist() for demonstration in demos.load(task)]
 
 
 def oracle(task: str, variant: str, out: Path) -> float:
@@ -74,7 +74,7 @@ def cloned(task: str, shown: list[Any]) -> TrainedPolicy:
 
 def dagger(task: str, out: Path) -> float:
     """The mean score over all variants of a policy that the expert corrected in the demo scene."""
-    shown = shipped(task)
+    shown = demos.load(task)
     data: list[Any] = [shown[number] for number in drawn(task, 0, 10, len(shown))]
     for number in range(ROUNDS):
         policy, first = cloned(task, data), SPLITS["dev"] + number * CORRECTIONS

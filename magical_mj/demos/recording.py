@@ -34,13 +34,14 @@ from magical_mj.actions import NOOP, Action, action_number, to_vector
 from magical_mj.assets.scene_model import SceneModel
 from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
+from magical_mj.engine.simulation import Simulation
 from magical_mj.experts import expert_of
 from magical_mj.policies.interface import play_actions
 from magical_mj.protocol import PROTOCOL
-from magical_mj.rendering.picture import Picture
+from magical_mj.rendering.picture import Picture, check_picture
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.shifts.episode import draw_shifts
-from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
+from magical_mj.shifts.episode import EpisodeShifts, draw_shifts
+from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label, split_body
 from magical_mj.tasks.registry import sample_scene, score_trajectory, task_name, task_spec, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
@@ -326,7 +327,8 @@ def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
     body = demo.scene.robot.body
-    start = _start(demo)
+    # with shifts it needs the seed, since they draw from it
+    start: dict[str, Any] = {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
     with closing(Engine(demo.task, demo.variant, body=body, **start)) as env:
         expected = env.initial_scene if demo.shifts else sample_scene(demo.task, demo.variant, demo.scene_seed, body)
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
@@ -345,11 +347,6 @@ def verify(demo: Demonstration) -> Verdict:
     return Verdict(same_scene, demo.rescored() == demo.score, same_score, same_states, same_pictures)
 
 
-def _start(demo: Demonstration) -> dict[str, Any]:
-    """The engine's arguments for the demonstration's start. With shifts it needs the seed, since they draw from it."""
-    return {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
-
-
 def render_demo(
     demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE, renderer: str | None = None
 ) -> Iterator[dict[str, Picture]]:
@@ -364,13 +361,17 @@ def render_demo(
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    body = demo.scene.robot.body
-    with closing(Engine(demo.task, demo.variant, **_start(demo), renderer=renderer, body=body)) as env:
-        for positions in demo.qpos:
-            env.data.qpos[:] = positions
-            mujoco.mj_kinematics(env.model, env.data)
-            mujoco.mj_camlight(env.model, env.data)
-            yield {view: env.render(view, size) for view in views}
+    for view in views:
+        check_picture(view, size)
+    strengths, _ = split_body(demo.shifts, demo.task, demo.scene.robot.body)
+    shifts = EpisodeShifts(draw_shifts(strengths, demo.scene_seed))
+    simulation = Simulation.of(demo.scene, shifts, renderer)
+    model, data = simulation.model, simulation.data
+    for positions in demo.qpos:
+        data.qpos[:] = positions
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        yield {view: simulation.draw(view, size) for view in views}
 
 
 class Diversity(NamedTuple):

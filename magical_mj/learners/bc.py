@@ -18,7 +18,7 @@ from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, Torso, as_input
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.run_folder import RunFolder
-from magical_mj.learners.settings import CloningSettings, InverseSettings, TrainingSettings
+from magical_mj.learners.settings import InverseSettings, TrainingSettings
 from magical_mj.policies.facts import Learnt
 from magical_mj.policies.models import torch_settings
 from magical_mj.tasks.registry import EVERY_VARIANT
@@ -58,7 +58,7 @@ class BehaviouralCloning(Learner):
         self.noise_rng = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)
         with seeded(settings.seed):
-            self._actor = Actor(
+            self.actor = Actor(
                 settings.network,
                 len(settings.tasks),
                 states=settings.states,
@@ -67,16 +67,20 @@ class BehaviouralCloning(Learner):
             )
         self._encoder = load_encoder(settings)
         if self._encoder is not None:
-            torso = cast("Torso", self._actor.torso)
+            torso = cast("Torso", self.actor.torso)
             torso.convolutions.load_state_dict(self._encoder.weights)
             torso.convolutions = Frozen(torso.convolutions)
-        self._actor.to(self.device)
-        self.optimizer = _optimizer(settings.bc, self._actor)
+        self.actor.to(self.device)
+        self.optimizer: torch.optim.Optimizer
+        if settings.bc.optimizer == "sgd":
+            self.optimizer = torch.optim.SGD(self.actor.parameters(), settings.bc.learning_rate, settings.bc.momentum)
+        else:
+            self.optimizer = torch.optim.Adam(self.actor.parameters(), settings.bc.learning_rate, fused=True)
         self._rate = torch.optim.lr_scheduler.LinearLR(
             self.optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
         )
         self.stateful = {
-            "actor": self._actor,
+            "actor": self.actor,
             "optimizer": self.optimizer,
             "rate": self._rate,
             "draw": self.rng,
@@ -88,11 +92,6 @@ class BehaviouralCloning(Learner):
         """Also checks the encoder."""
         super().check_settings(settings)
         load_encoder(settings)
-
-    @property
-    def actor(self) -> Actor:
-        """The current policy."""
-        return self._actor
 
     @property
     def learnt(self) -> Learnt:
@@ -109,7 +108,7 @@ class BehaviouralCloning(Learner):
 
     def update(self) -> Mapping[str, float]:
         """Trains on one batch; returns its loss, and the share of samples whose action is the most probable."""
-        self._actor.train()
+        self.actor.train()
         loss, logits, actions, others = self.loss()
         self.optimizer.zero_grad()
         loss.backward()
@@ -123,7 +122,7 @@ class BehaviouralCloning(Learner):
         inputs = self.augmented(observations, self.noise_rng)
         actions = actions.to(self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
-            logits = self._actor(inputs, tasks.to(self.device))
+            logits = self.actor(inputs, tasks.to(self.device))
         return nn.functional.cross_entropy(logits.float(), actions), logits, actions, {}
 
     def augmented(self, observations: Tensor, noise: torch.Generator) -> Tensor:
@@ -132,8 +131,8 @@ class BehaviouralCloning(Learner):
 
     def recalibrate(self) -> None:
         """Recomputes batch norm's averages on new batches: those kept during training lag behind the weights."""
-        self._actor.train()
-        norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d) and layer.training]
+        self.actor.train()
+        norms = [layer for layer in self.actor.modules() if isinstance(layer, nn.BatchNorm2d) and layer.training]
         draw = torch.Generator().manual_seed(self.settings.seed)
         noise = torch.Generator(self.device).manual_seed(self.settings.seed)
         for norm in norms:
@@ -142,7 +141,7 @@ class BehaviouralCloning(Learner):
         for _ in range(CALIBRATION if norms else 0):
             observations, _, tasks = self.data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():
-                self._actor(self.augmented(observations, noise), tasks.to(self.device))
+                self.actor(self.augmented(observations, noise), tasks.to(self.device))
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's default
 
@@ -178,12 +177,6 @@ def clone(
     return learner.policy()
 
 
-def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:
-    if bc.optimizer == "sgd":
-        return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
-    return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
-
-
 class IQLearn(BehaviouralCloning):
     """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142) in its offline form: cloning with another loss.
 
@@ -215,16 +208,16 @@ class IQLearn(BehaviouralCloning):
         """The loss of `iq_loss`, the logits, the actions, and the mean reward in the batch."""
         batch, following = successive(self.data, self._usable, self.settings.bc.batch_size, self.rng)
         actions, tasks = batch.actions.to(self.device), batch.tasks.to(self.device)
-        logits = self._actor(self.augmented(batch.observations, self.noise_rng), tasks)
-        next_logits = self._actor(self.augmented(following, self.noise_rng), tasks)
+        logits = self.actor(self.augmented(batch.observations, self.noise_rng), tasks)
+        next_logits = self.actor(self.augmented(following, self.noise_rng), tasks)
         loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
         return loss, logits, actions, {"reward": rewards.mean().item()}
 
     @torch.no_grad()
     def learnt_reward(self, observations: Tensor, following: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """Q(s, a) - discount V(s'), shape (n,)."""
-        self._actor.eval()
-        logits, next_logits = self._actor(observations, tasks), self._actor(following, tasks)
+        self.actor.eval()
+        logits, next_logits = self.actor(observations, tasks), self.actor(following, tasks)
         return soft_rewards(logits, next_logits, actions, self.settings.iq)
 
 
@@ -296,10 +289,10 @@ class Point(BehaviouralCloning):
         observations, actions, tasks = self.data.sample(self.settings.bc.batch_size, self.rng)
         inputs = self.augmented(observations, self.noise_rng)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
-        torso = cast("Torso", self._actor.torso)
+        torso = cast("Torso", self.actor.torso)
         maps = torso.convolutions(inputs[:, -torso.channels :])
         features = torso.linear(maps.flatten(1))
-        logits = self._actor.head(features, tasks)
+        logits = self.actor.head(features, tasks)
         penalty = distance_correlation(features, looked_at(maps, logits.gather(1, actions[:, None]).sum()))
         loss = nn.functional.cross_entropy(logits, actions) + self.settings.point.weight * penalty
         return loss, logits, actions, {"penalty": penalty.item()}

@@ -59,20 +59,16 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     return counts
 
 
-def shipped(task: str, which: int = 1) -> list[Demonstration]:
-    """A set of a task's shipped demonstrations in its demo scene. Raises a `DemonstrationError` if it is empty."""
-    return of_demo_scene(demos.load(task, set=cast("DemonstrationSet", which)), f"that come with {task}")
-
-
 def to_choose_from(settings: TrainingSettings, task: str) -> list[Demonstration]:
     """The demonstrations of a task's demo scene, from the folder in the settings, or those shipped with the task.
 
     Raises:
         DemonstrationError: if none is found.
     """
-    if not settings.recordings:
-        return shipped(task, settings.demos.set)
-    return of_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
+    if settings.recordings:
+        return of_demo_scene(demos.load(task, settings.recordings), f"of {task} in {settings.recordings}")
+    known = demos.load(task, set=cast("DemonstrationSet", settings.demos.set))
+    return of_demo_scene(known, f"that come with {task}")
 
 
 def chosen(settings: TrainingSettings, task: str) -> list[Demonstration]:

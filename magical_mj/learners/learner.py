@@ -144,17 +144,15 @@ class Learner(Method):
     """A method whose policy is a network.
 
     Attributes:
+        actor: the policy that is evaluated and saved. It is updated in place.
         stateful: name -> object, for all objects that determine later updates: modules, optimizers, generators.
     """
+
+    actor: Actor
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.stateful: dict[str, Any] = {}
-
-    @property
-    @abstractmethod
-    def actor(self) -> Actor:
-        """The policy that is evaluated and saved. It is updated in place."""
 
     def policy(self) -> TrainedPolicy:
         """The policy that draws actions from the network's probabilities."""

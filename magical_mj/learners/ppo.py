@@ -235,6 +235,7 @@ class RewardLearner(Learner):
     Policy and value receive pictures without augmentation (appendix). Demonstrations keep their no-ops.
 
     Attributes:
+        actor: the moving average of the policies so far. With `ppo.averaging` 0, it is the latest policy.
         expert: the demonstrations.
         environments: the environments that it plays in.
         ppo: trains the policy.
@@ -262,6 +263,7 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
+            self.actor = cast("Actor", self._average.module)
             self.ppo = PPO(settings, self.environments, actor, critic, self.rng)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self.environments.tasks)
         self.stateful = {"ppo": self.ppo, "average": self._average, "rewards": self._normalise, "draw": self.rng}
@@ -294,11 +296,6 @@ class RewardLearner(Learner):
         super().check(settings)
         if settings.ppo.simulator == "warp":
             check_extra("batched environments", "gpu")
-
-    @property
-    def actor(self) -> Actor:
-        """The moving average of the policies so far. With `ppo.averaging` 0, it is the latest policy."""
-        return cast("Actor", self._average.module)
 
     def update(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's update. Restores the global generators, which draw the actions."""

@@ -37,7 +37,7 @@ def check_size(value: Any, name: str = "image_size") -> int:
     return size
 
 
-def check_picture(view: str, size: Any, out: Any) -> int:
+def check_picture(view: str, size: Any, out: Any = None) -> int:
     """The side of a picture as an int, after a check of what it shows and of the array to write it to, if any.
 
     Raises:

@@ -58,8 +58,8 @@ class InverseDynamics(BehaviouralCloning):
         """The loss of a new batch, the logits (n, 18), the actions (n,), and other metrics."""
         frames, actions, tasks = self.drawn()
         stacks = torch.cat([frames[:, :-FRAME], frames[:, FRAME:]])
-        before, after = self._actor.torso(stacks).chunk(2)  # with the same batch norm
-        logits = self._actor.head(after - before, tasks)
+        before, after = self.actor.torso(stacks).chunk(2)  # with the same batch norm
+        logits = self.actor.head(after - before, tasks)
         return nn.functional.cross_entropy(logits, actions), logits, actions, {}
 
     def drawn(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -75,7 +75,7 @@ class NextFrame(InverseDynamics):
 
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings, demonstrations)
-        channels, flat = settings.network.channels, cast("Torso", self._actor.torso).flat
+        channels, flat = settings.network.channels, cast("Torso", self.actor.torso).flat
         with seeded(settings.seed):
             self.embedding = nn.Embedding(len(ACTIONS), flat)
             nn.init.normal_(self.embedding.weight, 1, 0.3)
@@ -86,7 +86,7 @@ class NextFrame(InverseDynamics):
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
         """The loss relative to the frames' variance, and negative errors for all actions of the first samples."""
         frames, actions, _ = self.drawn()
-        maps = cast("Torso", self._actor.torso).convolutions(frames[:, :-FRAME]).flatten(1)
+        maps = cast("Torso", self.actor.torso).convolutions(frames[:, :-FRAME]).flatten(1)
         before, after = nn.functional.adaptive_avg_pool2d(frames[:, -2 * FRAME :], POOLED).chunk(2, 1)
         mean, still = after.mean(0), (after - before).square().mean()
         loss = (self.decoder(maps * self.embedding(actions)) + mean - after).square().mean()

@@ -26,7 +26,6 @@ from magical_mj import TASKS, demos
 from magical_mj.engine import Engine
 from magical_mj.evaluation import evaluate
 from magical_mj.learners import checkpoint, load_settings, train
-from magical_mj.learners.data import shipped
 from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.learners.policy import export_policy
 from magical_mj.learners.run_folder import RunFolder
@@ -59,7 +58,7 @@ SMALL = {"preset": "State", "device": "cpu", "evaluations": 0, "demonstrations":
 
 
 def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
-    demonstration = shipped(task)[0]
+    demonstration = demos.load(task)[0]
     way = Replay(Engine.of_scene(demonstration.scene), demonstration)
     return torch.from_numpy(way.states[:steps].copy()), torch.from_numpy(way.actions[:steps].copy())
 
@@ -94,7 +93,7 @@ def test_the_order_of_blocks_changes_nothing() -> None:
 
 def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
     """Compares `mirror`'s states and actions with a simulation of the mirrored scene."""
-    demonstration = shipped("MatchRegions")[0]
+    demonstration = demos.load("MatchRegions")[0]
     scene = demonstration.scene
     poses = [(-block.x, block.y, -block.angle) for block in scene.blocks]
     other = scene.moved(robot=(-scene.robot.x, scene.robot.y, -scene.robot.angle), blocks=poses)
@@ -124,7 +123,7 @@ def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
 
 def test_contrast_changes_what_distinguishes_other_blocks_and_not_the_duplicate() -> None:
     """In FindDupe, others may share the query's shape or its colour, but only the duplicate shares both."""
-    demonstrations = shipped("FindDupe")[:4]
+    demonstrations = demos.load("FindDupe")[:4]
     samples = demonstrated(demonstrations, NOTHING_TRIED, 0, deliveries=True).shown
     other = Samples(*(part.clone() for part in samples))
     contrast(other, torch.Generator().manual_seed(0))
@@ -154,7 +153,7 @@ def in_front(states: torch.Tensor, chosen: torch.Tensor) -> torch.Tensor:
 
 def test_blocks_that_are_only_bumped_are_not_delivered() -> None:
     """In FindDupe the duplicate is delivered. On the way the robot bumps the star, which may be displaced."""
-    demonstrations = shipped("FindDupe")[:4]
+    demonstrations = demos.load("FindDupe")[:4]
     duplicate, star = 5, 4
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         deliveries, motions = (read(engine, demonstrations, deliveries=deliveries) for deliveries in (True, False))
@@ -169,7 +168,7 @@ def test_blocks_that_are_only_bumped_are_not_delivered() -> None:
 
 
 def test_a_block_that_another_demonstration_moves_is_not_removed() -> None:
-    demonstrations = shipped("MakeLine")
+    demonstrations = demos.load("MakeLine")
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         replays = read(engine, demonstrations, deliveries=True)
     assert any((replay.begins[:4] == replay.never).any() for replay in replays)
@@ -177,7 +176,7 @@ def test_a_block_that_another_demonstration_moves_is_not_removed() -> None:
 
 
 def test_releases_begin_with_a_held_block_and_end_away_from_it() -> None:
-    demonstration = shipped("MatchRegions")[0]
+    demonstration = demos.load("MatchRegions")[0]
     with closing(Engine.of_scene(demonstration.scene)) as engine:
         replay = Replay(engine, demonstration, deliveries=True)
     (region,) = demonstration.scene.regions
@@ -198,7 +197,7 @@ def test_releases_begin_with_a_held_block_and_end_away_from_it() -> None:
 @pytest.mark.parametrize("deliveries", [True, False])
 def test_a_mismatched_block_is_taken_in_its_region_and_left_outside(deliveries: bool) -> None:
     """In FixColour, the robot turns about the region with its block. Read by motions, the block may be anywhere."""
-    samples = demonstrated(shipped("FixColour")[:4], NOTHING_TRIED, 0, deliveries=deliveries).shown
+    samples = demonstrated(demos.load("FixColour")[:4], NOTHING_TRIED, 0, deliveries=deliveries).shown
     other, odd = displaced(samples, pairs=True), 2
     before, after = (regions_with(states, odd) for states in (samples.states, other.states))
     moved = (other.states[:, :2] != samples.states[:, :2]).any(1)
@@ -225,7 +224,7 @@ def displaced(samples: Samples, *, pairs: bool) -> Samples:
 
 def test_only_what_does_not_matter_now_is_displaced() -> None:
     """Other blocks are displaced, and regions with their content, but not the block that the robot approaches."""
-    samples = demonstrated([shipped("FixColour")[0]], NOTHING_TRIED, 0).shown
+    samples = demonstrated([demos.load("FixColour")[0]], NOTHING_TRIED, 0).shown
     other = displaced(samples, pairs=False)
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
     shift = blocks_of(other.states)[..., 1:3] - blocks_of(samples.states)[..., 1:3]
@@ -240,7 +239,7 @@ def test_only_what_does_not_matter_now_is_displaced() -> None:
 
 def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -> None:
     """The robot moves with the block that it approaches. With a held block, it rotates about a region's centre."""
-    samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0).shown
+    samples = demonstrated(demos.load("MatchRegions")[:4], NOTHING_TRIED, 0).shown
     samples = samples._replace(movable=torch.zeros_like(samples.movable))
     other = displaced(samples, pairs=True)
     moved = (other.states[:, :2] != samples.states[:, :2]).any(1)
@@ -259,7 +258,7 @@ def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -
 @pytest.mark.parametrize("task", ["MoveToRegion", "FixColour"])
 def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
     chosen = RelationalSettings(assumptions=("hindsight",), ways=200, plays=2)
-    shown, ways, *_ = demonstrated([shipped(task)[0]], chosen, 0)
+    shown, ways, *_ = demonstrated([demos.load(task)[0]], chosen, 0)
     assert len(ways.path) >= 200
     ends = ways.path[:, PATH_POINTS // 2 - 1]
     assert torch.cdist(ends, shown.states[:, :2]).amin(1).max() < 0.03  # steps without action are not shown
@@ -268,7 +267,7 @@ def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
 
 def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
     """Most samples do, also from rest. The block may have been pushed, but the others are not moved."""
-    demonstration = shipped("MatchRegions")[0]
+    demonstration = demos.load("MatchRegions")[0]
     with closing(Engine.of_scene(demonstration.scene)) as engine:
         replay = Replay(engine, demonstration)
         ways = gripped(engine, [replay], 200, np.random.default_rng(0))
@@ -297,14 +296,14 @@ def test_grips_hold_the_block_that_a_demonstration_takes() -> None:
 
 def test_a_robot_releases_a_block_that_it_should_not_hold() -> None:
     """In FindDupe, held blocks lose the query's look, and the robot opens its fingers. Others keep their actions."""
-    samples = demonstrated(shipped("FindDupe")[:4], NOTHING_TRIED, 0, deliveries=True).shown
+    samples = demonstrated(demos.load("FindDupe")[:4], NOTHING_TRIED, 0, deliveries=True).shown
     other = Samples(*(part.clone() for part in samples))
     held = (samples.actions >= CLOSED) & samples.pair.any(1)
     exchange(other, held.float(), torch.Generator().manual_seed(0))
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
     assert torch.equal(blocks_of(samples.states)[..., :7], blocks_of(other.states)[..., :7])
     rows, mine = samples.pair.nonzero().T
-    query = len(shipped("FindDupe")[0].scene.blocks) - 1
+    query = len(demos.load("FindDupe")[0].scene.blocks) - 1
     same = [
         (blocks_of(states)[rows, mine, 7:] == blocks_of(states)[rows, query, 7:]).all(1)
         for states in (samples.states, other.states)
@@ -317,7 +316,7 @@ def test_a_robot_releases_a_block_that_it_should_not_hold() -> None:
 
 
 def test_fingers_are_closed_only_if_they_are_empty_and_open_again() -> None:
-    samples = demonstrated(shipped("MatchRegions")[:4], NOTHING_TRIED, 0, deliveries=True).shown
+    samples = demonstrated(demos.load("MatchRegions")[:4], NOTHING_TRIED, 0, deliveries=True).shown
     other = Samples(*(part.clone() for part in samples))
     close(other, torch.Generator().manual_seed(0))
     closed = (samples.states != other.states).any(1)
@@ -331,7 +330,7 @@ def test_fingers_are_closed_only_if_they_are_empty_and_open_again() -> None:
 
 def test_a_robot_that_is_stuck_acts_less_sharply() -> None:
     actor = Ensemble(RelationalSettings(hidden=8))
-    state = torch.from_numpy(Engine.of_scene(shipped("FixColour")[0].scene).state_vector())
+    state = torch.from_numpy(Engine.of_scene(demos.load("FixColour")[0].scene).state_vector())
     histories = state.expand(3, 4, -1).clone()
     histories[1, -2, 0] += 0.02  # drives
     histories[2, -2, 6] += 0.05  # closes the hand
@@ -443,7 +442,7 @@ def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_pictures_are_redrawn_from_states(task: str) -> None:
-    demonstration = shipped(task)[0]
+    demonstration = demos.load(task)[0]
     states = np.asarray(demos.transitions([demonstration], preset="State")[0])
     seen = np.asarray(demos.transitions([demonstration], preset="LoRes4E", renderer="software")[0])
     steps = np.linspace(0, len(states) - 1, 5).astype(int)
@@ -452,7 +451,7 @@ def test_pictures_are_redrawn_from_states(task: str) -> None:
 
 
 def test_absent_blocks_and_regions_are_not_drawn() -> None:
-    scene = shipped("FixColour")[0].scene
+    scene = demos.load("FixColour")[0].scene
     states = torch.from_numpy(Engine.of_scene(scene).state_vector()[None].copy())
     blocks_of(states)[0, 1, 0] = regions_of(states)[0, 0, 0] = 0
     less = replace(scene, blocks=(scene.blocks[0], *scene.blocks[2:]), regions=scene.regions[1:])
